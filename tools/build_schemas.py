@@ -25,12 +25,9 @@ from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
 from scan2albedo.reflectance.photograph_files import FacePhotographFile
 from scan2albedo.reflectance.reflectance_files import MeshReflectanceHeader
 from scan2albedo.reflectance.shape_model import ShapeModelHeader
-from scan2albedo.runs.eyeglasses.records import (
-    CanonicalFrameRecord,
-    CanonicalSetRecord,
-    LensesRecord,
-    RegisteredFrameRecord,
-)
+from scan2albedo.runs.eyeglasses.canonicalize_run import CanonicalFrameRecord, CanonicalSetRecord
+from scan2albedo.runs.eyeglasses.lenses_run import LensesRecord
+from scan2albedo.runs.eyeglasses.register_run import RegisteredFrameRecord
 from scan2albedo.runs.recognition.files import IdentificationRecord
 from scan2albedo.runs.reflectance.output import ReflectanceRecord
 

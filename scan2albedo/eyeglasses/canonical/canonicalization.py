@@ -14,6 +14,7 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Tr
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import (
+    BEHIND,
     WIDTHS_MM,
     MeanKeyPoints,
     align_key_points,
@@ -243,18 +244,24 @@ def canonicalize(
         reason = "widths are those of different units"
         rows.append(PlanStep("eyeglasses.units", True, reason, f"factors {factors}; then {wide}"))
     unusual = {frames[i].number: reason for i, reason in outliers(points, widths).items()}
-    count = _counted(len(done), "frame")
-    if unusual:
-        reason = "; ".join(f"frame {i}: {why}" for i, why in unusual.items())
-        rows.append(PlanStep("eyeglasses.outliers", True, reason, f"{len(unusual)} of {count}"))
-    else:
+    count, names = _counted(len(done), "frame"), {f.number: f.name or f"frame {f.number}" for f in frames}
+    if not unusual:
         rows.append(PlanStep("eyeglasses.outliers", False, f"none among {count}"))
+    for i, why in unusual.items():
+        rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
     one_bridge = single_bridges(points, widths, reference) if options.mode == "mean" else ()
     single = tuple(frames[i].number for i in one_bridge)
     if single:
-        which = f"frame{'s' * (len(single) > 1)} {', '.join(map(str, single))}"
-        reason = f"one bridge on {which}, two on others: the mean's bridge_top belongs to neither"
-        rows.append(PlanStep("eyeglasses.bridges", False, reason))
+        reason = (
+            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the mean given have "
+            "two: bridge_top of the mean lies between both kinds and draws the single bridge out into a "
+            "spike; leave bridge_top out of the key points of frames with one bridge, or bring the two kinds "
+            "to means of their own"
+        )
+        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
+    if bare := [names[f.number] for f in frames if np.isnan(f.points[BEHIND]).any(1).all()]:
+        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
+        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
     if reference is not None:
         rows.append(PlanStep("eyeglasses.mean", False, "given"))
     else:

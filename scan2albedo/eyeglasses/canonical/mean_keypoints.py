@@ -36,7 +36,8 @@ _TWO_BRIDGES = 0.07
 """Height of bridges, as a part of the front's width, above which they are taken for two: 10 mm of 140."""
 _LEAST_WIDTH, _LEAST_SHAPE = 0.04, 0.01
 """Least standard deviation of widths and of key points, as parts of the median width."""
-_BACK = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
+BEHIND = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
+"""(20,) True for the key points behind the hinges."""
 _LEFT = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
 _LEFT_OUTER = np.array([KEY_POINT_NAMES.index(name) for name in ("left_hinge", "left_rim_outer")])
 _TOPS, _BOTTOMS = (
@@ -138,8 +139,8 @@ def in_own_axes(points: FloatArray) -> FloatArray:
     if not pairs.any():
         return points
     x = normalized(across[pairs].mean(0))
-    if (_BACK & known).any() and (~_BACK & known).any():
-        forward = points[~_BACK & known].mean(0) - points[_BACK & known].mean(0)
+    if (BEHIND & known).any() and (~BEHIND & known).any():
+        forward = points[~BEHIND & known].mean(0) - points[BEHIND & known].mean(0)
     else:
         heights = points[_TOPS] - points[_BOTTOMS]
         forward = np.cross(x, heights[np.isfinite(heights).all(1)].sum(0))
@@ -164,7 +165,7 @@ def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float
         return width
     known = np.flatnonzero(np.isfinite(points).all(1))
     distance, nearest = cKDTree(points[known]).query(vertices)
-    front = vertices[~_BACK[known[nearest]] & (distance < _REACH * width)]
+    front = vertices[~BEHIND[known[nearest]] & (distance < _REACH * width)]
     along = front @ (apart[np.nanargmax(lengths)] / width)
     return float(np.ptp(along)) if len(along) else width
 

@@ -137,7 +137,7 @@ def as_masks_show(
                 f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim, which stays; "
                 "cut it out of the mesh"
             )
-            steps.append(PlanStep("glasses.lenses", False, reason, evidence))
+            steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
         elif shown.any() and not opening.sealed and not len(opening.panes):
             reason = f"{_views(shown)} a {name} that the mesh does not have"
             given = mesh.points.rest, mesh.faces, motion.keypoints, opening.side
@@ -145,7 +145,7 @@ def as_masks_show(
                 lens = insert_lens(*given, LensMaterial(), seat_mm=_SEAT_MM)
             except EyeglassesError:
                 reason += ", and none fits into the rim: label the mesh's key points anew, or leave out masks"
-                steps.append(PlanStep("glasses.lenses", False, reason, evidence))
+                steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
                 continue
             # The lens lies behind the mesh so far and follows the rim.
             rim = mesh.points.weights[cKDTree(mesh.points.rest).query(lens.vertices[1:])[1]]

@@ -13,6 +13,7 @@ from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoin
 from scan2albedo.eyeglasses.on_face.inputs import OBSERVED_MM, RegisteredEyeglasses, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.objective import FrameEstimate, Linearization, RegistrationObjective
 from scan2albedo.eyeglasses.on_face.outline import ObservedView, OutlineSampler, hidden_by
+from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, project
 
@@ -24,6 +25,8 @@ _APART = 0.02
 """Distance of cameras, as a part of that to the frame, from which they count as two places."""
 _ANYWHERE_MM = 1e6
 """Deviation of a point that nothing determines: finite, so that products with weights of 0 stay 0."""
+_WORN_MM = 25.0
+"""Distance of the nearest key point from the head beyond which nobody wears the frame."""
 _LEAST_NOISE_PX = 0.3
 """Below it pixels and the bend's model limit the accuracy, not labels."""
 _MEDIAN_OF_RAYLEIGH, _MEDIAN_OF_NORMAL = 1.1774, 0.6745
@@ -107,18 +110,28 @@ def report(
     if not bend_found:
         reason = "the budget ended before the bend was found: nothing counts as observed"
         rows.append(("unfinished", reason, ""))
-    if given.head is not None and not marks_visible.any():
-        rows.append(("head", "the head hides all of the frame: is it in the cameras' frame and unit?", ""))
+    if not found.converged:
+        reason = "not converged: the plan says which step, and a longer budget may end it"
+        rows.append(("unconverged", reason, ""))
+    if given.head is not None:
+        apart = float(ClosestPointQuery(*given.head).query(keypoints[given.known]).distance.min())
+        if apart > _WORN_MM:
+            reason = f"the head is {apart:.0f} mm or more from the frame: are head and cameras in one frame?"
+            rows.append(("head", reason, ""))
+        if not marks_visible.any():
+            reason = "the head hides all of the frame: is it in the cameras' frame and unit?"
+            rows.append(("head", reason, ""))
+    if wrong.any():
+        names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
+        rows.append(("contradicted", "masks show them elsewhere or not at all", names))
+    said = [PlanStep.doubt(f"glasses.{step}", reason, evidence) for step, reason, evidence in rows]
     hidden = given.known & ~marks_visible.any(0)
     uncertain = given.known & ~hidden & (mark_deviation > OBSERVED_MM)
     for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
         if lost.any():
             worst = f"up to {mark_deviation[lost].max():.1f} mm standard deviation"
-            rows.append(("unobserved", f"{int(lost.sum())} key points are {why}", worst))
-    if wrong.any():
-        names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
-        rows.append(("contradicted", "masks show them elsewhere or not at all", names))
-    doubts = Plan(tuple(PlanStep(f"glasses.{step}", False, reason, said) for step, reason, said in rows))
+            reason = f"{int(lost.sum())} key points are {why}"
+            said.append(PlanStep("glasses.unobserved", False, reason, worst))
 
     world, transforms = motion.world_from_frame.copy(), motion.transforms.copy()
     world[:3, 3] *= unit
@@ -145,7 +158,7 @@ def report(
         iou=iou,
         converged=found.converged,
         iterations=meter.evaluations,
-        plan=plan + doubts,
+        plan=plan + said,
         trace=meter.trace,
     )
 

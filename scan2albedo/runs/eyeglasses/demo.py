@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core import ProgressCallback
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import (
     Camera,
     LensMaterial,
     LensPictureOptions,
-    read_cameras,
     write_cameras,
     write_keypoints,
     write_labels,
@@ -29,13 +29,19 @@ from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.atomic import check_writable, result_folder
 from scan2albedo.io.glb import write_glb
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.obj import write_obj
+from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.registration import register
-from scan2albedo.runs.eyeglasses.input import keypoints_beside
-from scan2albedo.runs.eyeglasses.lens_files import run_lenses
-from scan2albedo.runs.eyeglasses.lens_input import read_lens_input
+from scan2albedo.runs.eyeglasses import lenses_run, register_run
+from scan2albedo.runs.eyeglasses.inputs import (
+    GlassesInput,
+    keypoints_beside,
+    read_lens_scene,
+    read_registration,
+)
+from scan2albedo.runs.eyeglasses.lenses_run import run_lenses
 from scan2albedo.runs.eyeglasses.register_run import PlacedFrame, register_frame, write_registration_files
-from scan2albedo.runs.eyeglasses.registration_input import RegistrationFiles, read_registration
 from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
 
 Mesh = tuple[FloatArray, IntArray]
@@ -46,6 +52,7 @@ INPUT = "input"
 """Folder with what a person who takes pictures would bring."""
 LENSES = "lenses"
 """Folder with the picture through lenses."""
+_MESHES = (".obj", ".glb")
 _SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
 """Neither registration nor fit look at the scan's pictures."""
 
@@ -79,7 +86,8 @@ class GlassesDemoReport:
     def figures(self) -> dict[str, Any]:
         """Return the figures as plain values for JSON."""
         plain = {k: v for k, v in vars(self).items() if isinstance(v, int | float | str)}
-        return {**plain, "converged": self.placed.result.converged, "views": self.placed.view_figures()}
+        views = [view.model_dump() for view in self.placed.views]
+        return {**plain, "converged": self.placed.result.converged, "views": views}
 
     def table(self) -> str:
         """Return the figures as text for a terminal."""
@@ -109,11 +117,17 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
     """Return the errors of a registered synthetic frame."""
     result, glasses = placed.result, person.glasses
     # Reading a mesh may drop and renumber vertices.
-    same = cKDTree(glasses.rest_vertices).query(placed.given.frame.vertices)[1]
+    same = cKDTree(glasses.rest_vertices).query(placed.given.frame.scan.vertices)[1]
     error = np.linalg.norm(result.vertices - person.vertices[same], axis=1)
     seen, observed = person.seen[same], result.observed
     off = result.keypoints - person.keypoints
     marks = np.linalg.norm(off, axis=1)
+    # Along the rays of visible key points, least of all views.
+    depth_errors = []
+    for center, hidden in zip(camera_centers(person.cameras), person.hidden, strict=True):
+        shown = ~hidden[glasses.keypoint_vertices]
+        rays = normalized(person.keypoints[shown] - center)
+        depth_errors.append(_rms(np.einsum("ki,ki->k", rays, off[shown])))
     return GlassesDemoReport(
         placed=placed,
         head=head,
@@ -127,7 +141,7 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
         observed_deviation_mm=_rms(result.deviation[observed]),
         keypoints_rms_mm=_rms(marks),
         keypoints_max_mm=float(marks.max()),
-        depth_error_mm=_depth_error(person, off),
+        depth_error_mm=float(np.nanmin(depth_errors)),
         depth_deviation_mm=result.depth_deviation,
         seconds=placed.seconds,
     )
@@ -135,16 +149,6 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
 
 def _rms(errors: FloatArray) -> float:
     return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
-
-
-def _depth_error(person: Wearer, off: FloatArray) -> float:
-    """Return the root mean square error (20, 3) along the rays of visible key points, least of all views."""
-    errors = []
-    for center, hidden in zip(camera_centers(person.cameras), person.hidden, strict=True):
-        shown = ~hidden[person.glasses.keypoint_vertices]
-        rays = normalized(person.keypoints[shown] - center)
-        errors.append(_rms(np.einsum("ki,ki->k", rays, off[shown])))
-    return float(np.nanmin(errors))
 
 
 def run_glasses_demo(
@@ -167,24 +171,22 @@ def run_glasses_demo(
     """
     folder = Path(out)
     check_writable(folder)
+    RunFolder(folder, register_run.FILES).check()
+    RunFolder(folder / LENSES, lenses_run.FILES).check()
     person = wearer(seed, options=options)
-    files = write_wearer(person, _head(person, head, seed, on_progress), folder)
-    placed = register_frame(read_registration(files), on_progress=on_progress)
+    mesh = (person.head_vertices, person.head_faces) if head == "true" else None
+    mesh = fitted_face(seed, on_progress) if head == "fitted" else mesh
+    given = write_wearer(person, mesh, folder)
+    placed = register_frame(given, on_progress=on_progress)
     write_registration_files(placed, folder)
-    if dioptres is not None and files.head is not None:
-        _draw_lenses(folder, files, dioptres, say)
+    if dioptres is not None and mesh is not None:
+        # From the files that `glasses lenses` would read.
+        middle = given.cameras[len(given.cameras) // 2].name
+        head_file, cameras_file = (Path(given.files[what].file) for what in ("head", "cameras"))
+        source = read_lens_scene(folder / "registered.glb", head_file, cameras_file, views=[middle])
+        lens = LensMaterial(dioptres=dioptres, beta=0.04)
+        run_lenses(source, (lens, lens), LensPictureOptions(), folder / LENSES, say)
     return compare_with_wearer(placed, person, head)
-
-
-def _draw_lenses(folder: Path, files: RegistrationFiles, dioptres: float, say: Callable[[str], None]) -> None:
-    """Draw lenses in the registered frame, from the files that `glasses lenses` would read."""
-    assert files.head is not None
-    names = [camera.name for camera in read_cameras(files.cameras)]
-    source = read_lens_input(
-        folder / "registered.glb", files.head, files.cameras, views=[names[len(names) // 2]]
-    )
-    lens = LensMaterial(dioptres=dioptres, beta=0.04)
-    run_lenses(source, (lens, lens), LensPictureOptions(), folder / LENSES, say)
 
 
 def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
@@ -197,17 +199,12 @@ def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
     return transform_points(world_from_fit, fitted.vertices), fitted.faces
 
 
-def _head(person: Wearer, head: Head, seed: int, on_progress: ProgressCallback | None) -> Mesh | None:
-    if head == "fitted":
-        return fitted_face(seed, on_progress)
-    return (person.head_vertices, person.head_faces) if head == "true" else None
-
-
-def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFiles:
-    """Write the data of a wearer into ``out / INPUT`` and return the files' names.
+def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
+    """Write the data of a wearer into ``out / INPUT`` and return what `read_registration` reads there.
 
     They are the frame before it was bent, its key points, cameras, labels, masks, and the head if any. Raises
-    OutputError, naming folder and cause.
+    OutputError, naming folder and cause, also where another file is in the way: neither the same nor listed
+    by the record in `out`.
     """
     folder, glasses = out / INPUT, person.glasses
     _, height, width = person.masks.shape
@@ -215,6 +212,9 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFi
         Camera(f"camera_{number}", matrix, (height, width))
         for number, matrix in enumerate(person.cameras, start=1)
     ]
+    known: set[str] = set()
+    if (out / register_run.FILES.record).is_file():
+        known = {file.sha256 for file in RunFolder(out, register_run.FILES).read().inputs.values()}
     with result_folder(folder, staged_in=out) as staging:
         write_obj(staging / "frame.obj", glasses.rest_vertices, glasses.faces)
         write_keypoints(keypoints_beside(staging / "frame.obj"), glasses.rest_keypoints, unit="mm")
@@ -223,10 +223,19 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> RegistrationFi
         write_masks(staging / "masks", list(person.masks), cameras)
         if head is not None:
             write_glb(staging / "head.glb", *head)
-    return RegistrationFiles(
-        mesh=folder / "frame.obj",
-        cameras=folder / "cameras.json",
-        labels=folder / "labels.json",
+        for made in staging.rglob("*"):
+            there = folder / made.relative_to(staging)
+            if made.is_file() and there.is_file():
+                hashes = {file_sha256(there), input_sha256(there) if there.suffix in _MESHES else ""}
+                if file_sha256(made) not in hashes and not hashes & known:
+                    raise OutputError(
+                        f"{there}: no run of scan2albedo glasses demo wrote it; move it away, or choose "
+                        "another folder"
+                    )
+    return read_registration(
+        folder / "frame.obj",
+        folder / "cameras.json",
+        folder / "labels.json",
         masks=folder / "masks",
         head=None if head is None else folder / "head.glb",
     )

@@ -38,8 +38,8 @@ from scan2albedo.io import load_scan
 from scan2albedo.report.overview import Panel
 from scan2albedo.runs.eyeglasses import register_run as glasses_registration_files
 from scan2albedo.runs.eyeglasses.demo import write_wearer
+from scan2albedo.runs.eyeglasses.inputs import read_registration
 from scan2albedo.runs.eyeglasses.register_run import register_frame, write_registration_files
-from scan2albedo.runs.eyeglasses.registration_input import RegistrationFiles, read_registration
 from scan2albedo.synthetic import WearerOptions, wearer
 
 pytestmark = pytest.mark.slow
@@ -203,10 +203,9 @@ def test_pictures_end_where_cameras_say_even_without_masks(changed, person, tmp_
     pixel = np.array(tree["cameras"][1]["matrix"]) @ [*middle, 1]
     tree["cameras"][1]["width"] = int(pixel[0] / pixel[2])
     (changed / "cameras.json").write_text(json.dumps(tree))
-    files = RegistrationFiles(
+    given = read_registration(
         changed / "round" / "canonical.npz", changed / "cameras.json", changed / "labels.json"
     )
-    given = read_registration(files)
     assert any("lie outside its picture" in note for note in given.notes)
     frame = register_frame(given).result
     shown = frame.vertices @ given.cameras[1].matrix[:, :3].T + given.cameras[1].matrix[:, 3]
@@ -241,12 +240,11 @@ def test_a_start_fixes_what_labels_do_not(changed, person, tmp_path, monkeypatch
 
 def test_an_earlier_result_is_a_start_too(done, inputs):
     start = done[0] / "registered.npz"
-    files = RegistrationFiles(
+    given = read_registration(
         inputs / "frame.obj", inputs / "cameras.json", inputs / "labels.json", start=start
     )
-    given = read_registration(files)
     np.testing.assert_array_equal(given.start, read_registered(start).world_from_glasses)
-    assert given.hashes["start"] == (start, hashlib.sha256(start.read_bytes()).hexdigest())
+    assert given.files["start"].sha256 == hashlib.sha256(start.read_bytes()).hexdigest()
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -350,10 +348,9 @@ def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeypatch):
-    files = RegistrationFiles(
-        inputs / "round" / "canonical.npz", inputs / "cameras.json", inputs / "labels.json"
+    placed = register_frame(
+        read_registration(inputs / "round" / "canonical.npz", inputs / "cameras.json", inputs / "labels.json")
     )
-    placed = register_frame(read_registration(files))
     out = tmp_path / "out"
     write_registration_files(placed, out)
     before = {path: path.read_bytes() for path in out.iterdir()}
