@@ -13,9 +13,8 @@ from pathlib import Path
 from pydantic import BaseModel
 
 from scan2albedo.batch.records import BatchRecord, BatchScanRecord
-from scan2albedo.eyeglasses.files.camera_files import CamerasFile
-from scan2albedo.eyeglasses.files.frame_files import StartFile
-from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile, LabelsFile
+from scan2albedo.eyeglasses.frame_files import KeyPointsFile, StartFile
+from scan2albedo.eyeglasses.view_files import CamerasFile, LabelsFile
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord

@@ -2,8 +2,8 @@
 
 S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning) and
 `canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`, with S11 and S12 in
-`refraction`, tint and reflection in `lens_shading`; section 6.3, other light, in `lens_rendering`. `files`
-holds what people exchange.
+`refraction`, tint and reflection in `lens_shading`; section 6.3, other light, in `lens_rendering`. Files
+that people exchange: `frame_files`, `view_files`.
 """
 
 from scan2albedo.eyeglasses.canonical.canonicalization import (
@@ -12,27 +12,15 @@ from scan2albedo.eyeglasses.canonical.canonicalization import (
     CanonicalSet,
     canonicalize,
 )
-from scan2albedo.eyeglasses.files.camera_files import (
-    Camera,
-    read_cameras,
-    read_masks,
-    write_cameras,
-    write_masks,
-)
-from scan2albedo.eyeglasses.files.frame_files import (
+from scan2albedo.eyeglasses.frame_files import (
     read_canonical,
+    read_keypoints,
     read_registered,
     read_start,
     write_canonical,
+    write_keypoints,
     write_registered,
     write_start,
-)
-from scan2albedo.eyeglasses.files.keypoint_files import (
-    ViewLabels,
-    read_keypoints,
-    read_labels,
-    write_keypoints,
-    write_labels,
 )
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, lens_mesh
@@ -51,6 +39,16 @@ from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, Regis
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
 from scan2albedo.eyeglasses.on_face.start_poses import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.skinning import skin
+from scan2albedo.eyeglasses.view_files import (
+    Camera,
+    ViewLabels,
+    read_cameras,
+    read_labels,
+    read_masks,
+    write_cameras,
+    write_labels,
+    write_masks,
+)
 from scan2albedo.eyeglasses.weighting.weights import (
     BoundedBiharmonicWeights,
     bounded_biharmonic_weights,

@@ -24,8 +24,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalMode
 from scan2albedo.eyeglasses.canonical.mean_keypoints import WIDTHS_MM
-from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
-from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
+from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
 from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord

@@ -20,7 +20,7 @@ from scan2albedo.eyeglasses import (
     write_keypoints,
     write_registered,
 )
-from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
+from scan2albedo.eyeglasses.frame_files import write_frame_glb
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
