@@ -413,7 +413,8 @@ def _unbent(frame: _Frame, place: FloatArray, scale: float) -> CanonicalEyeglass
     halves = front_halves(scale * frame.vertices, frame.faces, frame.weights, points)
     own = unbent_transforms(points, halves)
     straight = np.einsum("kij,kj->ki", own[:, :3, :3], points) + own[:, :3, 3]
-    pose = align_key_points(straight if halves is None else halves.symmetric(straight), place)
+    even = straight if halves is None else symmetric_key_points(straight, halves.reflection)
+    pose = align_key_points(even, place)
     ran, evidence = True, ""
     if halves is None:
         ran = False

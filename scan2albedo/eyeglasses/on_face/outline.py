@@ -150,16 +150,6 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
 
 
 @dataclass(frozen=True)
-class Coverage:
-    """What a mesh covers of a picture, inside a window around it."""
-
-    face: NDArray[np.int32]
-    """(h, w) foremost face at each pixel's centre, -1 for none."""
-    corner: tuple[int, int]
-    """Row and column of the window's first pixel in the picture."""
-
-
-@dataclass(frozen=True)
 class Outline:
     """Pixels of a mask that touch the outside, and the surface points at their centres."""
 
@@ -173,68 +163,55 @@ class Outline:
     """(N, 2) unit vectors in the picture, away from the mask."""
 
 
-def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]) -> Coverage:
-    """Return the pixels that a mesh covers of a picture (H, W), by a perspective z-buffer.
+def cover(
+    pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
+) -> NDArray[np.int32]:
+    """Return (H, W) the foremost face at each pixel's centre, -1 for none.
 
     `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane; faces with vertices
     behind the camera (NaN) are left out.
     """
-    seen = pixels[np.isfinite(pixels).all(1)]
-    limits = np.array([shape[1], shape[0]])
-    if len(seen) == 0:
-        return Coverage(np.full((0, 0), -1, np.int32), (0, 0))
-    # A pixel more on each side: borders need the uncovered neighbour.
-    low = np.clip(np.floor(seen.min(0)) - 1, 0, limits).astype(np.int64)
-    high = np.clip(np.ceil(seen.max(0)) + 2, 0, limits).astype(np.int64)
-    size = np.maximum(high - low, 0)
-    nearness = 1 / np.where(depth > 0, depth, np.nan)
-    face = nearest_faces(pixels - low, nearness, faces, (int(size[1]), int(size[0])))
-    return Coverage(face, (int(low[1]), int(low[0])))
+    return nearest_faces(pixels, 1 / np.where(depth > 0, depth, np.nan), faces, shape)
 
 
 def trace_outline(
-    coverage: Coverage, pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
+    covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
 ) -> Outline:
     """Return the covered pixels with an uncovered 4-neighbour; the picture's border is no outline."""
-    row, column, outward = _border(coverage.face, coverage.corner[0], coverage.corner[1], *shape)
+    row, column, outward = _border(covered)
     length = np.linalg.norm(outward, axis=1)
     kept = length > 0
-    place, face, share = _points_at(row[kept], column[kept], coverage, pixels, depth, faces)
-    return Outline(place, face, share, outward[kept] / length[kept, None])
+    at = np.stack([column[kept], row[kept]], 1)
+    return Outline(at, *_points_at(at, covered, pixels, depth, faces), outward[kept] / length[kept, None])
 
 
 def covered_points(
-    coverage: Coverage, pixels: FloatArray, depth: FloatArray, faces: IntArray
+    covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Return all covered pixels (N, 2), their faces (N,) and the surface points' barycentric (N, 3)."""
-    row, column = np.nonzero(coverage.face >= 0)
-    return _points_at(row, column, coverage, pixels, depth, faces)
+    row, column = np.nonzero(covered >= 0)
+    at = np.stack([column, row], 1)
+    return at, *_points_at(at, covered, pixels, depth, faces)
 
 
 def _points_at(
-    row: IntArray,
-    column: IntArray,
-    coverage: Coverage,
-    pixels: FloatArray,
-    depth: FloatArray,
-    faces: IntArray,
-) -> tuple[IntArray, IntArray, FloatArray]:
-    face = coverage.face[row, column].astype(np.int64)
-    place = np.stack([column + coverage.corner[1], row + coverage.corner[0]], 1)
+    at: IntArray, covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
+) -> tuple[IntArray, FloatArray]:
+    face = covered[at[:, 1], at[:, 0]].astype(np.int64)
     corners = faces[face]
-    a, b, c = (pixels[corners[:, i]] - place for i in range(3))
+    a, b, c = (pixels[corners[:, i]] - at for i in range(3))
     areas = [u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((b, c), (c, a), (a, b))]
     flat = np.stack(areas, 1) / depth[corners]
-    return place, face, flat / flat.sum(1, keepdims=True)
+    return face, flat / flat.sum(1, keepdims=True)
 
 
 @njit(cache=True, nogil=True)
-def _border(face, first_row, first_column, height, width):  # type: ignore[no-untyped-def]
-    """Return rows, columns (N,) in the window, and sums of directions to uncovered pixels (N, 2)."""
+def _border(face):  # type: ignore[no-untyped-def]
+    """Return rows, columns (N,) of border pixels, and sums of directions to uncovered pixels (N, 2)."""
     rows, columns = face.shape
-    found = 0
-    place = np.empty((rows * columns, 2), np.int64)
+    found = np.empty((rows * columns, 2), np.int64)
     outward = np.empty((rows * columns, 2))
+    count = 0
     for row in range(rows):
         for column in range(columns):
             if face[row, column] < 0:
@@ -242,23 +219,20 @@ def _border(face, first_row, first_column, height, width):  # type: ignore[no-un
             open_side = False
             for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
                 r, c = row + dr, column + dc
-                inside = 0 <= r + first_row < height and 0 <= c + first_column < width
-                if inside and (not (0 <= r < rows and 0 <= c < columns) or face[r, c] < 0):
+                if 0 <= r < rows and 0 <= c < columns and face[r, c] < 0:
                     open_side = True
             if not open_side:
                 continue
             x, y = 0.0, 0.0
-            for dr in range(-_AROUND, _AROUND + 1):
-                for dc in range(-_AROUND, _AROUND + 1):
-                    r, c = row + dr, column + dc
-                    inside = 0 <= r + first_row < height and 0 <= c + first_column < width
-                    if inside and (not (0 <= r < rows and 0 <= c < columns) or face[r, c] < 0):
-                        x += dc
-                        y += dr
-            place[found, 0], place[found, 1] = row, column
-            outward[found, 0], outward[found, 1] = x, y
-            found += 1
-    return place[:found, 0], place[:found, 1], outward[:found]
+            for r in range(max(0, row - _AROUND), min(rows, row + _AROUND + 1)):
+                for c in range(max(0, column - _AROUND), min(columns, column + _AROUND + 1)):
+                    if face[r, c] < 0:
+                        x += c - column
+                        y += r - row
+            found[count, 0], found[count, 1] = row, column
+            outward[count, 0], outward[count, 1] = x, y
+            count += 1
+    return found[:count, 0], found[:count, 1], outward[:count]
 
 
 class OutlineSampler:
@@ -322,7 +296,7 @@ class OutlineSampler:
         mesh, faces, camera = self.mesh, self.shown[number], self.views[number].camera
         pixels, depth = project(camera, vertices)
         covered = cover(pixels, depth, faces, shape)
-        outline = trace_outline(covered, pixels, depth, faces, shape)
+        outline = trace_outline(covered, pixels, depth, faces)
         foremost = faces[outline.face, 0]
         px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
         reach = _REACH * mesh.points.weights[foremost] @ deviation_mm * px_per_mm

@@ -39,8 +39,9 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
-_TRACINGS, _STEPS = 10, 6
-"""Most times that the outline is traced anew, and most steps on one tracing."""
+_TRACINGS, _STEPS, _LEAST_GAIN = 10, 6, 1e-3
+"""Most times that the outline is traced anew, most steps on one tracing, and the part of the cost below which
+a gain ends them."""
 _DISAGREE = 2.0
 """Times by which outlines may raise the labels' error before they are taken for another picture's."""
 _NEAR_MM = 40.0
@@ -311,7 +312,7 @@ class _Registration:
                 start,
                 meter,
                 steps=_STEPS,
-                tolerance=1e-3,
+                tolerance=_LEAST_GAIN,
                 error=mean_outline_px,
             )
             first = mean_outline_px(found.at) if not moves else first

@@ -174,7 +174,7 @@ class PointDeviations:
         scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
         values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
         # Open directions stay finite.
-        values = np.maximum(values, 1e-12 * values.max())
+        values = np.maximum(values, values.max() / _ANYWHERE_MM**2)
         self._root = vectors / np.sqrt(values) / scale[:, None]
 
     def covariances(self, points: SkinnedPoints) -> FloatArray:

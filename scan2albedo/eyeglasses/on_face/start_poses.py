@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, needs_extra
+from scan2albedo.eyeglasses.canonical.mean_keypoints import is_posable
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
@@ -27,6 +28,8 @@ _OTHER_UNIT = 3.0
 """Ratio of sizes from which the frame and the cameras cannot be in the same unit."""
 _INLIER_PX = 8.0
 """Distance up to which a label agrees with a view's pose."""
+_DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12)
+"""It begins low, for the linear start is nearly right, and stays above what rounding leaves of the matrix."""
 
 
 def starting_poses(
@@ -75,7 +78,7 @@ def _triangulated(
             "cameras to the same unit"
         )
     # A line of key points leaves a turn open.
-    if np.linalg.svd(rest - rest.mean(0), compute_uv=False)[1] < 1e-3 * small:
+    if not is_posable(rest):
         return []
     return [procrustes(rest, world)]
 
@@ -221,12 +224,11 @@ def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArr
     if len(starts) == 0:
         return np.full(3, np.nan)
     nearest = starts[int(np.argmin(_loss(_residuals(starts, labels, cameras), noise_px)))]
-    # Damping begins low, for the linear start is nearly right, and stays above what rounding leaves.
     found = minimize(
         _Point(nearest, labels, cameras, noise_px),
         trials=50,
         step_tolerance=1e-12 * (1 + float(np.linalg.norm(nearest))),
-        damping=Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12),
+        damping=_DAMPING,
     )
     return found.best.place
 

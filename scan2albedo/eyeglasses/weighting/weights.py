@@ -174,9 +174,9 @@ def solve_weights(
     solution = solve_lattice(embedding.lattice, embedding.handle_cells, tolerance=tolerance, meter=meter)
     raw, total = solution.x, solution.x.sum(1)
     # Dividing by less would amplify rounding.
-    if not total.min() > 1e-6:
+    if not total.min() > TOLERANCE:
         raise EyeglassesError(
-            f"no key point holds {int((total <= 1e-6).sum())} of {len(total)} lattice nodes"
+            f"no key point holds {int((total <= TOLERANCE).sum())} of {len(total)} lattice nodes"
         )
     weights = np.clip(embedding.interpolation @ (raw / total[:, None]), 0.0, 1.0)
     weights = embedding.shares * weights[:, embedding.handle]
