@@ -93,7 +93,8 @@ class FrameMotion:
 
     def positions(self, points: SkinnedPoints) -> FloatArray:
         """Return (N, 3) in the world."""
-        return np.asarray(_blend_positions(points.rest, points.weights, self.transforms))
+        blended = (points.weights @ self.transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+        return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3])
 
     def covariances(self, points: SkinnedPoints, root: FloatArray) -> FloatArray:
         """Return covariances (N, 3, 3) of points in the world that follow from root root^T, a step's own.
@@ -228,27 +229,6 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     rigid = rigid_rows @ motion.state.shifts.ravel()
     rows = np.concatenate([stretch_rows, turn_rows, rigid_rows])
     return np.concatenate([stretch, turn.ravel(), rigid]), np.pad(rows, ((0, 0), (RIGID, 0)))
-
-
-@njit(cache=True, nogil=True)
-def _blend_positions(rest, weights, transforms):  # type: ignore[no-untyped-def]
-    """Return (N, 3) points of rest (N, 3) under the weighted mean of transforms (K, 4, 4)."""
-    count, handles = weights.shape
-    result = np.empty((count, 3))
-    mean = np.empty((3, 4))
-    for n in range(count):
-        mean[:] = 0.0
-        for k in range(handles):
-            w = weights[n, k]
-            if w != 0.0:
-                for i in range(3):
-                    for j in range(4):
-                        mean[i, j] += w * transforms[k, i, j]
-        for i in range(3):
-            result[n, i] = (
-                mean[i, 0] * rest[n, 0] + mean[i, 1] * rest[n, 1] + mean[i, 2] * rest[n, 2] + mean[i, 3]
-            )
-    return result
 
 
 @njit(cache=True, nogil=True)

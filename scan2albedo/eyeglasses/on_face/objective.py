@@ -184,7 +184,7 @@ class RegistrationObjective:
     def _add_labels(self, sums: _Sums) -> FloatArray:
         place, noise = sums.motion.positions(self._marks), self.options.label_noise_px
         view, mark = np.nonzero(self._labelled)
-        pixels, slopes, front = _projected(self._cameras[view], place[mark])
+        pixels, slopes, front = projected(self._cameras[view], place[mark])
         errors = np.full(self._labelled.shape, np.nan)
         difference = pixels - self._labels[view, mark]
         errors[view, mark] = np.where(front, np.linalg.norm(difference, axis=1), np.inf)
@@ -219,7 +219,7 @@ class RegistrationObjective:
 
     def _add_outlines(self, samples: OutlineSamples, sums: _Sums) -> FloatArray:
         place, noise = sums.motion.positions(samples.points), self.options.outline_noise_px
-        pixels, slopes, _ = _projected(self._cameras[samples.view], place)
+        pixels, slopes, _ = projected(self._cameras[samples.view], place)
         error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
         for number, view in enumerate(self.views):
             mine = samples.view == number
@@ -285,7 +285,7 @@ class _Sums:
             self.matrix -= np.outer(common, common) / (votes.sum() + tight)
 
 
-def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return pixels (N, 2), NaN behind the camera, and their derivatives; which points lie in front (N,).
 
     Each point is seen by its own camera; the derivatives are (N, 2, 3).

@@ -16,7 +16,12 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import is_posable
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
-from scan2albedo.eyeglasses.on_face.objective import RegistrationObjective, descend, median_label_px
+from scan2albedo.eyeglasses.on_face.objective import (
+    RegistrationObjective,
+    descend,
+    median_label_px,
+    projected,
+)
 from scan2albedo.eyeglasses.on_face.outline import ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 from scan2albedo.geometry.rigid import compose, procrustes
@@ -209,7 +214,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
             continue
         points[k] = _place(labels[seen, k], matrices[seen], noise_px)
         if np.isfinite(points[k]).all():
-            residual = _residuals(points[k][None], labels[seen, k], matrices[seen])[0]
+            residual = _errors(points[k], labels[seen, k], matrices[seen])[0]
             errors[seen, k] = np.linalg.norm(residual, axis=-1)
     with np.errstate(invalid="ignore"):
         inliers = errors <= 3 * noise_px
@@ -223,7 +228,7 @@ def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArr
     starts = starts[np.isfinite(starts).all(1)]
     if len(starts) == 0:
         return np.full(3, np.nan)
-    nearest = starts[int(np.argmin(_loss(_residuals(starts, labels, cameras), noise_px)))]
+    nearest = min(starts, key=lambda place: _loss(_errors(place, labels, cameras)[0], noise_px))
     found = minimize(
         _Point(nearest, labels, cameras, noise_px),
         trials=50,
@@ -237,26 +242,31 @@ class _Point:
     """A place (3,) with the Cauchy loss of its labels, for `minimize`."""
 
     def __init__(self, place: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float) -> None:
-        self.place, self._labels, self._cameras, self._noise_px = place, labels, cameras, noise_px
-        self._errors = _residuals(place[None], labels, cameras)[0]
-        self.cost = float(_loss(self._errors, noise_px))
+        self.place, self._given = place, (labels, cameras, noise_px)
+        errors, self._slopes, front = _errors(place, labels, cameras)
+        self._errors = errors[front]
+        self._slopes = self._slopes[front]
+        self._weights = 1 / (1 + (self._errors**2).sum(1) / (2 * noise_px) ** 2)
+        self.cost = _loss(errors, noise_px)
 
     def normal_equations(self) -> NormalEquations:
         """Return those of the reweighted squares, without cameras that have the point behind them."""
-        front = np.isfinite(self._errors).all(1)
-        errors, cameras = self._errors[front], self._cameras[front]
-        depth = cameras[:, 2, :3] @ self.place + cameras[:, 2, 3]
-        pixels = errors + self._labels[front]
-        slopes = (cameras[:, :2, :3] - pixels[:, :, None] * cameras[:, 2:, :3]) / depth[:, None, None]
-        weights = 1 / (1 + (errors**2).sum(1) / (2 * self._noise_px) ** 2)
-        weighted = weights[:, None, None] * slopes
+        weighted = self._weights[:, None, None] * self._slopes
         return NormalEquations(
-            np.einsum("cik,cim->km", weighted, slopes), np.einsum("cik,ci->k", weighted, errors)
+            np.einsum("cik,cim->km", weighted, self._slopes), np.einsum("cik,ci->k", weighted, self._errors)
         )
 
     def moved(self, step: FloatArray) -> _Point:
         """Return the place a step (3,) away."""
-        return _Point(self.place + step, self._labels, self._cameras, self._noise_px)
+        return _Point(self.place + step, *self._given)
+
+
+def _errors(
+    place: FloatArray, labels: FloatArray, cameras: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return a reprojected place minus labels (C, 2), infinite behind a camera; slopes; what is in front."""
+    pixels, slopes, front = projected(cameras, np.tile(place, (len(cameras), 1)))
+    return np.where(front[:, None], pixels - labels, np.inf), slopes, front
 
 
 def _linear(labels: FloatArray, cameras: FloatArray) -> FloatArray:
@@ -269,14 +279,6 @@ def _linear(labels: FloatArray, cameras: FloatArray) -> FloatArray:
     return solution if rank == 3 and (depth > 0).all() else np.full(3, np.nan)
 
 
-def _residuals(points: FloatArray, labels: FloatArray, cameras: FloatArray) -> FloatArray:
-    """Return (H, C, 2) reprojected points (H, 3) minus labels (C, 2); infinite behind a camera."""
-    image = np.einsum("cij,hj->hci", cameras[:, :, :3], points) + cameras[:, :, 3]
-    depth = image[..., 2:]
-    front = depth > 0
-    return np.where(front, image[..., :2] / np.where(front, depth, 1.0) - labels, np.inf)
-
-
-def _loss(residuals: FloatArray, noise_px: float) -> FloatArray:
-    square = (residuals**2).sum(-1) / (2 * noise_px) ** 2
-    return np.log1p(np.minimum(square, 1e300)).sum(-1)
+def _loss(errors: FloatArray, noise_px: float) -> float:
+    square = (errors**2).sum(-1) / (2 * noise_px) ** 2
+    return float(np.log1p(np.minimum(square, 1e300)).sum())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -59,57 +59,43 @@ _SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
 
 @dataclass(frozen=True)
 class GlassesDemoReport:
-    """Errors of the registration against the truth; lengths in mm, shares of the vertices.
-
-    Errors are those of vertices that the true head leaves visible in a view or more (`seen`), of `all`, of
-    those that the registration calls `observed`, and of the key points; `depth_error_mm` is along the line of
-    sight, in the view where it is least. Deviations are the registration's own estimate: root mean squares
-    over the observed vertices, each in its worst direction, and along the line of sight.
-    """
+    """Errors of the registration against the truth."""
 
     placed: PlacedFrame
     head: Head
-    seen_rms_mm: float
-    seen_max_mm: float
-    seen_share: float
-    all_rms_mm: float
-    all_max_mm: float
-    observed_rms_mm: float
-    observed_share: float
-    observed_deviation_mm: float
-    keypoints_rms_mm: float
-    keypoints_max_mm: float
-    depth_error_mm: float
-    depth_deviation_mm: float
-    seconds: float
+    errors: Mapping[str, float]
+    """Lengths in mm, shares of the vertices: of vertices that the true head leaves visible in a view or more
+    (`seen`), of `all`, of those that the registration calls `observed`, and of the key points;
+    `depth_error_mm` is along the line of sight, in the view where it is least. Deviations are the
+    registration's own estimate: root mean squares over the observed vertices, each in its worst direction,
+    and along the line of sight."""
 
     def figures(self) -> dict[str, Any]:
         """Return the figures as plain values for JSON."""
-        plain = {k: v for k, v in vars(self).items() if isinstance(v, int | float | str)}
-        views = [view.model_dump() for view in self.placed.views]
-        return {**plain, "converged": self.placed.result.converged, "views": views}
+        placed, views = self.placed, [view.model_dump() for view in self.placed.views]
+        rest = {"seconds": placed.seconds, "converged": placed.result.converged, "views": views}
+        return {"head": self.head, **self.errors, **rest}
 
     def table(self) -> str:
         """Return the figures as text for a terminal."""
         heads = {"fitted": "face fitted to a scan", "true": "true head", "none": "no head"}
-        rows = (
-            ("visible vertices", self.seen_rms_mm, self.seen_max_mm, f"{self.seen_share:.1%} of the frame"),
-            ("all vertices", self.all_rms_mm, self.all_max_mm, ""),
-            ("key points", self.keypoints_rms_mm, self.keypoints_max_mm, ""),
-        )
+        errors = self.errors
         lines = [
-            f"  {name:18}{rms:.3f} mm rms, {most:.3f} mm at most" + (f"; {more}" if more else "")
-            for name, rms, most, more in rows
+            f"  {name:18}{errors[f'{of}_rms_mm']:.3f} mm rms, {errors[f'{of}_max_mm']:.3f} mm at most{more}"
+            for name, of, more in (
+                ("visible vertices", "seen", f"; {errors['seen_share']:.1%} of the frame"),
+                ("all vertices", "all", ""),
+                ("key points", "keypoints", ""),
+            )
         ]
-        lines.append(
-            f"  {'observed':18}{self.observed_rms_mm:.3f} mm rms, "
-            f"{self.observed_deviation_mm:.3f} mm stated; {self.observed_share:.1%} of the frame"
-        )
-        lines.append(
-            f"  {'depth':18}{self.depth_error_mm:.3f} mm rms, {self.depth_deviation_mm:.3f} mm stated"
-        )
         ended = "converged" if self.placed.result.converged else "not converged"
-        lines.append(f"  {'registration':18}{self.seconds:.1f} s, {ended}")
+        lines += [
+            f"  {'observed':18}{errors['observed_rms_mm']:.3f} mm rms, "
+            f"{errors['observed_deviation_mm']:.3f} mm stated; {errors['observed_share']:.1%} of the frame",
+            f"  {'depth':18}{errors['depth_error_mm']:.3f} mm rms, "
+            f"{errors['depth_deviation_mm']:.3f} mm stated",
+            f"  {'registration':18}{self.placed.seconds:.1f} s, {ended}",
+        ]
         return "\n".join([f"error against the ground truth ({heads[self.head]}):", *lines])
 
 
@@ -128,23 +114,21 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
         shown = ~hidden[glasses.keypoint_vertices]
         rays = normalized(person.keypoints[shown] - center)
         depth_errors.append(_rms(np.einsum("ki,ki->k", rays, off[shown])))
-    return GlassesDemoReport(
-        placed=placed,
-        head=head,
-        seen_rms_mm=_rms(error[seen]),
-        seen_max_mm=float(error[seen].max()),
-        seen_share=float(seen.mean()),
-        all_rms_mm=_rms(error),
-        all_max_mm=float(error.max()),
-        observed_rms_mm=_rms(error[observed]),
-        observed_share=float(observed.mean()),
-        observed_deviation_mm=_rms(result.deviation[observed]),
-        keypoints_rms_mm=_rms(marks),
-        keypoints_max_mm=float(marks.max()),
-        depth_error_mm=float(np.nanmin(depth_errors)),
-        depth_deviation_mm=result.depth_deviation,
-        seconds=placed.seconds,
-    )
+    errors = {
+        "seen_rms_mm": _rms(error[seen]),
+        "seen_max_mm": float(error[seen].max()),
+        "seen_share": float(seen.mean()),
+        "all_rms_mm": _rms(error),
+        "all_max_mm": float(error.max()),
+        "observed_rms_mm": _rms(error[observed]),
+        "observed_share": float(observed.mean()),
+        "observed_deviation_mm": _rms(result.deviation[observed]),
+        "keypoints_rms_mm": _rms(marks),
+        "keypoints_max_mm": float(marks.max()),
+        "depth_error_mm": float(np.nanmin(depth_errors)),
+        "depth_deviation_mm": result.depth_deviation,
+    }
+    return GlassesDemoReport(placed, head, errors)
 
 
 def _rms(errors: FloatArray) -> float:
