@@ -295,6 +295,7 @@ class _Registration:
         self.sampler = OutlineSampler(frame.mesh, self.given.views, self.sampler.head, frame.shown)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
+        known = self.given.known
         # What labels leave open: outlines that have found a wrong place would call it certain.
         deviation_mm = mark_deviations(self.given, self.objective.motion(before.state), before.at)
         # One clock for all tracings: the rows of a stage count from its start.
@@ -316,7 +317,13 @@ class _Registration:
                 error=mean_outline_px,
             )
             first = mean_outline_px(found.at) if not moves else first
-            moves.append(self._movement(start, found))
+            # The longest way of a key point, in its standard deviations.
+            places = []
+            for state in (start, found.state):
+                world = self.objective.motion(state).world_from_frame
+                places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
+            deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
+            moves.append(float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max()))
             # Movements that were longer than the shortest before them.
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
             settled = moves[-1] < _STILL or increases >= _MOST_INCREASES
@@ -335,13 +342,3 @@ class _Registration:
             self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
             return before
         return found
-
-    def _movement(self, before: FrameState, found: FrameEstimate) -> float:
-        """Return the longest way of a key point between two states, in its standard deviations."""
-        known = self.given.known
-        places = []
-        for state in (before, found.state):
-            world = self.objective.motion(state).world_from_frame
-            places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
-        deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
-        return float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max())

@@ -75,7 +75,13 @@ def report(
     visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
     marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
     covariances = deviations.covariances(marks)
-    inflation = _inflation(given, keypoints, objective)
+    # Pictures from one place leave more open than the matrix says.
+    inflation = 1.0
+    if used := [v for v in given.views if v.distance is not None or np.isfinite(v.labels).all(1).any()]:
+        centers = camera_centers(np.stack([view.camera for view in used]))
+        away = np.linalg.norm(keypoints[given.known].mean(0) - centers[0])
+        if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
+            inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
     stated = []
     for p, c in ((points, deviations.covariances(points)), (marks, covariances)):
         # Frames bend otherwise than their key points say.
@@ -204,18 +210,6 @@ def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Lineariz
 
 def _marks(given: RegistrationInputs) -> SkinnedPoints:
     return SkinnedPoints(np.nan_to_num(given.keypoints), np.eye(len(given.keypoints)))
-
-
-def _inflation(given: RegistrationInputs, keypoints: FloatArray, objective: RegistrationObjective) -> float:
-    """Return the factor on deviations: pictures from one place leave more open than the matrix says."""
-    used = [v for v in given.views if v.distance is not None or np.isfinite(v.labels).all(1).any()]
-    if not used:
-        return 1.0
-    centers = camera_centers(np.stack([view.camera for view in used]))
-    away = np.linalg.norm(keypoints[given.known].mean(0) - centers[0])
-    if np.linalg.norm(centers - centers[0], axis=1).max() > _APART * away:
-        return 1.0
-    return _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
 
 
 def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) -> BoolArray:

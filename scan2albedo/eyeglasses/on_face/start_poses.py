@@ -223,10 +223,16 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
 
 def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:
     """Return the point (3,) of labels (C, 2), NaN where no pair of views gives one."""
-    pairs = [list(pair) for pair in itertools.combinations(range(len(labels)), 2)]
-    starts = np.array([_linear(labels[pair], cameras[pair]) for pair in pairs])
-    starts = starts[np.isfinite(starts).all(1)]
-    if len(starts) == 0:
+    starts = []
+    for pair in itertools.combinations(range(len(labels)), 2):
+        # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
+        own, seen = cameras[list(pair)], labels[list(pair)]
+        rows = (seen[:, :, None] * own[:, 2:] - own[:, :2]).reshape(-1, 4)
+        rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
+        place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
+        if rank == 3 and (own[:, 2, :3] @ place + own[:, 2, 3] > 0).all():
+            starts.append(place)
+    if not starts:
         return np.full(3, np.nan)
     nearest = min(starts, key=lambda place: _loss(_errors(place, labels, cameras)[0], noise_px))
     found = minimize(
@@ -267,16 +273,6 @@ def _errors(
     """Return a reprojected place minus labels (C, 2), infinite behind a camera; slopes; what is in front."""
     pixels, slopes, front = projected(cameras, np.tile(place, (len(cameras), 1)))
     return np.where(front[:, None], pixels - labels, np.inf), slopes, front
-
-
-def _linear(labels: FloatArray, cameras: FloatArray) -> FloatArray:
-    """Return the point (3,) of the linear equations u (p3 x) = p1 x, v (p3 x) = p2 x; NaN behind a camera."""
-    rows = (labels[:, :, None] * cameras[:, 2:] - cameras[:, :2]).reshape(-1, 4)
-    # Rays, not pixels: each row as a plane of unit normal.
-    rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
-    solution, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
-    depth = cameras[:, 2, :3] @ solution + cameras[:, 2, 3]
-    return solution if rank == 3 and (depth > 0).all() else np.full(3, np.nan)
 
 
 def _loss(errors: FloatArray, noise_px: float) -> float:

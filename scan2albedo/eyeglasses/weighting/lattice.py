@@ -130,7 +130,14 @@ def join_parts(cells: IntArray, reach: float) -> IntArray:
         nearest = rest[np.argmin(gap[rest])]
         if gap[nearest] <= reach:
             part = label[nearest]
-            added.append(_chain(cells[partner[nearest]], cells[nearest]))
+            # A straight walk through shared faces: the axis that lags most behind the line goes next.
+            here, way = cells[partner[nearest]].copy(), cells[nearest] - cells[partner[nearest]]
+            walked, total = np.zeros(3, np.int64), np.abs(way)
+            while (walked < total).any():
+                axis = int(np.argmax(np.where(walked < total, total - walked, 0) / np.maximum(total, 1)))
+                here[axis] += np.sign(way[axis])
+                walked[axis] += 1
+                added.append(here[None].copy())
         else:
             part = label[rest[np.argmax(sizes[label[rest]])]]
         joined = np.flatnonzero(label == part)
@@ -141,19 +148,6 @@ def join_parts(cells: IntArray, reach: float) -> IntArray:
             closer = distance < gap[rest]
             gap[rest[closer]], partner[rest[closer]] = distance[closer], joined[index[closer]]
     return unique_cells(np.concatenate(added)) if len(added) > 1 else cells
-
-
-def _chain(start: IntArray, end: IntArray) -> IntArray:
-    """Return the cells (n, 3) of a straight walk from `start` to `end` through shared faces."""
-    here, total = start.copy(), np.abs(end - start)
-    walked, cells = np.zeros(3, np.int64), [start.copy()]
-    while (walked < total).any():
-        # The axis that lags most behind the straight line goes next.
-        axis = int(np.argmax(np.where(walked < total, total - walked, 0) / np.maximum(total, 1)))
-        here[axis] += np.sign(end - start)[axis]
-        walked[axis] += 1
-        cells.append(here.copy())
-    return np.array(cells)
 
 
 def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:

@@ -365,6 +365,25 @@ def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeyp
     assert {path: path.read_bytes() for path in out.iterdir()} == before
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_files_that_no_run_wrote_stay(inputs, tmp_path, monkeypatch):
+    mesh = inputs / "round" / "canonical.npz"
+    (tmp_path / "keypoints.json").write_text("mine")
+    answer = run(monkeypatch, mesh, tmp_path, inputs, masks=False, head=False)
+    assert isinstance(answer.exception, OutputError)
+    assert "holds keypoints.json, which no run of scan2albedo glasses register wrote" in str(answer.exception)
+    assert {path.name for path in tmp_path.iterdir()} == {"keypoints.json"}
+    assert (tmp_path / "keypoints.json").read_text() == "mine"
+    person = wearer(1, options=SMALL)
+    folder = tmp_path / "demo"
+    write_wearer(person, None, folder)
+    write_wearer(person, None, folder)
+    (folder / "input" / "cameras.json").write_text("mine")
+    with pytest.raises(OutputError, match=r"cameras\.json: no run of scan2albedo glasses demo wrote it"):
+        write_wearer(person, None, folder)
+    assert (folder / "input" / "cameras.json").read_text() == "mine"
+
+
 def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_path):
     # The overview comes when most other files are made.
     code = (
@@ -378,15 +397,16 @@ def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_
         "cli.main()\n"
     )
     arguments = ("--cameras", inputs / "cameras.json", "--labels", inputs / "labels.json")
-    mesh = inputs / "round" / "canonical.npz"
+    mesh, out = inputs / "round" / "canonical.npz", tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "glasses", "register", mesh, "-o", tmp_path, *arguments],
+        [sys.executable, "-c", code, "glasses", "register", mesh, "-o", out, *arguments],
         stderr=subprocess.PIPE,
         text=True,
     )
     lines = iter(process.stderr.readline, "")
     assert any("drawing" in line for line in lines)
-    assert os.listdir(tmp_path) != []
+    # The hidden folder in which files are made stands beside the one they go to.
+    assert set(os.listdir(tmp_path)) > {"out"}
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=60)
     assert process.returncode == 130, complaint
