@@ -176,7 +176,6 @@ PLACES = {
     "applications": ["RelightOptions", "SwapOptions", "TransferOptions"],
     "eyeglasses": [
         "CanonicalizationOptions",
-        "WeightOptions",
         "FaceRegistrationOptions",
         "LensPictureOptions",
     ],

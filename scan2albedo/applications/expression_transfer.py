@@ -173,9 +173,7 @@ def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
     return float(np.percentile(along, _STILL_PERCENTILE))
 
 
-def refined_expression(
-    rest: FaceMesh, moved: FloatArray, model: AnnotatedSurface, level: int
-) -> FloatArray:
+def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurface, level: int) -> FloatArray:
     """Return where each vertex of the face at rest is with the expression, (V, 3) mm.
 
     Two fits of one person slide along the skin each in its own way. So the face at rest itself becomes the

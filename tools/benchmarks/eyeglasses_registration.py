@@ -21,15 +21,14 @@ from scan2albedo.eyeglasses import (
     register_on_face,
 )
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.inputs import checked_inputs
 from scan2albedo.eyeglasses.on_face.objective import (
     Linearization,
-    OutlineSamples,
     RegistrationObjective,
     descend,
 )
-from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
-from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
-from scan2albedo.eyeglasses.on_face.registration_report import mark_deviations
+from scan2albedo.eyeglasses.on_face.outline import FrameMesh, OutlineSampler, OutlineSamples
+from scan2albedo.eyeglasses.on_face.report import mark_deviations
 from scan2albedo.eyeglasses.on_face.start_poses import starting_poses
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic import Wearer, wearer
@@ -127,7 +126,7 @@ class SameLoss:
         mesh = FrameMesh(SkinnedPoints(given.vertices, scene.weights), given.faces)
         self.points, self.unit = mesh.points, given.unit
         assert given.head is not None
-        sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head), options)
+        sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head))
         near = self.descend(None)
         motion = self.objective.motion(near[0])
         self.samples: OutlineSamples = sampler.sample(motion, mark_deviations(given, motion, near[1]))

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 
-from benchmarks.presets import preset_settings
 from benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import FloatArray
@@ -75,9 +74,6 @@ def _settings(quick: bool) -> list[Setting]:
         return [default, *within(options, (4,))]
     return [
         default,
-        *preset_settings("glasses"),
-        *varied("outline_stride", options, (2, 4, 8, 16)),
-        *varied("outline_correlation_px", options, (5.0, 10.0, 40.0), "{:g} px".format),
         *varied("bend", options, (False,)),
         *within(options, (2, 4, 8, 12, 16, 24, 32, 48)),
     ]

@@ -211,7 +211,7 @@ def _nothing_to_skin() -> str:
 
 # Canonical frames.
 
-QUICK_WEIGHTS = CanonicalizationOptions(mode="mean", spacing=SPACING)
+QUICK_WEIGHTS = CanonicalizationOptions(mode="mean")
 
 
 def _back(bent: Any, scale: float = 1.0, shift: float = 0.0) -> tuple[Any, float]:
@@ -329,6 +329,7 @@ def _canonical_spent() -> str:
         [frame],
         [frame.keypoints],
         mean_keypoints=frame.rest_keypoints,
+        spacing=SPACING,
         budget=Budget(evaluations=1),
         options=QUICK_WEIGHTS,
     )

@@ -15,6 +15,8 @@ from scan2albedo.eyeglasses import (
     skin,
 )
 from scan2albedo.eyeglasses.keypoints import MIRROR
+from scan2albedo.eyeglasses.on_face import objective, outline
+from scan2albedo.eyeglasses.on_face.objective import HeadContact
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
 from scan2albedo.synthetic import wearer
 
@@ -214,10 +216,11 @@ def test_scale_and_sign_of_cameras_do_not_matter():
 
 
 @pytest.mark.parametrize(("seed", "view"), [(1, 0), (1, 1), pytest.param(3, 0, marks=pytest.mark.slow)])
-def test_one_view_says_that_it_does_not_see_depth(seed, view):
+def test_one_view_says_that_it_does_not_see_depth(seed, view, monkeypatch):
+    monkeypatch.setattr(HeadContact, "__bool__", lambda self: False)
     worn = person(seed)
     one = {"keypoints_2d": worn.labels[[view]], "masks": worn.masks[[view]], "cameras": worn.cameras[[view]]}
-    found = register(seed, **one, options=FaceRegistrationOptions(contact=False))
+    found = register(seed, **one)
     assert not found.depth_observed
     assert found.unobserved[0] == "depth"
     assert found.depth_deviation > 1
@@ -230,13 +233,14 @@ def test_one_view_says_that_it_does_not_see_depth(seed, view):
 
 
 @pytest.mark.slow
-def test_one_view_rests_the_frame_on_the_nose():
+def test_one_view_rests_the_frame_on_the_nose(monkeypatch):
     errors, deviations = np.zeros((2, 2)), np.zeros((2, 2))
     for row, seed in enumerate((1, 3)):
         worn = person(seed)
         one = {"keypoints_2d": worn.labels[[1]], "masks": worn.masks[[1]], "cameras": worn.cameras[[1]]}
         for column, contact in enumerate((True, False)):
-            found = register(seed, **one, options=FaceRegistrationOptions(contact=contact))
+            monkeypatch.setattr(HeadContact, "__bool__", lambda self, on=contact: on)
+            found = register(seed, **one)
             assert found.plan.ran("glasses.contact") == contact
             errors[row, column] = np.linalg.norm((found.keypoints - worn.keypoints).mean(0))
             deviations[row, column] = found.depth_deviation
@@ -260,13 +264,15 @@ def test_no_label_at_all_but_a_start_goes_by_the_outlines():
 
 
 @pytest.mark.slow
-def test_masks_that_show_a_temple_elsewhere_contradict_it():
+def test_masks_that_show_a_temple_elsewhere_contradict_it(monkeypatch):
     """A temple's end that nothing pulls back: no labels there, and its outline out of reach."""
     worn = person(1)
     temple = [KEY_POINT_NAMES.index(f"left_{n}") for n in ("temple_middle", "ear_bend", "temple_tip")]
     labels = worn.labels.copy()
     labels[:, temple] = np.nan
-    found = register(1, keypoints_2d=labels, options=FaceRegistrationOptions(outline_reach_px=6.0))
+    for module in (objective, outline):
+        monkeypatch.setattr(module, "REACH_PX", 6.0)
+    found = register(1, keypoints_2d=labels)
     errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
     assert errors[temple[2]] > 3
     assert "left_temple_tip" in found.unobserved

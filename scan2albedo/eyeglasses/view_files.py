@@ -1,4 +1,4 @@
-"""Pinhole cameras as JSON files, and masks of glasses in their pictures as PNG files."""
+"""Pinhole cameras, labels of key points in their pictures, and masks of glasses, as files."""
 
 from __future__ import annotations
 
@@ -8,19 +8,17 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, ScanError
-from scan2albedo.eyeglasses.files.json_files import LengthUnit, read_json
+from scan2albedo.eyeglasses.frame_files import LengthUnit, read_json, require_known_names
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import read_image_linear, write_png
 from scan2albedo.io.records import Record, Row, write_record
 from scan2albedo.io.units import MM_PER_UNIT
-
-_SINGULAR = 1e-9
-"""Volume that the three rows' unit vectors span below which a camera maps space onto a line."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,8 @@ class Camera:
         if not np.isfinite(matrix).all():
             raise ValueError(f"camera {self.name!r}: its matrix holds numbers that are not finite")
         rows = np.linalg.norm(matrix[:, :3], axis=1)
-        if not (rows.min() > 0 and abs(np.linalg.det(matrix[:, :3] / rows[:, None])) > _SINGULAR):
+        # The volume that the rows' unit vectors span: 0 where space is mapped onto a line.
+        if not (rows.min() > 0 and abs(np.linalg.det(matrix[:, :3] / rows[:, None])) > 1e-9):
             raise ValueError(
                 f"camera {self.name!r}: the left 3x3 part of its matrix is singular, which no pinhole camera "
                 "is; give K [R | t]"
@@ -116,16 +115,13 @@ class CamerasFile(Record):
 
 
 def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit = "mm") -> None:
-    """Write cameras as JSON.
+    """Write cameras as JSON; the matrices in the file take points in `unit`.
 
     Raises ValueError when there is none, or two share a name; OutputError when the file cannot be written.
 
     Parameters
     ----------
-    path : str or Path
-    cameras : sequence of Camera
-    unit : {"mm", "cm", "m"}
-        Of the points that the matrices in the file take.
+    path, cameras, unit
     """
     entries = []
     for camera in cameras:
@@ -156,15 +152,11 @@ def mask_path(folder: str | Path, camera: Camera) -> Path:
 
 
 def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
-    """Write masks (H, W), nonzero where glasses are, as black and white PNGs into a folder.
+    """Write masks (H, W), one a camera, nonzero where glasses are, as ``folder / "<camera>.png"``.
 
     Parameters
     ----------
-    folder : str or Path
-    masks : sequence of (H, W) arrays
-        One a camera.
-    cameras : sequence of Camera
-        They name the files.
+    folder, masks, cameras
 
     Raises
     ------
@@ -186,31 +178,132 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
 
 
 def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
-    """Return a mask (H, W) a camera, True where any channel of its PNG is not zero.
-
-    Raises EyeglassesError, naming the file, when a mask is missing, no picture, or not as large as its
-    camera's.
+    """Return a mask (H, W) a camera, True where any channel of ``folder / "<camera>.png"`` is not zero.
 
     Parameters
     ----------
-    folder : str or Path
-        With a file ``<camera>.png`` for each camera.
-    cameras : sequence of Camera
+    folder, cameras
+
+    Raises
+    ------
+    EyeglassesError
+        When a mask, which it names, is missing, no picture, or not as large as its camera's.
     """
-    return tuple(_read_mask(mask_path(folder, camera), camera) for camera in cameras)
+    masks = []
+    for camera in cameras:
+        path = mask_path(folder, camera)
+        if not path.is_file():
+            raise EyeglassesError(f"mask {path} is missing; give a PNG for each camera, named after it")
+        try:
+            mask: BoolArray = (read_image_linear(path) != 0).any(-1)
+        except ScanError as error:
+            raise EyeglassesError(f"mask {path}: {error}") from error
+        if mask.shape != camera.shape:
+            (height, width), (wanted_height, wanted_width) = mask.shape, camera.shape
+            raise EyeglassesError(
+                f"mask {path} is {width} x {height} pixels, its camera's picture {wanted_width} x "
+                f"{wanted_height}; give the mask of that picture"
+            )
+        masks.append(mask)
+    return tuple(masks)
 
 
-def _read_mask(path: Path, camera: Camera) -> BoolArray:
-    if not path.is_file():
-        raise EyeglassesError(f"mask {path} is missing; give a PNG for each camera, named after it")
-    try:
-        mask: BoolArray = (read_image_linear(path) != 0).any(-1)
-    except ScanError as error:
-        raise EyeglassesError(f"mask {path}: {error}") from error
-    if mask.shape != camera.shape:
-        (height, width), (wanted_height, wanted_width) = mask.shape, camera.shape
-        raise EyeglassesError(
-            f"mask {path} is {width} x {height} pixels, its camera's picture {wanted_width} x "
-            f"{wanted_height}; give the mask of that picture"
+@dataclass(frozen=True)
+class ViewLabels:
+    """Labels of C views."""
+
+    camera_names: tuple[str, ...]
+    """Of the C views."""
+    pixels: FloatArray
+    """(C, 20, 2) column and row, centres of pixels at integers; NaN where a key point is not labelled."""
+
+    def of_cameras(self, names: Sequence[str]) -> FloatArray:
+        """Return (N, 20, 2) labels of the cameras `names`, in their order; NaN for one without labels.
+
+        Raises EyeglassesError when there are labels of a camera that is not among them.
+        """
+        if strange := sorted(set(self.camera_names) - set(names)):
+            raise EyeglassesError(
+                f"there are labels of a camera {strange[0]!r}, but the cameras are {', '.join(names)}; "
+                "add it to them, or take its labels out"
+            )
+        at = {name: i for i, name in enumerate(self.camera_names)}
+        nothing = np.full((KEY_POINT_COUNT, 2), np.nan)
+        return np.array([self.pixels[at[name]] if name in at else nothing for name in names])
+
+
+class LabelsFile(Record):
+    """The content of a label file."""
+
+    format: Literal["scan2albedo eyeglasses labels"] = "scan2albedo eyeglasses labels"
+    format_version: Literal[1] = 1
+    views: dict[CameraName, dict[str, tuple[float, float] | None]] = Field(
+        description="Pixels (column, row) by camera and key point, centres of pixels at integers; null, or "
+        "no entry, where a key point is not labelled.",
+        json_schema_extra={
+            "additionalProperties": {
+                "type": "object",
+                "propertyNames": {"enum": list(KEY_POINT_NAMES)},
+                "additionalProperties": {
+                    "anyOf": [
+                        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+                        {"type": "null"},
+                    ]
+                },
+            }
+        },
+    )
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> LabelsFile:
+        require_distinct_names(self.views)
+        for labels in self.views.values():
+            require_known_names(labels)
+        return self
+
+
+def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str]) -> None:
+    """Write labels (C, 20, 2), column and row in pixels, of C cameras as JSON; NaN as null.
+
+    Parameters
+    ----------
+    path, labels, camera_names
+
+    Raises
+    ------
+    ValueError
+        When the shape is another, or two cameras share a name.
+    OutputError
+        When the file cannot be written.
+    """
+    pixels = np.asarray(labels, np.float64)
+    if pixels.shape != (len(camera_names), KEY_POINT_COUNT, 2):
+        raise ValueError(
+            f"labels must have shape ({len(camera_names)}, {KEY_POINT_COUNT}, 2) for {len(camera_names)} "
+            f"cameras, got {pixels.shape}"
         )
-    return mask
+    require_distinct_names(camera_names)
+    views = {
+        name: {
+            key_point: (float(p[0]), float(p[1])) if np.isfinite(p).all() else None
+            for key_point, p in zip(KEY_POINT_NAMES, view, strict=True)
+        }
+        for name, view in zip(camera_names, pixels, strict=True)
+    }
+    write_record(path, LabelsFile(views=views))
+
+
+def read_labels(path: str | Path) -> ViewLabels:
+    """Return the labels of a file, NaN where one is missing.
+
+    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is no label file.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    content = read_json(path, LabelsFile, "labels", writer="write_labels", schema="eyeglasses_labels")
+    nothing = (np.nan, np.nan)
+    pixels = [[view.get(name) or nothing for name in KEY_POINT_NAMES] for view in content.views.values()]
+    shape = (len(content.views), KEY_POINT_COUNT, 2)
+    return ViewLabels(tuple(content.views), np.array(pixels, np.float64).reshape(shape))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.priors import HeadContact
+from scan2albedo.eyeglasses.on_face.objective import HeadContact
 from scan2albedo.synthetic import eyeglasses
 
 GLASSES = eyeglasses(0)
