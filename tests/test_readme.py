@@ -182,8 +182,7 @@ PLACES = {
     ],
     "fitting": ["FitOptions"],
     "recognition": ["SimilarityOptions", "TemplateOptions"],
-    "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
-    + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions", "FaceFitOptions", "DetailOptions"],
+    "reflectance": ["OlatOptions", "ReflectanceFitOptions"],
     "registration": ["RegistrationOptions"],
     "sampling": ["LookupOptions"],
     "sampling.model_free": ["ModelFreeOptions"],

@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import VertexReflectance
-from scan2albedo.reflectance.model_choice import held_out_components
+from scan2albedo.reflectance.morphable_model import held_out_components
 from scan2albedo.runs.reflectance.model_run import synthetic_model
 
 RNG = np.random.default_rng(0)
@@ -39,6 +39,6 @@ def test_the_model_of_synthetic_people_has_reflectance_and_shape():
     assert built.shape is not None
     assert len(built.shape.mean) == len(built.model.known) == len(built.mean.vertices)
     again = synthetic_model(20, components=built.model.components)
-    np.testing.assert_array_equal(again.model.diffuse_basis, built.model.diffuse_basis)
+    np.testing.assert_array_equal(again.model.diffuse.basis, built.model.diffuse.basis)
     with pytest.raises(ReflectanceError, match="2 or more"):
         synthetic_model(1)

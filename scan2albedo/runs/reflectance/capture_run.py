@@ -25,7 +25,6 @@ from scan2albedo.reflectance import (
     ReflectanceFit,
     ReflectanceFitOptions,
     RelightingError,
-    SamplingOptions,
     VertexSamples,
     fit_reflectance,
     relighting_error,
@@ -139,8 +138,13 @@ def fit_capture(
         options = replace(options, most_albedo=1.0)
     with _naming(capture):
         olat = capture.extract_olat()
-        sampling = SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
-        samples = sample_vertices(olat, capture.rig, capture.vertices, capture.faces, options=sampling)
+        samples = sample_vertices(
+            olat,
+            capture.rig,
+            capture.vertices,
+            capture.faces,
+            reference_distance_mm=capture.reference_distance_mm,
+        )
         samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
         fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
     notes = (*_notes_of_file(capture), *_notes_of_fit(fit))

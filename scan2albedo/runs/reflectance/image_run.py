@@ -23,14 +23,13 @@ from scan2albedo.reflectance import (
     MeshReflectance,
     MorphableShapeModel,
     PhotographFiles,
-    PhotographOptions,
     fit_face,
     fit_image,
     observe_photograph,
     refine_geometry,
     write_reflectance,
 )
-from scan2albedo.reflectance.picture_samples import linear_values, picture_values
+from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
 from scan2albedo.runs.reflectance.capture_run import gamma_note, write_colored_mesh
@@ -193,9 +192,14 @@ def _unconverged_allowed() -> Iterator[None]:
 def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) -> ImageObservation:
     """Look up vertices (V, 3) in a photograph."""
     content = photograph.content
-    options = PhotographOptions(gamma=content.gamma, saturation=content.saturation)
     return observe_photograph(
-        photograph.image, photograph.camera, vertices, faces, mask=photograph.mask, options=options
+        photograph.image,
+        photograph.camera,
+        vertices,
+        faces,
+        mask=photograph.mask,
+        gamma=content.gamma,
+        saturation=content.saturation,
     )
 
 

@@ -23,7 +23,7 @@ from scan2albedo.reflectance import (
     write_reflectance,
 )
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
-from scan2albedo.reflectance.sample_statistics import reliability
+from scan2albedo.reflectance.morphable_model import held_out_components, reliability
 from scan2albedo.reflectance.shape_model import LANDMARKS
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
@@ -133,7 +133,6 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     person. Raises `ReflectanceError` for fewer than two people, or than 10 without `components`.
     """
     from scan2albedo.face_model import AnnotatedFaceModel
-    from scan2albedo.reflectance.model_choice import held_out_components
     from scan2albedo.synthetic import population_reflectance
     from scan2albedo.synthetic.face_shape import expression_offsets
 
