@@ -28,10 +28,11 @@ from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.load_scan import with_landmarks
+from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.plan_of_result import plan_of
-from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
+from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
 from scan2albedo.pipeline.unlit_stage import MOST_OF_BUDGET, unlit_seconds, without_light
 from scan2albedo.registration import Registration, RegistrationOptions, register
@@ -111,7 +112,7 @@ def process(
     chosen = ProcessOptions(**options)
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
-        own_files(Path(out) / _name(source, name))
+        RunFolder(Path(out) / _name(source, name), FILES).check()
         check_writable(Path(out))
         remove_leftovers(Path(out))
     with memory_errors_named(_name(source, name)), compiled_beside():

@@ -45,6 +45,17 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
         assert told in words
 
 
+def test_a_report_of_somebody_else_is_never_replaced(one_scan):
+    path = report.write_report(one_scan).path
+    assert report.write_report(one_scan).path == path  # our own is
+    path.write_text("<title>mine</title>")
+    with pytest.raises(OutputError, match=r"holds report\.html, which no run of scan2albedo report wrote"):
+        report.write_report(one_scan)
+    assert path.read_text() == "<title>mine</title>"
+    report.write_report(one_scan, path)  # asked for by name
+    assert path.read_text() != "<title>mine</title>"
+
+
 def test_the_viewer_gets_lights_reflectance_and_textures(one_scan, tmp_path):
     page = written(one_scan, tmp_path / "a.html")
     data = {a["id"]: json.loads(text) for _, a, text in page.raw if a.get("type") == "application/json"}
