@@ -33,7 +33,7 @@ from scan2albedo.runs.eyeglasses.records import (
     RegisteredFrameRecord,
 )
 from scan2albedo.runs.recognition.files import IdentificationRecord
-from scan2albedo.runs.reflectance.output import ReflectanceRecord
+from scan2albedo.runs.reflectance import ReflectanceRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 
