@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.io.npz import write_npz
 from scan2albedo.reflectance import LinearModel
-from scan2albedo.runs.reflectance.model_run import DEFAULT_MODEL_FILE, BuiltModel, synthetic_model
+from scan2albedo.runs.reflectance.model_run import DEFAULT_MODEL_FILE, FaceModels, synthetic_model
 
 PEOPLE = 200
 
 
-def packed(built: BuiltModel) -> dict[str, NDArray]:
+def packed(built: FaceModels) -> dict[str, NDArray]:
     """Return the arrays of the file that `default_model` reads."""
     model, shape = built.model, built.shape
     assert shape is not None

@@ -234,10 +234,10 @@ def fit_image(
     with _work("fit-image", out) as progress:
         from scan2albedo.reflectance import read_photograph
         from scan2albedo.runs.reflectance.image_run import fit_photograph, write_fitted_photograph
-        from scan2albedo.runs.reflectance.model_run import ModelFolder, read_model_folder
+        from scan2albedo.runs.reflectance.model_run import default_model, read_model_folder
 
         taken = read_photograph(photograph)
-        models = ModelFolder.default() if model is None else read_model_folder(model)
+        models = default_model() if model is None else read_model_folder(model)
         done = fit_photograph(taken, models, budget=spend, on_progress=progress.update)
         figures = write_fitted_photograph(done, models, out, {"budget": budget})
         _tell_notes(progress, "fit-image", out)

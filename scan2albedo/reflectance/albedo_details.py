@@ -119,7 +119,7 @@ def detail_field(divided: ShadingDivided, vertices: ArrayLike, faces: IntArray) 
             coarser = blur(finer)
         band = finer - coarser
         inside = band[usable]
-        total = inside.T @ inside / len(inside) + 1e-9 * np.eye(3)
+        total = inside.T @ inside / len(inside) + _TINY * np.eye(3)
         light = error**2 * (_GREY * np.ones((3, 3)) + (1 - _GREY) * np.eye(3))
         value, vector = np.linalg.eigh(total)
         root, inverse = vector * np.sqrt(value) @ vector.T, vector / np.sqrt(value) @ vector.T

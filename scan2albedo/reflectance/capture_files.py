@@ -182,12 +182,8 @@ class CaptureFiles:
 def read_capture(path: str | Path) -> CaptureFiles:
     """Return what a capture file says, and its mesh; no picture is read.
 
-    Raises
-    ------
-    ReflectanceError
-        When the file or a pose in it is invalid; names it and the first fault.
-    ScanError
-        When the mesh cannot be read.
+    Raises `ReflectanceError` when the file or a pose in it is invalid; names it and the first fault;
+    `ScanError` when the mesh cannot be read.
     """
     file = Path(path)
     content = read_record(

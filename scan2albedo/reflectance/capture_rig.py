@@ -63,6 +63,8 @@ def rig_of_head_poses(
     turned by R_c^T and is at -R_c^T t_c. Picture j is taken by camera view[j], lit by the flash at camera
     flash[j] (Han, Wang, Xu, supplement, Eq. 1).
 
+    Raises `ReflectanceError` when shapes disagree, a matrix is no rotation, or a number refers to no camera.
+
     Parameters
     ----------
     rotations : (C, 3, 3) array_like of float
@@ -73,11 +75,6 @@ def rig_of_head_poses(
         Pixels from camera coordinates.
     view, flash : (J,) array_like of int
         Numbers of cameras.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, a matrix is no rotation, or a number refers to no camera.
 
     Examples
     --------

@@ -191,6 +191,9 @@ def shade_environment(
         diffuse = c sum A_l / pi L_lm Y_lm(n),   specular = sum_s w_s sum B_l^s L_lm Y_lm(r),
         r = 2 (n.v) n - v.
 
+    Raises `ReflectanceError` when a vector is not a unit vector or the light is not finite; `ValueError` when
+    shapes disagree.
+
     Parameters
     ----------
     reflectance : VertexReflectance
@@ -202,13 +205,6 @@ def shade_environment(
     lobe : {"tilted", "full"}
         `full` is the formula of Han, Wang and Xu, the one above; `tilted` replaces r by the lobe's mean
         direction, which is nearest to the truth at oblique views.
-
-    Raises
-    ------
-    ReflectanceError
-        When a vector is not a unit vector or the light is not finite.
-    ValueError
-        When shapes disagree.
 
     Examples
     --------
@@ -281,7 +277,7 @@ def shading_gradient(
     sine = np.linalg.norm(along, axis=1)
     angle = np.arctan2(sine, cosine)
     # Straight ahead there is no plane of n and v, and none is needed: e = f = 0, and both sines vanish alike.
-    ahead = sine < 1e-7
+    ahead = sine < np.sqrt(np.finfo(float).eps)
     e, f = (np.where(ahead[:, None], 0.0, normalized(u)) for u in (along, n - cosine[:, None] * v))
     for k, exponent in enumerate(EXPONENTS):
         response, tilt = tilted_lobe(angle, exponent)

@@ -134,6 +134,10 @@ def fit_face(
     then above the mean face's, which the model contains, is left out as well. If these leave more than a
     quarter of the photograph (relative RMSE), light or shape are wrong, and both are left out.
 
+    Raises `ReflectanceError` as `fit_image`, or when a vertex is not finite.
+
+    Warns by `RuntimeWarning` when the last fit stops without having converged.
+
     Parameters
     ----------
     observation : ImageObservation
@@ -148,16 +152,6 @@ def fit_face(
         Of each of the fits.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError
-        As `fit_image`, or when a vertex is not finite.
-
-    Warns
-    -----
-    RuntimeWarning
-        When the last fit stops without having converged.
 
     Notes
     -----

@@ -28,8 +28,6 @@ SMOOTHING_MM = 6.0
 """Standard deviation, along the surface, of the smoothing of changes."""
 SIGNIFICANCE_LEVEL = 0.025
 """Probability that a change without effect on images like the held-out ones is accepted."""
-_SMALLEST_STEP = 0.25
-"""A change that does not help is halved down to this share of it, then given up."""
 _LEAST_GAIN = 1e-3
 """Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
 _BLOCK = 4096
@@ -73,6 +71,9 @@ def finetune(
     chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
     shares w' stay.
 
+    Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be fitted, or a
+    vertex is not finite; `ValueError` when `faces` point outside the vertices, or shapes disagree.
+
     Parameters
     ----------
     model : MorphableReflectanceModel
@@ -90,13 +91,6 @@ def finetune(
         Image fits or seconds; the best model so far is returned when it ends.
     on_progress : callable, optional
         Called with every `TraceRow`, whose error is the held-out objective.
-
-    Raises
-    ------
-    ReflectanceError
-        When there are no images or no held-out ones, an image cannot be fitted, or a vertex is not finite.
-    ValueError
-        When `faces` point outside the vertices, or shapes disagree.
 
     Notes
     -----
@@ -173,9 +167,10 @@ class _Tuning:
 
     def try_steps(self, changes: Sequence[FloatArray]) -> bool:
         """Go as far towards one of the changes as helps, and return whether any step does."""
-        step = 1.0
-        while step >= _SMALLEST_STEP and not self.meter.exhausted:
-            trials = []
+        for halvings in range(3):
+            if self.meter.exhausted:
+                break
+            step, trials = 0.5**halvings, []
             for change in changes:
                 part = (1 - step) * self.change + step * change
                 trials.append((part, self._held_out_errors(with_change(self.initial, part))))
@@ -186,7 +181,6 @@ class _Tuning:
                 self.steps.append(step)
                 self.meter.record(self.error)
                 return True
-            step /= 2
         return False
 
     def _held_out_errors(self, model: MorphableReflectanceModel, *, even_late: bool = False) -> FloatArray:

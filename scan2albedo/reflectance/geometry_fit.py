@@ -112,6 +112,12 @@ def refine_geometry(
     only when the objective over the vertices seen in both shapes falls, landmarks stay near, and the colours
     are explained; otherwise the result of the landmarks alone is returned.
 
+    Raises `ReflectanceError` when there is neither a landmark nor photometry, no initial pose and too few
+    landmarks to find one, another topology, or numbers that are not finite; `ValueError` when shapes
+    disagree, or only one of `reflectance` and `light` is given.
+
+    Warns by `RuntimeWarning` when it stops without having converged.
+
     Parameters
     ----------
     image_linear : (H, W, 3) array_like of float
@@ -135,19 +141,6 @@ def refine_geometry(
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError
-        When there is neither a landmark nor photometry, no initial pose and too few landmarks to find one,
-        another topology, or numbers that are not finite.
-    ValueError
-        When shapes disagree, or only one of `reflectance` and `light` is given.
-
-    Warns
-    -----
-    RuntimeWarning
-        When it stops without having converged.
 
     Notes
     -----

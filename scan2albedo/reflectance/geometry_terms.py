@@ -61,7 +61,7 @@ class SmoothImage:
         if blur_px > 0:
             weight = gaussian_filter(self.valid.astype(np.float64), blur_px, mode="constant")
             blurred = gaussian_filter(filled, (blur_px, blur_px, 0), mode="constant")
-            enough = weight > 1e-6
+            enough = weight > 0
             filled = np.where(enough[..., None], blurred / np.where(enough, weight, 1.0)[..., None], 0.0)
         self._image = filled
 

@@ -84,6 +84,11 @@ def fit_image(
     the caller's. The penalty of Han, Wang and Xu on coloured light is left out: at their weight the albedo's
     error rose from 0.067 to 0.135, under grey light to 0.070.
 
+    Raises `ReflectanceError` when no vertex is both seen and known, the topologies differ, or `perceptual`
+    returns something else than finite numbers of the right shape.
+
+    Warns by `RuntimeWarning` when it stops without having converged.
+
     Parameters
     ----------
     observation : ImageObservation
@@ -99,17 +104,6 @@ def fit_image(
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError
-        When no vertex is both seen and known, the topologies differ, or `perceptual` returns something else
-        than finite numbers of the right shape.
-
-    Warns
-    -----
-    RuntimeWarning
-        When it stops without having converged.
 
     Notes
     -----

@@ -29,7 +29,7 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
     .. [1] C.-P. Lu, G. Hager, E. Mjolsness, "Fast and Globally Convergent Pose Estimation from Video Images",
        IEEE PAMI 22(6), 2000.
     """
-    if not np.ptp(pixels, axis=0).max() > 1e-3:
+    if not np.ptp(pixels, axis=0).max() > 0:
         raise ReflectanceError("all landmarks lie in one point of the image; check them")
     center = points_mm.mean(0)
     local = points_mm - center

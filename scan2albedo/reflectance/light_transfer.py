@@ -39,6 +39,9 @@ def light_transfer(
 
         T = Q[V K] + (1 - h) (A - Q[K]).
 
+    Raises `ReflectanceError` when vertices are not finite, a vector is not a unit vector, or there are no
+    triangles; `ValueError` when shapes disagree, or the number of directions is out of range.
+
     Parameters
     ----------
     vertices : (V, 3) array_like of float
@@ -56,13 +59,6 @@ def light_transfer(
     -------
     LightResponse
         For `ImageObservation.transfer`, or to shade with: `transfer.shade(reflectance, light)`.
-
-    Raises
-    ------
-    ReflectanceError
-        When vertices are not finite, a vector is not a unit vector, or there are no triangles.
-    ValueError
-        When shapes disagree, or the number of directions is out of range.
 
     Notes
     -----

@@ -94,6 +94,9 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the other two are
     not.
 
+    Raises `ValueError` when shapes disagree; `ReflectanceError` when there are no pairs, when values are
+    beyond white, or when every pair is darker with its flash.
+
     Parameters
     ----------
     flash : (J, H, W, 3) array or sequence of (H, W, 3) arrays
@@ -101,13 +104,6 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     room : (J, H, W, 3) or (H, W, 3) array, or sequence of arrays
         Likewise; one picture of the room's light serves all.
     options : OlatOptions
-
-    Raises
-    ------
-    ValueError
-        When shapes disagree.
-    ReflectanceError
-        When there are no pairs, when values are beyond white, or when every pair is darker with its flash.
 
     Examples
     --------

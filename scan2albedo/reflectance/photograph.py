@@ -118,6 +118,10 @@ def observe_photograph(
     light, value^gamma, is interpolated. Cost: three rays and a half a vertex and camera, and
     `light_transfer`: 3,700 vertices take about a second.
 
+    Raises `ReflectanceError` when no vertex counts (names the step at which the last ones were lost), the
+    image is black there, holds numbers of another type, or the camera or the mesh cannot be used;
+    `ValueError` when shapes disagree, or gamma or saturation are out of range.
+
     Parameters
     ----------
     image : (H, W, 3) array
@@ -141,14 +145,6 @@ def observe_photograph(
     -------
     ImageObservation
         In the frame of the mesh, with its transfer.
-
-    Raises
-    ------
-    ReflectanceError
-        When no vertex counts (names the step at which the last ones were lost), the image is black there,
-        holds numbers of another type, or the camera or the mesh cannot be used.
-    ValueError
-        When shapes disagree, or gamma or saturation are out of range.
     """
     if not 0 < gamma < math.inf or not saturation > 0:
         raise ValueError(f"gamma is {gamma} and saturation {saturation}, expected > 0 and gamma finite")

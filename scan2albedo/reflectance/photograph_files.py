@@ -87,12 +87,8 @@ class PhotographFiles:
 def read_photograph(path: str | Path) -> PhotographFiles:
     """Return what a photograph file says, with its image, mask and mesh.
 
-    Raises
-    ------
-    ReflectanceError
-        When the file is invalid, or mask and image differ in size; names it and the first fault.
-    ScanError
-        When image, mask or mesh cannot be read.
+    Raises `ReflectanceError` when the file is invalid, or mask and image differ in size; names it and the
+    first fault; `ScanError` when image, mask or mesh cannot be read.
     """
     file = Path(path)
     content = read_record(

@@ -25,6 +25,8 @@ def point_light_lobes(
 
     As in the released code of Han, Wang and Xu, lobes have no factor n.l.
 
+    Raises `ValueError` when shapes disagree.
+
     Parameters
     ----------
     vertices, normals : (V, 3) array_like of float
@@ -38,11 +40,6 @@ def point_light_lobes(
     -------
     (J, V, 4) float64
         All 0 where the light is behind the vertex. Cast shadows are not tested.
-
-    Raises
-    ------
-    ValueError
-        When shapes disagree.
 
     Examples
     --------
@@ -220,17 +217,14 @@ def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-de
 def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> FloatArray:
     """Return (J, V, 3) linear radiance of vertices whose lobes (J, V, 4) are lit; NaN where not known.
 
+    Raises `ValueError` when the lobes have another shape.
+
     Parameters
     ----------
     reflectance : VertexReflectance
         Of V vertices.
     lobes : (J, V, 4) array_like of float
         From `point_light_lobes`.
-
-    Raises
-    ------
-    ValueError
-        When the lobes have another shape.
 
     Examples
     --------

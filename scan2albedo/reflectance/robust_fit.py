@@ -15,13 +15,12 @@ from scan2albedo.reflectance.point_light_lobes import turn_lobes
 
 _BLOCK = 128
 """Vertices whose normal equations fit the first cache."""
-_WIDTH = 2.4
-"""Residual over sigma from which the loss departs from squares; wider for vertices that fit worse."""
-_ITERATIONS, _TOLERANCE = 100, 0.02
-"""Most reweightings; a vertex is done when no number moves by more than this part of its deviation."""
-TILT_FREEDOM = 4.0
-"""Degrees of freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
-_MOST_DAMPING = 1e6
+_WIDTH, TILT_FREEDOM = 2.4, 4.0
+"""Residual over sigma from which the loss departs from squares, wider for vertices that fit worse; and degrees
+of freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
+_ITERATIONS, _TOLERANCE, _MOST_DAMPING = 100, 0.02, 1e6
+"""Most reweightings; a vertex is done when no number moves by more than this part of its deviation, or steps of
+its tilts are of no use with this damping."""
 _SIGMA_VERTICES, _SIGMA_ROUNDS = 1000, 30
 """Vertices, evenly chosen, that the deviation of the normals is found from, and most rounds of it."""
 _LEAST_SIGMA, _BROAD_SIGMA, _MOST_SIGMA = np.radians([0.02, 10.0, 20.0])
@@ -92,97 +91,21 @@ class Observations:
         )
 
 
-@dataclass(frozen=True)
 class RobustFit:
-    """Results for the vertices `rows` (N,), filled by the kernels of `vertex_kernels`; weight (J, N).
+    """The reweighted least squares of all vertices; arrays are filled for those that are fitted.
 
-    `tilt` (N, 2) and `tilt_variance` (N,), the mean of its two, are 0 where normals are right.
+    `weight` (J, V), `estimate` (V, 6), `loss` (V,), `misfit` and `tilt` (V, 2), `scale` (V,) of the residuals
+    and `lobes` (J, V, 4) of the tilted normals; of the rows of `fit` only, the `normal` equations (N, 3, 14),
+    `center` and `deviation` (N, 6) without bounds, `tilt_variance` (N,), the mean of its two, and `settled` (N,).
     """
 
-    estimate: FloatArray
+    normal: FloatArray
     center: FloatArray
     deviation: FloatArray
-    normal: FloatArray
-    misfit: FloatArray
-    weight: FloatArray
-    settled: BoolArray
-    bounded_albedos: int
-    iterations: int
-    residual: float
-    tilt: FloatArray
     tilt_variance: FloatArray
-
-
-def fit_rows(data: Observations, rows: IntArray, options: ReflectanceFitOptions, meter: Meter) -> RobustFit:
-    """Fit the vertices `rows` (N,): least squares, then weights by residuals and tilts until none moves.
-
-    Converged vertices are left out of further steps. The step in which the budget ends is the last.
-    """
-    state = _State(data, options.loss)
-    iterating = options.loss != "squares" or state.tilting
-    observations = max(int((data.precision[:, rows] > 0).sum()), 1)
-
-    def count() -> None:
-        meter.count()
-        meter.record(state.loss[rows].sum() / observations)
-
-    def solve(block: slice) -> None:
-        part = rows[block]
-        found = np.empty((len(part), 6))
-        kernels.solve_bounded(state.normal(part), data.mean, data.prior, found)
-        state.estimate[part] = found
-
-    each_block(solve, blocks(len(rows), _BLOCK))
-    state.reweigh(rows)
-    count()
-    moving, iterations = rows, 0
-    while iterating and len(moving) and iterations < _ITERATIONS and not meter.exhausted:
-        moved = state.improve(moving)
-        count()
-        iterations += 1
-        moving = moving[moved]
-    center, deviation = np.empty((2, len(rows), 6))
-    normal, tilt_variance = np.empty((len(rows), 3, 14)), np.zeros(len(rows))
-
-    def posterior(block: slice) -> None:
-        part = rows[block]
-        normal[block] = state.normal(part)
-        kernels.solve_free(normal[block], data.mean, data.prior, center[block], deviation[block])
-        if state.tilting:
-            tilt_kernels.deviations_with_tilts(
-                normal[block],
-                state.tilt_equations(part),
-                data.prior,
-                state.tilt_prior(),
-                part,
-                deviation[block],
-                tilt_variance[block],
-            )
-
-    each_block(posterior, blocks(len(rows), _BLOCK))
-    estimate = state.estimate[rows]
-    settled = ~np.isin(rows, moving) if iterating else np.ones(len(rows), bool)
-    return RobustFit(
-        estimate,
-        center,
-        deviation,
-        normal,
-        state.misfit[rows],
-        state.weight[:, rows],
-        settled,
-        int((estimate[:, :3] == 0).any(1).sum()),
-        iterations,
-        float(state.loss[rows].sum() / observations),
-        state.tilt[rows],
-        tilt_variance,
-    )
-
-
-class _State:
-    """Weight (J, V), estimate (V, 6), scale and loss (V,), misfit and tilt (V, 2), before any estimate.
-
-    `lobes` (J, V, 4) are those of the tilted normals; `damping` (V,) shortens the steps of the tilts.
-    """
+    settled: BoolArray
+    iterations = 0
+    residual = 0.0
 
     def __init__(self, data: Observations, loss: str) -> None:
         pictures, count = data.observed.shape[:2]
@@ -193,7 +116,51 @@ class _State:
         self.scale, self.loss, self.damping = np.full(count, np.inf), np.zeros(count), np.zeros(count)
         self.misfit, self.tilt = np.zeros((count, 2)), np.zeros((count, 2))
 
-    def improve(self, rows: IntArray) -> BoolArray:
+    def fit(self, rows: IntArray, meter: Meter) -> RobustFit:
+        """Fit the vertices `rows` (N,): least squares, then weights by residuals and tilts until none moves.
+
+        Converged vertices are left out of further steps. The step in which the budget ends is the last.
+        """
+        data, size = self.data, len(rows)
+        iterating = self.loss_kind != kernels.NONE or self.tilting
+        observations = max(int((data.precision[:, rows] > 0).sum()), 1)
+
+        def solve(block: slice) -> None:
+            part = rows[block]
+            found = np.empty((len(part), 6))
+            kernels.solve_bounded(self._equations(part), data.mean, data.prior, found)
+            self.estimate[part] = found
+
+        each_block(solve, blocks(size, _BLOCK))
+        self._reweigh(rows)
+        moving, settled = rows, not iterating
+        while True:
+            meter.count()
+            self.residual = float(self.loss[rows].sum() / observations)
+            meter.record(self.residual)
+            if settled or not len(moving) or self.iterations == _ITERATIONS or meter.exhausted:
+                break
+            moving = moving[self._improve(moving)]
+            self.iterations += 1
+        self.settled = np.full(size, settled) | ~np.isin(rows, moving)
+        self.normal, self.tilt_variance = np.empty((size, 3, 14)), np.zeros(size)
+        self.center, self.deviation = np.empty((2, size, 6))
+
+        def posterior(block: slice) -> None:
+            part, normal, deviation = rows[block], self.normal[block], self.deviation[block]
+            normal[:] = self._equations(part)
+            kernels.solve_free(normal, data.mean, data.prior, self.center[block], deviation)
+            if self.tilting:
+                equations, prior = self._tilt_equations(part), self._tilt_prior()
+                variance = self.tilt_variance[block]
+                tilt_kernels.deviations_with_tilts(
+                    normal, equations, data.prior, prior, part, deviation, variance
+                )
+
+        each_block(posterior, blocks(size, _BLOCK))
+        return self
+
+    def _improve(self, rows: IntArray) -> BoolArray:
         """Update all of `rows` (N,) and return which moved; a step that worsens is taken back."""
         data = self.data
         before, loss, tilt = self.estimate[rows], self.loss[rows], self.tilt[rows]
@@ -201,12 +168,12 @@ class _State:
 
         def work(block: slice) -> None:
             part = rows[block]
-            normal, (found, center) = self.normal(part), np.empty((2, len(part), 6))
+            normal, (found, center) = self._equations(part), np.empty((2, len(part), 6))
             kernels.solve_bounded(normal, data.mean, data.prior, found)
             kernels.solve_free(normal, data.mean, data.prior, center, deviation[block])
             self.estimate[part] = found
             if self.tilting:
-                equations, prior = self.tilt_equations(part), self.tilt_prior()
+                equations, prior = self._tilt_equations(part), self._tilt_prior()
                 tilt_kernels.deviations_with_tilts(
                     normal, equations, data.prior, prior, part, deviation[block], np.empty(len(part))
                 )
@@ -216,7 +183,7 @@ class _State:
                 turn_lobes(data.lobes, data.slopes, self.tilt, part, self.lobes)
 
         each_block(work, blocks(len(rows), _BLOCK))
-        self.reweigh(rows)
+        self._reweigh(rows)
         moved = np.asarray((np.abs(self.estimate[rows] - before) > _TOLERANCE * deviation).any(1))
         if self.tilting:
             worse = self.loss[rows] > loss * (1 + 1e-12)
@@ -226,59 +193,36 @@ class _State:
             back = rows[worse]
             self.estimate[back], self.tilt[back] = before[worse], tilt[worse]
             turn_lobes(data.lobes, data.slopes, self.tilt, back, self.lobes)
-            self.reweigh(back)
+            self._reweigh(back)
             moved |= worse & (self.damping[rows] < _MOST_DAMPING)
         return moved
 
-    def normal(self, part: IntArray) -> FloatArray:
+    def _equations(self, part: IntArray) -> FloatArray:
         normal = np.empty((len(part), 3, 14))
-        kernels.add_normal_equations(
-            self.data.observed, self.data.precision, self.lobes, self.weight, part, normal
-        )
+        data = self.data
+        kernels.add_normal_equations(data.observed, data.precision, self.lobes, self.weight, part, normal)
         return normal
 
-    def tilt_prior(self) -> FloatArray:
+    def _tilt_prior(self) -> FloatArray:
         """Return (V,) the precisions of the Gaussian that touches the tilts' prior."""
         assert self.data.tilt_sigma is not None
-        return np.asarray(
-            (TILT_FREEDOM + 2) / (TILT_FREEDOM * self.data.tilt_sigma**2 + (self.tilt**2).sum(1))
-        )
+        square = (self.tilt**2).sum(1)
+        return np.asarray((TILT_FREEDOM + 2) / (TILT_FREEDOM * self.data.tilt_sigma**2 + square))
 
-    def tilt_equations(self, part: IntArray) -> FloatArray:
+    def _tilt_equations(self, part: IntArray) -> FloatArray:
         equations = np.empty((len(part), tilt_kernels.TILT_EQUATIONS))
-        tilt_kernels.add_tilt_equations(
-            self.data.observed,
-            self.data.precision,
-            self.lobes,
-            self.data.slopes,
-            self.weight,
-            self.estimate,
-            self.tilt,
-            part,
-            equations,
-        )
+        data, seen = self.data, (self.lobes, self.data.slopes, self.weight, self.estimate, self.tilt)
+        tilt_kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
         return equations
 
-    def reweigh(self, rows: IntArray) -> None:
+    def _reweigh(self, rows: IntArray) -> None:
         """Update weights, losses and misfits of `rows` (N,)."""
 
         def work(block: slice) -> None:
             data = self.data
-            kernels.reweigh(
-                data.observed,
-                data.precision,
-                self.lobes,
-                self.estimate,
-                data.mean,
-                data.prior,
-                rows[block],
-                self.loss_kind,
-                _WIDTH,
-                self.scale,
-                self.weight,
-                self.loss,
-                self.misfit,
-            )
+            seen = data.observed, data.precision, self.lobes, self.estimate, data.mean, data.prior
+            filled = self.scale, self.weight, self.loss, self.misfit
+            kernels.reweigh(*seen, rows[block], self.loss_kind, _WIDTH, *filled)
 
         each_block(work, blocks(len(rows), _BLOCK))
         if self.tilting:
@@ -308,7 +252,7 @@ def normal_sigma(
         return np.full(count, np.radians(given))
     few = rows[:: max(1, len(rows) // _SIGMA_VERTICES)]
     part = replace(data.of_vertices(few), tilt_sigma=np.full(len(few), _BROAD_SIGMA))
-    fitted = fit_rows(part, np.arange(len(few)), options, meter.untraced())
+    fitted = RobustFit(part, options.loss).fit(np.arange(len(few)), meter.untraced())
     meter.count()
     wide = np.zeros(count) if spread is None else np.minimum(spread, 1.0) ** 2
     terms = np.stack([np.ones(len(few)), wide[few]], 1)

@@ -11,7 +11,7 @@ from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes, point_light_radiance
-from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, fit_rows, normal_sigma
+from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
@@ -46,14 +46,11 @@ class ReflectanceFit:
     pair_count: IntArray
     """(V,): pictures used; 0 for unseen vertices."""
     condition: FloatArray
-    """(V,): condition number of the observations' matrix, columns not scaled, without the prior; inf where it
-    is singular."""
+    """(V,): condition number of the observations' matrix, without the prior; inf where it is singular."""
     activation: FloatArray
-    """(V, 3): largest value over the pictures of each lobe, over its peak: max(0, n.h)^s. 0 for unseen
-    vertices."""
+    """(V, 3): largest value over the pictures of each lobe over its peak, max(0, n.h)^s; 0 where unseen."""
     identifiability: FloatArray
-    """(V, 6): posterior over prior standard deviation, the former before the misfit: 1 where pictures add
-    nothing."""
+    """(V, 6): posterior over prior standard deviation: 1 where pictures add nothing."""
     identified: BoolArray
     """(V, 6): identifiability is small enough; False where not known, or where an albedo is impossible."""
     impossible: BoolArray
@@ -62,20 +59,19 @@ class ReflectanceFit:
     """(V,): root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where
     there are not more observations than unknowns."""
     tilt: FloatArray
-    """(V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles; 0 where normals are
-    taken as right."""
+    """(V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles."""
     normal_sigma_degrees: FloatArray
     """(V,): deviation of the normals along each tangent that the fit assumed."""
     light_gain: FloatArray
     """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
     level: float
-    """Unit of the prior."""
+    """Unit of the prior: the median albedo without highlights."""
     bounded_albedos: int
     """Vertices where an albedo is held at 0."""
     settled: BoolArray
     """(V,): known and done when the fit ended."""
     converged: bool
-    """All known vertices are, and the gains; False when the budget or the iterations ended the fit first."""
+    """All known vertices and the gains are; False when the budget or the iterations ended the fit first."""
     iterations: int
     """Reweightings."""
     residual: float
@@ -90,10 +86,7 @@ class ReflectanceFit:
 
     @property
     def drawn(self) -> BoolArray:
-        """(V,) vertices that pictures show as found: all albedos identified; others are filled from them.
-
-        All that are known where the albedos of fewer than half of them are identified.
-        """
+        """(V,) vertices to draw as found: with identified albedos; all known if these are fewer than half."""
         known = self.reflectance.known
         sure = known & self.identified[:, :3].all(1)
         return sure if 2 * sure.sum() >= known.sum() else known
@@ -116,6 +109,8 @@ def fit_reflectance(
     given robust weights c is eliminated and the eight sets of weights at 0 are tried; where an albedo would
     be negative, all 64 sets.
 
+    Raises `ReflectanceError` when there are no pictures, or no vertex is seen in enough of them.
+
     Parameters
     ----------
     samples : VertexSamples
@@ -125,11 +120,6 @@ def fit_reflectance(
         Evaluations are passes over all vertices still moving.
     on_progress : callable, optional
         Called with every row of the trace.
-
-    Raises
-    ------
-    ReflectanceError
-        When there are no pictures, or no vertex is seen in enough of them.
 
     Notes
     -----
@@ -193,7 +183,8 @@ def fit_reflectance(
     if samples.slopes is not None and options.normal_sigma_degrees != 0:
         data = replace(data, slopes=samples.slopes)
         data = replace(data, tilt_sigma=normal_sigma(data, samples.normal_spread, rows, options, meter))
-    fitted = fit_rows(data, rows, options, meter)
+    fitted = RobustFit(data, options.loss).fit(rows, meter)
+    estimate, misfit = fitted.estimate[rows], fitted.misfit[rows]
 
     def spread(values: FloatArray) -> FloatArray:
         """Return values of `rows` among all vertices, NaN elsewhere."""
@@ -202,33 +193,32 @@ def fit_reflectance(
         return whole
 
     # Root mean squared residual over sigma; NaN without a degree of freedom left.
-    observations, freedom = samples.valid[:, rows].sum((0, 2)), fitted.misfit[:, 1] - 6
+    observations, freedom = samples.valid[:, rows].sum((0, 2)), misfit[:, 1] - 6
     enough = (observations > 6) & (freedom > 0)
-    misfit = np.sqrt(np.where(enough, fitted.misfit[:, 0] / np.where(enough, freedom, 1.0), np.nan))
+    misfit = np.sqrt(np.where(enough, misfit[:, 0] / np.where(enough, freedom, 1.0), np.nan))
     seen = np.asarray(samples.valid.any(-1))
     n_l, n_h = cosines_of_lobes(samples.lobes)
     steepest = np.max(n_l, axis=0, where=seen, initial=_LEAST_COSINE)
     deviation = fitted.deviation / np.minimum(steepest[rows], 1.0)[:, None]
     std = deviation * np.fmax(misfit, 1.0)[:, None]
-    low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, fitted.estimate)
+    low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, estimate)
     identifiability = np.minimum(deviation * np.sqrt(data.prior), 1.0)
     known, impossible, settled = np.zeros((3, count), bool)
     identified = np.zeros((count, 6), bool)
     known[rows], settled[rows], identified[rows] = True, fitted.settled, identifiability < _IDENTIFIED_BELOW
     if options.most_albedo is not None:
-        too_bright = (fitted.estimate[:, :3] > options.most_albedo).any(1)
+        too_bright = (estimate[:, :3] > options.most_albedo).any(1)
         impossible[rows] = too_bright
         identified[impossible], low[too_bright] = False, 0.0
-    estimate = spread(fitted.estimate)
     # Lobes over their peaks, max(0, n.h)^s, whatever the strength of the light.
     broad = samples.lobes[..., 1]
     scale = np.divide(PEAKS[0] * n_h, broad, out=np.zeros_like(broad), where=broad > 0)
     over_peak = np.asarray(samples.lobes[..., 1:] / PEAKS * scale[..., None])
     return ReflectanceFit(
-        reflectance=VertexReflectance(estimate[:, :3], estimate[:, 3:], known),
+        reflectance=VertexReflectance(spread(estimate[:, :3]), spread(estimate[:, 3:]), known),
         std=spread(std),
         low=spread(low),
-        high=spread(np.fmax(fitted.center + _TWO_SIDED_95 * std, fitted.estimate)),
+        high=spread(np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)),
         pair_count=samples.pair_count,
         condition=spread(_condition(fitted.normal)),
         activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0),
@@ -236,11 +226,11 @@ def fit_reflectance(
         identified=identified,
         impossible=impossible,
         misfit=spread(misfit),
-        tilt=spread(fitted.tilt),
+        tilt=spread(fitted.tilt[rows]),
         normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
         light_gain=gain,
         level=level,
-        bounded_albedos=fitted.bounded_albedos,
+        bounded_albedos=int((estimate[:, :3] == 0).any(1).sum()),
         settled=settled,
         converged=bool(fitted.settled.all()) and gains_settled,
         iterations=fitted.iterations,
@@ -261,7 +251,7 @@ def _condition(normal: FloatArray) -> FloatArray:
     matrix[:, 3 + column, 3 + row] = lobes
     values = np.linalg.eigvalsh(matrix)
     smallest = values[:, 0]
-    singular = smallest <= 1e-14 * values[:, -1]  # what rounding leaves of 0
+    singular = smallest <= 64 * np.finfo(float).eps * values[:, -1]
     return np.sqrt(np.where(singular, np.inf, values[:, -1] / np.where(singular, 1.0, smallest)))
 
 
@@ -283,9 +273,8 @@ def find_light_gains(
     subset = data.of_vertices(few)
     gain = np.ones((int(light.max()) + 1, 3))
     for _ in range(_GAIN_ROUNDS):
-        fitted = fit_rows(
-            divided_by_gain(subset, light, gain), np.arange(len(few)), options, meter.untraced()
-        )
+        divided = RobustFit(divided_by_gain(subset, light, gain), options.loss)
+        fitted = divided.fit(np.arange(len(few)), meter.untraced())
         meter.count()
         estimate, precision = fitted.estimate, subset.precision * fitted.weight[..., None]
         gloss = np.einsum("jvs,vs->jv", subset.lobes[..., 1:], estimate[:, 3:])
@@ -293,8 +282,9 @@ def find_light_gains(
         above, below = np.zeros((2, *gain.shape))
         np.add.at(above, light, (precision * subset.observed * radiance).sum(1))
         np.add.at(below, light, (precision * radiance**2).sum(1))
-        # Within bounds: a flash that lit only black pixels would have no gain.
-        new = np.where(below > 0, np.clip(above / np.where(below > 0, below, 1.0), 1e-3, 1e3), np.nan)
+        # A flash that lit only black pixels would have no gain.
+        least = np.finfo(float).eps
+        new = np.where(below > 0, np.maximum(above / np.where(below > 0, below, 1.0), least), np.nan)
         new /= np.nanmean(new, axis=0)
         step = float(np.nanmax(np.abs(new - gain)))
         gain = new
@@ -331,6 +321,8 @@ def relighting_error(
 ) -> RelightingError:
     """Return how well a fit to the pictures that are not `held_out` predicts those that are.
 
+    Raises `ReflectanceError` when nothing is left to fit, or nothing to predict.
+
     Parameters
     ----------
     samples : VertexSamples
@@ -339,11 +331,6 @@ def relighting_error(
         At least one, and not all.
     options : ReflectanceFitOptions
         With light gains, a flash that lit none of the others has gain 1.
-
-    Raises
-    ------
-    ReflectanceError
-        When nothing is left to fit, or nothing to predict.
 
     Examples
     --------
@@ -380,7 +367,7 @@ def relighting_error(
         for j in range(len(seen))
     ]
     observed, made = unseen.observed_linear[seen], predicted[seen]
-    if not float(np.mean(observed**2)) > 1e-30:
+    if not observed.any():
         raise ReflectanceError(
             "the pictures held out are black where the face is: there is nothing to predict"
         )
@@ -389,7 +376,7 @@ def relighting_error(
     off = float(np.mean((displayed[0] - displayed[1]) ** 2))
     return RelightingError(
         _relative(observed, made),
-        float(-10 * np.log10(max(off, 1e-30))),
+        float(-10 * np.log10(max(off, np.finfo(float).tiny))),
         float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / np.mean(observed**2))),
         of_picture,
         int(seen.sum()),

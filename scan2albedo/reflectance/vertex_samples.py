@@ -138,6 +138,10 @@ def sample_vertices(
     vertices and cast shadows are found by rays against the mesh, cast once for each camera and each flash.
     Vertices nearer than 1.5 pixels to an edge of the surface are left out.
 
+    Raises `ValueError` when shapes disagree, or the reference distance is not above 0 and finite;
+    `ReflectanceError` when there are not as many cameras as pictures, or vertices or normals are not finite
+    or not unit.
+
     Parameters
     ----------
     olat : OlatImages
@@ -151,13 +155,6 @@ def sample_vertices(
         Unit; those of the mesh when omitted. A vertex whose normal is 0 is never seen.
     reference_distance_mm : float, optional
         Distance at which light has fallen off to 1, with its square; no falloff when omitted.
-
-    Raises
-    ------
-    ValueError
-        When shapes disagree, or the reference distance is not above 0 and finite.
-    ReflectanceError
-        When there are not as many cameras as pictures, or vertices or normals are not finite or not unit.
     """
     xyz, index = checked_mesh(vertices, faces)
     if reference_distance_mm is not None and not 0 < reference_distance_mm < math.inf:

@@ -14,6 +14,7 @@ from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.reflectance.environment_shading import unit_vectors
 
 RAY_OFFSET_MM = 0.2
 """Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`."""
@@ -47,13 +48,7 @@ def checked_normals(xyz: FloatArray, faces: IntArray, normals: ArrayLike | None)
     given = np.ascontiguousarray(normals, np.float64)
     if given.shape != xyz.shape:
         raise ValueError(f"normals is {given.shape}, expected {xyz.shape} as vertices")
-    length = np.linalg.norm(given, axis=1)
-    off = ~((np.abs(length - 1) < 1e-3) | (length == 0))
-    if off.any():
-        first = int(np.flatnonzero(off)[0])
-        raise ReflectanceError(
-            f"the normal of vertex {first} has length {length[first]:.4g}, expected 1 (or 0)"
-        )
+    unit_vectors(np.where(given.any(1, keepdims=True), given, (0.0, 0.0, 1.0)), "normals")
     return given
 
 

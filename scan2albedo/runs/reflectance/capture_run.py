@@ -66,35 +66,6 @@ class FittedCapture:
     error: RelightingError | None
     notes: tuple[str, ...] = ()
 
-    def metrics(self) -> dict[str, Any]:
-        """Return the figures for `reflectance.json`."""
-        fit = self.fit
-        known = fit.reflectance.known
-        identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
-        figures: dict[str, Any] = {
-            "pairs": int(np.asarray(self.samples.valid).any((1, 2)).sum()),
-            "pairs_of_capture": len(self.samples.light),
-            "vertices": len(known),
-            "known_vertices": int(known.sum()),
-            "pictures_per_vertex_median": float(np.median(fit.pair_count)),
-            "identified_share": dict(zip(PARAMETERS, identified, strict=True)),
-            "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
-            "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
-            "impossible_vertices": int(fit.impossible.sum()),
-            "level": fit.level,
-            "converged": fit.converged,
-            "iterations": fit.iterations,
-            "light_gain": fit.light_gain,
-        }
-        if self.error is not None:
-            figures["held_out"] = {
-                "pairs": int(self.held_out.sum()),
-                "relative_rmse": self.error.relative_rmse,
-                "noise_part": self.error.noise_part,
-                "psnr_db": self.error.psnr_db,
-            }
-        return figures
-
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
@@ -177,9 +148,31 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
     """Write reflectance, trace, overview and relit pictures; returns figures as in `reflectance.json`."""
     capture, fit = done.capture, done.fit
     mesh = MeshReflectance(capture.vertices, capture.faces, fit.reflectance)
-    figures = done.metrics()
+    known = fit.reflectance.known
+    identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
+    figures: dict[str, Any] = {
+        "pairs": int(np.asarray(done.samples.valid).any((1, 2)).sum()),
+        "pairs_of_capture": len(done.samples.light),
+        "vertices": len(known),
+        "known_vertices": int(known.sum()),
+        "pictures_per_vertex_median": float(np.median(fit.pair_count)),
+        "identified_share": dict(zip(PARAMETERS, identified, strict=True)),
+        "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
+        "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
+        "impossible_vertices": int(fit.impossible.sum()),
+        "level": fit.level,
+        "converged": fit.converged,
+        "iterations": fit.iterations,
+        "light_gain": fit.light_gain,
+    }
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:
+        figures["held_out"] = {
+            "pairs": int(done.held_out.sum()),
+            "relative_rmse": done.error.relative_rmse,
+            "noise_part": done.error.noise_part,
+            "psnr_db": done.error.psnr_db,
+        }
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with results_in(out, (capture.path,)).publishing() as results:
         write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)

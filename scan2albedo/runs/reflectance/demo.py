@@ -40,7 +40,7 @@ from scan2albedo.runs.reflectance.image_run import (
     write_tuned_model,
 )
 from scan2albedo.runs.reflectance.model_run import (
-    ModelFolder,
+    FaceModels,
     build_model,
     read_model_folder,
     write_model_folder,
@@ -200,7 +200,7 @@ def _photograph(seed: int, number: int) -> FacePhotograph:
 
 def _fit_photograph(
     taken: FacePhotograph,
-    models: ModelFolder,
+    models: FaceModels,
     out: Path,
     name: str,
     on_progress: ProgressCallback | None,
@@ -216,7 +216,7 @@ def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: BoolArray) 
     return albedo_error(found.diffuse_linear, truth, seen & found.known).relative_rmse
 
 
-def _nearest(models: ModelFolder, truth: FloatArray, seen: BoolArray) -> VertexReflectance:
+def _nearest(models: FaceModels, truth: FloatArray, seen: BoolArray) -> VertexReflectance:
     """Return the model's face whose albedo is nearest to the truth times some scale, where it was seen."""
     mean, used = models.mean.reflectance, seen & models.model.known
     made = mean

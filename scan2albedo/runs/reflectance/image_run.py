@@ -38,7 +38,7 @@ from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, results_in
 from scan2albedo.runs.reflectance.capture_run import gamma_note, write_colored_mesh
-from scan2albedo.runs.reflectance.model_run import ModelFolder
+from scan2albedo.runs.reflectance.model_run import FaceModels
 
 _ONE_HELD_OUT_OF = 3
 """Photographs, when none is given to be held out."""
@@ -65,13 +65,10 @@ class FittedPhotograph:
 
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
-        parts = {"shape": self.geometry, "reflectance and light": self.fit}
-        notes = [*notes_of_file(self.photograph)]
-        notes += [
-            f"the fit of {name} stopped before it had converged"
-            for name, part in parts.items()
-            if part is not None and not part.converged
-        ]
+        notes = list(notes_of_file(self.photograph))
+        for name, part in {"shape": self.geometry, "reflectance and light": self.fit}.items():
+            if part is not None and not part.converged:
+                notes.append(f"the fit of {name} stopped before it had converged")
         if self.face.badly_explained:
             notes.append(
                 "light and model explain the photograph badly: relative RMSE "
@@ -119,7 +116,7 @@ class FittedPhotograph:
 
 def fit_photograph(
     photograph: PhotographFiles,
-    models: ModelFolder,
+    models: FaceModels,
     *,
     lighting: LightingModel | None = None,
     budget: Budget | float | None = None,
@@ -152,7 +149,7 @@ def fit_photograph(
 
 def shaped_vertices(
     photograph: PhotographFiles,
-    models: ModelFolder,
+    models: FaceModels,
     lighting: LightingModel,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
@@ -226,7 +223,7 @@ def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) 
 
 
 def write_fitted_photograph(
-    done: FittedPhotograph, models: ModelFolder, out: Path, options: dict[str, Any]
+    done: FittedPhotograph, models: FaceModels, out: Path, options: dict[str, Any]
 ) -> dict[str, Any]:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
     figures = done.metrics()
@@ -302,28 +299,16 @@ def _linear(photograph: PhotographFiles) -> FloatArray:
 class TunedModel:
     """A model after fine-tuning with photographs."""
 
-    models: ModelFolder
+    models: FaceModels
     tuning: FineTuning
     photographs: tuple[Path, ...]
     held_out: tuple[Path, ...]
     notes: tuple[str, ...] = ()
     """Caveats of the photograph files."""
 
-    def metrics(self) -> dict[str, Any]:
-        """Return the figures for `reflectance.json`."""
-        tuning = self.tuning
-        return {
-            "photographs": [str(path) for path in self.photographs],
-            "held_out": [str(path) for path in self.held_out],
-            "accepted_steps": tuning.accepted_steps,
-            "held_out_before": tuning.held_out_before,
-            "held_out_after": tuning.held_out_after,
-            "converged": tuning.converged,
-        }
-
 
 def tune_model(
-    models: ModelFolder,
+    models: FaceModels,
     photographs: Sequence[Path],
     held_out: Sequence[Path] = (),
     *,
@@ -378,18 +363,25 @@ def tune_model(
 
 def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
     """Write the model's folder anew; return figures as in `reflectance.json`."""
-    figures = done.metrics()
-    models = done.models
+    models, tuning = done.models, done.tuning
     assert models.folder is not None  # models that are tuned come from files
+    figures = {
+        "photographs": [str(path) for path in done.photographs],
+        "held_out": [str(path) for path in done.held_out],
+        "accepted_steps": tuning.accepted_steps,
+        "held_out_before": tuning.held_out_before,
+        "held_out_after": tuning.held_out_after,
+        "converged": tuning.converged,
+    }
     inputs = models.folder, *done.photographs, *done.held_out
     with results_in(out, inputs).publishing() as results:
         models.model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, models.mean)
         if models.shape is not None:
             shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
-        done.tuning.trace.to_csv(results.folder / "trace.csv")
-        results.figure("error_vs_time.png", done.tuning.trace.plot())
-        ended = () if done.tuning.converged else ("budget or rounds ended while changes still helped",)
+        tuning.trace.to_csv(results.folder / "trace.csv")
+        results.figure("error_vs_time.png", tuning.trace.plot())
+        ended = () if tuning.converged else ("budget or rounds ended while changes still helped",)
         results.write_record(
             command="finetune",
             inputs=tuple(map(str, inputs)),

@@ -44,26 +44,20 @@ _SIZE = 300
 
 
 @dataclass(frozen=True)
-class BuiltModel:
-    """A model, the mean of its samples' meshes with its mean reflectance, and where the samples came from."""
+class FaceModels:
+    """A model, its mean on the mean mesh, and the shapes' model if there is one."""
 
     model: MorphableReflectanceModel
     mean: MeshReflectance
-    sources: tuple[Path, ...]
     shape: MorphableShapeModel | None
-    """Of the samples' meshes, where it is known which vertices are landmarks."""
+    """Where it is known which vertices are landmarks."""
+    sources: tuple[Path, ...] = ()
+    """Of the samples; none for synthetic people."""
+    folder: Path | None = None
+    """From which it was read."""
 
-    def metrics(self) -> dict[str, Any]:
-        """Return the figures for `reflectance.json`."""
-        model = self.model
-        return {
-            "samples": model.samples,
-            "vertices": len(model.known),
-            "known_vertices": int(model.known.sum()),
-            "components": model.components,
-            "explained": model.explained,
-            "deviation": model.deviation,
-        }
+    def __str__(self) -> str:
+        return "the model of synthetic people" if self.folder is None else f"the model in {self.folder}"
 
 
 def read_sample(path: Path) -> MeshReflectance:
@@ -92,7 +86,7 @@ def build_model(
     components: int | None = None,
     least_support: float = 0.5,
     landmark_vertices: Path | None = None,
-) -> BuiltModel:
+) -> FaceModels:
     """Learn a model from files or folders, see `read_sample` and `MorphableReflectanceModel.from_samples`.
 
     Vertices count by how well their fit knows them. Meshes are aligned rigidly to the first before their mean
@@ -123,10 +117,10 @@ def build_model(
         shape = MorphableShapeModel.from_samples(
             shapes, None, samples[0].faces, _read_landmark_vertices(landmark_vertices, len(first))
         )
-    return BuiltModel(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), tuple(sources), shape)
+    return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
 
-def synthetic_model(count: int, *, seed: int = 0, components: int | None = None) -> BuiltModel:
+def synthetic_model(count: int, *, seed: int = 0, components: int | None = None) -> FaceModels:
     """Learn a model of reflectance and shape from `count` people of the synthetic population.
 
     Their albedo is taken from the generator, without photographs. The number of directions is that which
@@ -153,10 +147,10 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     offsets = expression_offsets(template, np.random.default_rng([seed, 14]), levels=_LEVELS)
     shape = MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
     mean = model.reconstruct(np.zeros(model.components)).reflectance
-    return BuiltModel(model, MeshReflectance(shapes.mean(0), faces, mean), (), shape)
+    return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape)
 
 
-def default_model() -> BuiltModel:
+def default_model() -> FaceModels:
     """Return `synthetic_model(200)` from the file that `python tools/build_reflectance_model.py` makes.
 
     Directions are rounded: 0.5 % of the albedo, 0.04 mm. Raises `ReflectanceError` when the file is damaged.
@@ -195,7 +189,7 @@ def default_model() -> BuiltModel:
         arrays["landmark_vertices"],
     )
     mean_face = model.reconstruct(np.zeros(model.components)).reflectance
-    return BuiltModel(model, MeshReflectance(shape.mean, faces, mean_face), (), shape)
+    return FaceModels(model, MeshReflectance(shape.mean, faces, mean_face), shape)
 
 
 def _read_landmark_vertices(path: Path, count: int) -> IntArray:
@@ -219,17 +213,25 @@ def _read_landmark_vertices(path: Path, count: int) -> IntArray:
     return numbers.astype(np.int64)
 
 
-def write_model_folder(built: BuiltModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) -> dict[str, Any]:
     """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
-    figures = built.metrics()
+    model = built.model
+    figures = {
+        "samples": model.samples,
+        "vertices": len(model.known),
+        "known_vertices": int(model.known.sum()),
+        "components": model.components,
+        "explained": model.explained,
+        "deviation": model.deviation,
+    }
     with results_in(out, built.sources).publishing() as results:
-        built.model.save(results.folder / MODEL_FILE)
+        model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, built.mean)
         if built.shape is not None:
             built.shape.save(results.folder / SHAPE_FILE)
-        title = f"{built.model.samples} samples, {built.model.components} directions"
-        if shown := min(_SHOWN_DIRECTIONS, built.model.components):
-            part = 100 * built.model.explained[:shown].sum()
+        title = f"{model.samples} samples, {model.components} directions"
+        if shown := min(_SHOWN_DIRECTIONS, model.components):
+            part = 100 * model.explained[:shown].sum()
             title += f"; the first {shown} hold {part:.0f} % of the variance"
         results.figure("model.png", overview_figure(title, model_panels(built), 5))
         results.write_record(
@@ -238,27 +240,7 @@ def write_model_folder(built: BuiltModel, out: Path, options: dict[str, Any]) ->
     return figures
 
 
-@dataclass(frozen=True)
-class ModelFolder:
-    """A model, its mean on the mean mesh, and the shapes' model if there is one."""
-
-    folder: Path | None
-    """None for the model that comes with the package."""
-    model: MorphableReflectanceModel
-    mean: MeshReflectance
-    shape: MorphableShapeModel | None
-
-    @classmethod
-    def default(cls) -> ModelFolder:
-        """Return the model of 200 synthetic people that comes with the package, see `default_model`."""
-        built = default_model()
-        return cls(None, built.model, built.mean, built.shape)
-
-    def __str__(self) -> str:
-        return "the model of synthetic people" if self.folder is None else f"the model in {self.folder}"
-
-
-def read_model_folder(path: Path) -> ModelFolder:
+def read_model_folder(path: Path) -> FaceModels:
     """Read the folder that `build` or `finetune` wrote.
 
     Raises `ReflectanceError` when files are missing or damaged, or do not belong together.
@@ -277,7 +259,7 @@ def read_model_folder(path: Path) -> ModelFolder:
             f"{path}: {SHAPE_FILE} has {len(shape.mean)} vertices and {MODEL_FILE} {len(model.known)}; build "
             "the model again"
         )
-    return ModelFolder(path, model, mean, shape)
+    return FaceModels(model, mean, shape, folder=path)
 
 
 def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> dict[str, Any]:
@@ -303,7 +285,7 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
     return figures
 
 
-def model_panels(built: BuiltModel) -> list[Panel]:
+def model_panels(built: FaceModels) -> list[Panel]:
     """Return panels of the mean, and of the first directions two deviations to each side."""
     model, mean = built.model, built.mean
     white = albedo_white(mean.reflectance.diffuse_linear)
