@@ -119,90 +119,60 @@ def finetune(
     smooth = surface_diffusion(np.nan_to_num(positions), triangles, SMOOTHING_MM)
     lighting = LightingModel.default() if lighting is None else lighting
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
-    tuning = _Tuning(model, lighting, meter, held_out)
-    before = tuning.error
-    converged = False
-    for _ in range(ROUNDS):
-        if meter.exhausted:
-            break
-        try:
-            fits = [tuning.fit(observation, tuning.current) for observation in observations]
+
+    def fit(observation: ImageObservation, tried: MorphableReflectanceModel, late: bool = False) -> ImageFit:
+        """Fit an image; raise `_OutOfTime` when the deadline cut the fit short, unless `late` is allowed."""
+        if meter.out_of_time and not late:
+            raise _OutOfTime
+        meter.count()
+        left = Budget(seconds=meter.sub_meter(meter.stage, meter.unit).budget.seconds)
+        with warnings.catch_warnings():
+            # One of many fits; the held-out objective shows whether they were good enough.
+            warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
+            found = fit_image(observation, tried, lighting, budget=left)
+        if meter.out_of_time and not late:
+            raise _OutOfTime
+        return found
+
+    def held_out_errors(tried: MorphableReflectanceModel, late: bool = False) -> FloatArray:
+        """Return (n, 2) objectives and relative RMSE: a change has to lower both."""
+        fits = [fit(observation, tried, late) for observation in held_out]
+        return np.array([[one.objective, one.relative_rmse] for one in fits])
+
+    current, change = model, np.zeros((1 + model.components, count, 4))
+    steps: list[float] = []
+    errors = held_out_errors(model, late=True)
+    before, converged = float(errors[:, 0].mean()), False
+    meter.record(before)
+    try:
+        while len(steps) < ROUNDS and not meter.exhausted and not converged:
+            fits = [fit(observation, current) for observation in observations]
             changes = [
                 best_change(model, observations, fits, mean_change=MEAN_CHANGE, basis_change=basis)
                 for basis in BASIS_CHANGES
             ]
-            helped = tuning.try_steps([smoothed(change, smooth) for change in changes])
-        except _OutOfTime:
-            break
-        if not helped:
-            converged = not meter.exhausted
-            break
-    return FineTuning(tuning.current, tuple(tuning.steps), before, tuning.error, converged, meter.trace)
+            changes = [smoothed(one, smooth) for one in changes]
+            for step in (1.0, 0.5, 0.5**2):  # a change that does not help is halved, then given up
+                if meter.exhausted:
+                    break
+                parts = [(1 - step) * change + step * one for one in changes]
+                trials = [(part, held_out_errors(with_change(model, part))) for part in parts]
+                helping = [trial for trial in trials if is_improvement(errors, trial[1])]
+                if helping:
+                    change, errors = max(helping, key=lambda trial: assured_gains(errors, trial[1]).min())
+                    current = with_change(model, change)
+                    steps.append(step)
+                    meter.record(float(errors[:, 0].mean()))
+                    break
+            else:
+                converged = not meter.exhausted
+    except _OutOfTime:
+        pass
+    return FineTuning(current, tuple(steps), before, float(errors[:, 0].mean()), converged, meter.trace)
 
 
 class _OutOfTime(Exception):
     """The budget's seconds have ended amid the fits of a round."""
-
-
-class _Tuning:
-    """The model accepted so far and its error."""
-
-    def __init__(
-        self,
-        model: MorphableReflectanceModel,
-        lighting: LightingModel,
-        meter: Meter,
-        held_out: Sequence[ImageObservation],
-    ) -> None:
-        self.initial, self.lighting, self.meter, self.held_out = model, lighting, meter, held_out
-        self.current, self.change = model, np.zeros((1 + model.components, len(model.known), 4))
-        self.steps: list[float] = []
-        self.errors = self._held_out_errors(model, even_late=True)
-        meter.record(self.error)
-
-    @property
-    def error(self) -> float:
-        """Mean objective of the held-out images."""
-        return float(self.errors[:, 0].mean())
-
-    def try_steps(self, changes: Sequence[FloatArray]) -> bool:
-        """Go as far towards one of the changes as helps, and return whether any step does."""
-        for halvings in range(3):
-            if self.meter.exhausted:
-                break
-            step, trials = 0.5**halvings, []
-            for change in changes:
-                part = (1 - step) * self.change + step * change
-                trials.append((part, self._held_out_errors(with_change(self.initial, part))))
-            helping = [trial for trial in trials if is_improvement(self.errors, trial[1])]
-            if helping:
-                part, errors = max(helping, key=lambda trial: assured_gains(self.errors, trial[1]).min())
-                self.current, self.change, self.errors = with_change(self.initial, part), part, errors
-                self.steps.append(step)
-                self.meter.record(self.error)
-                return True
-        return False
-
-    def _held_out_errors(self, model: MorphableReflectanceModel, *, even_late: bool = False) -> FloatArray:
-        """Return (n, 2) objectives and relative RMSE: a change has to lower both."""
-        fits = [self.fit(observation, model, even_late=even_late) for observation in self.held_out]
-        return np.array([[fit.objective, fit.relative_rmse] for fit in fits])
-
-    def fit(
-        self, observation: ImageObservation, model: MorphableReflectanceModel, *, even_late: bool = False
-    ) -> ImageFit:
-        """Fit an image; raise `_OutOfTime` when the deadline cut the fit short, unless `even_late`."""
-        if self.meter.out_of_time and not even_late:
-            raise _OutOfTime
-        self.meter.count()
-        left = Budget(seconds=self.meter.sub_meter(self.meter.stage, self.meter.unit).budget.seconds)
-        with warnings.catch_warnings():
-            # One of many fits; the held-out objective shows whether they were good enough.
-            warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
-            fit = fit_image(observation, model, self.lighting, budget=left)
-        if self.meter.out_of_time and not even_late:
-            raise _OutOfTime
-        return fit
 
 
 def is_improvement(before: FloatArray, after: FloatArray) -> bool:

@@ -19,7 +19,6 @@ from scan2albedo.reflectance.geometry_terms import (
     PRIOR_WEIGHT,
     GeometryObjective,
     GeometryState,
-    GeometryTerm,
     LandmarkTerm,
     Photometry,
     SmoothImage,
@@ -319,7 +318,7 @@ class _Refinement:
             term = photometry.term(search.state.vertices)
             if term is None or stage.exhausted:
                 break
-            terms: list[GeometryTerm] = [term] if self.anchor is None else [self.anchor, term]
+            terms = (term,) if self.anchor is None else (self.anchor, term)
             search.run(GeometryObjective(self.model, terms), _REFRESH_STEPS)
             # Nothing to gain from what is seen now, and so neither from finding it anew.
             if search.converged or search.hardly_fell:

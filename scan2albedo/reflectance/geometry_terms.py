@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -99,28 +98,11 @@ class SmoothImage:
 
 
 @dataclass(frozen=True)
-class WeightedResiduals:
-    """Residuals r (R,) whose weighted squares replace a term locally: its gradient is J^T (weight r)."""
-
-    residual: FloatArray
-    weight: FloatArray
-    by_vertices: sparse.bsr_matrix
-    """(R, 3V) J, by the coordinates of the vertices in the scene, blocks three columns wide."""
-
-
-class GeometryTerm(Protocol):
-    """A part of the objective that depends on the vertices (V, 3) in the scene."""
-
-    def value(self, vertices: FloatArray) -> float:
-        """Return the term; inf where it is not defined."""
-
-    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
-        """Return the term as weighted squares around `vertices`."""
-
-
-@dataclass(frozen=True)
 class LandmarkTerm:
-    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, weighted."""
+    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, weighted.
+
+    A term of the vertices (V, 3) in the scene: `linearized` has a Jacobian (R, 3V) by their coordinates.
+    """
 
     camera: FloatArray
     """(3, 4), normalised."""
@@ -136,13 +118,14 @@ class LandmarkTerm:
         squared = np.sum(self._off(vertices) ** 2, axis=1)
         return LANDMARK_WEIGHT * float(squared.mean()) if np.isfinite(squared).all() else np.inf
 
-    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
+    def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`."""
         off, count = self._off(vertices), len(self.vertex)
         blocks = self.pixel_mm * projection_jacobian(self.camera, vertices[self.vertex])
         shape = (2 * count, 3 * len(vertices))
         jacobian = sparse.bsr_matrix((blocks, self.vertex, np.arange(count + 1)), shape=shape)
-        return WeightedResiduals(off.ravel(), np.full(2 * count, 2 * LANDMARK_WEIGHT / count), jacobian)
+        weight = np.full(2 * count, 2 * LANDMARK_WEIGHT / count)
+        return LocalTerm(jacobian, weight * off.ravel(), weight)
 
     def _off(self, vertices: FloatArray) -> FloatArray:
         return self.pixel_mm * (project(self.camera, vertices[self.vertex])[0] - self.pixels)
@@ -192,7 +175,7 @@ class PhotometricTerm:
         observed = self.image.look_up(project(self.camera, vertices[self.used])[0]) / self.unit
         return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), 1e-300))
 
-    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
+    def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`, where its value is finite."""
         off = self.differences(vertices)
         if off is None:
@@ -219,7 +202,7 @@ class PhotometricTerm:
         shape = (3 * len(used), by_vertex.shape[1])
         jacobian = sparse.bsr_matrix((blocks / self.unit, column, start), shape=shape)
         weight = PHOTOMETRIC_WEIGHT / off.size / np.hypot(off, SOFTNESS)
-        return WeightedResiduals(off.ravel(), weight.ravel(), jacobian)
+        return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
     def _sight(self, vertices: FloatArray) -> FloatArray:
         return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
@@ -296,7 +279,7 @@ class GeometryObjective:
     """Terms over pose and coefficients, or over the pose only where `rigid`."""
 
     model: MorphableShapeModel
-    terms: Sequence[GeometryTerm]
+    terms: Sequence[LandmarkTerm | PhotometricTerm]
     rigid: bool = False
 
     @cached_property
@@ -321,11 +304,11 @@ class GeometryObjective:
         pose_motion = np.concatenate([turn, shift], axis=2).reshape(-1, POSE)
         rotation = state.scene_from_model[:3, :3]
         for term in self.terms:
-            linear = term.linearized(state.vertices)
-            by = linear.by_vertices
+            local = term.linearized(state.vertices)
+            by = local.jacobian
             by_shape = sparse.bsr_matrix((by.data @ rotation, by.indices, by.indptr), shape=by.shape)
             jacobian = np.concatenate([by @ pose_motion, by_shape @ basis], axis=1)
-            yield LocalTerm(jacobian, linear.weight * linear.residual, linear.weight)
+            yield LocalTerm(jacobian, local.slope, local.curvature)
 
     def moved(self, state: GeometryState, step: FloatArray) -> GeometryState:
         """Return the state after a turn, a shift and a change of coefficients (P,)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ State = TypeVar("State")
 class LocalTerm:
     """A data term around a state, as a function of R residuals that are linear in the step (P,)."""
 
-    jacobian: FloatArray
+    jacobian: Any
     """(R, P)."""
     slope: FloatArray
     curvature: FloatArray

@@ -16,11 +16,11 @@ from scan2albedo.reflectance.point_light_lobes import turn_lobes
 _BLOCK = 128
 """Vertices whose normal equations fit the first cache."""
 _WIDTH, TILT_FREEDOM = 2.4, 4.0
-"""Residual over sigma from which the loss departs from squares, wider for vertices that fit worse; and degrees
-of freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
+"""Residual over sigma from which the loss departs from squares, wider for vertices that fit worse; degrees of
+freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
 _ITERATIONS, _TOLERANCE, _MOST_DAMPING = 100, 0.02, 1e6
-"""Most reweightings; a vertex is done when no number moves by more than this part of its deviation, or steps of
-its tilts are of no use with this damping."""
+"""Most reweightings; a vertex is done when no number moves by more than this part of its deviation, or steps
+of its tilts are of no use with this damping."""
 _SIGMA_VERTICES, _SIGMA_ROUNDS = 1000, 30
 """Vertices, evenly chosen, that the deviation of the normals is found from, and most rounds of it."""
 _LEAST_SIGMA, _BROAD_SIGMA, _MOST_SIGMA = np.radians([0.02, 10.0, 20.0])
@@ -95,8 +95,8 @@ class RobustFit:
     """The reweighted least squares of all vertices; arrays are filled for those that are fitted.
 
     `weight` (J, V), `estimate` (V, 6), `loss` (V,), `misfit` and `tilt` (V, 2), `scale` (V,) of the residuals
-    and `lobes` (J, V, 4) of the tilted normals; of the rows of `fit` only, the `normal` equations (N, 3, 14),
-    `center` and `deviation` (N, 6) without bounds, `tilt_variance` (N,), the mean of its two, and `settled` (N,).
+    and `lobes` (J, V, 4) of the tilted normals; of the rows of `fit` only, the `normal` equations
+    (N, 3, 14), `center` and `deviation` (N, 6) without bounds, the mean `tilt_variance` (N,), and `settled`.
     """
 
     normal: FloatArray
