@@ -145,10 +145,10 @@ def _check_output(extension: str, sweep: int | None, texture: bool) -> None:
 
 def _refuse_result_files(result: Path, out: Path) -> None:
     """Refuse to overwrite files of the result itself."""
-    from scan2albedo.applications.files import FILES
+    from scan2albedo.applications.files import FACE_FILES
     from scan2albedo.pipeline.result import FILES as SCAN_FILES
 
-    ours = out.name in FILES or SCAN_FILES.holds(out.name)
+    ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
     inside = out.resolve().parent == result.resolve() and ours
     if inside or out.resolve() == result.resolve():
         raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")

@@ -12,7 +12,6 @@ import scan2albedo as s2a
 from scan2albedo import report
 from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
-from scan2albedo.io.result_records import EnvironmentRecord, LightRecord
 from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.report.html.page import _environment, data_json
@@ -149,9 +148,7 @@ def test_harmonic_light_is_carried_over(write_scan, tmp_path):
 def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     lamp = s2a.PointLight(0.5, 0.2, intensity=2.0, color_linear=(1.5, 1.0, 0.5), radius_deg=12.0)
     soft = s2a.EnvironmentLight(np.eye(9, 3) + 0.1, fill=0.2)
-    folder = write_scan(
-        tmp_path / "warm", lights=(LightRecord.of(lamp),), environment=EnvironmentRecord.of(soft)
-    )
+    folder = write_scan(tmp_path / "warm", lights=(lamp,), environment=soft)
     page = written(folder, tmp_path / "page.html")
     face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
     assert face["lights"][0]["color"] == [1.5, 1.0, 0.5]

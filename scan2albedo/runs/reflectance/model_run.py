@@ -28,9 +28,9 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.morphable_model import held_out_components, reliability
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
 from scan2albedo.reflectance.shape_model import LANDMARKS
+from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
-from scan2albedo.report.rendering import View, render_mesh
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, results_in
 
 _RESULT_FILE = "result.json"
