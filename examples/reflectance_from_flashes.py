@@ -32,17 +32,21 @@ def synthetic_samples() -> tuple[VertexSamples, trimesh.Trimesh]:
     olat = reflectance.extract_olat(capture.flash, capture.room)
     poses = (capture.head_rotations, capture.head_translations, capture.intrinsics)
     rig = reflectance.rig_of_head_poses(*poses, view=capture.view, flash=capture.light)
-    falloff = reflectance.SamplingOptions(reference_distance_mm=capture.portrait.distance_mm)
-    samples = reflectance.sample_vertices(olat, rig, capture.vertices, capture.faces, options=falloff)
+    samples = reflectance.sample_vertices(
+        olat, rig, capture.vertices, capture.faces, reference_distance_mm=capture.portrait.distance_mm
+    )
     return samples, trimesh.Trimesh(capture.vertices, capture.faces, process=False)
 
 
 def samples_of(path: Path) -> tuple[VertexSamples, trimesh.Trimesh]:
     """Read a capture file, and look the vertices of its mesh up in its pictures."""
     capture = s2a.reflectance.read_capture(path)
-    falloff = s2a.reflectance.SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
     samples = s2a.reflectance.sample_vertices(
-        capture.extract_olat(), capture.rig, capture.vertices, capture.faces, options=falloff
+        capture.extract_olat(),
+        capture.rig,
+        capture.vertices,
+        capture.faces,
+        reference_distance_mm=capture.reference_distance_mm,
     )
     return samples, trimesh.Trimesh(capture.vertices, capture.faces, process=False)
 

@@ -181,8 +181,7 @@ PLACES = {
     ],
     "fitting": ["FitOptions"],
     "recognition": ["SimilarityOptions", "TemplateOptions"],
-    "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
-    + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions", "FaceFitOptions", "DetailOptions"],
+    "reflectance": ["OlatOptions", "ReflectanceFitOptions"],
     "registration": ["RegistrationOptions"],
 }
 """Where the options that pages name are."""

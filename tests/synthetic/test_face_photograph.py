@@ -6,7 +6,6 @@ import pytest
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
-    PhotographOptions,
     VertexReflectance,
     generated_environment,
     observe_photograph,
@@ -37,7 +36,8 @@ def test_colours_at_vertices_are_those_of_harmonics_with_shadows(taken, environm
         taken.faces,
         normals=taken.normals,
         mask=taken.skin,
-        options=PhotographOptions(gamma=taken.portrait.gamma, saturation=2.0),
+        gamma=taken.portrait.gamma,
+        saturation=2.0,
     )
     truth = VertexReflectance(taken.diffuse_linear, taken.weights, np.ones(len(taken.vertices), bool))
     shaded = seen.transfer.shade(truth, project_environment(environment)).radiance_linear

@@ -8,7 +8,6 @@ import pytest
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance import (
     OlatOptions,
-    SamplingOptions,
     extract_olat,
     fit_reflectance,
     point_light_lobes,
@@ -42,9 +41,13 @@ def rig_of(capture):
 
 def samples_of(capture, noise=0.01):
     olat = extract_olat(capture.flash, capture.room, options=OlatOptions(noise=noise, saturation=0.98))
-    options = SamplingOptions(reference_distance_mm=capture.portrait.distance_mm)
     return sample_vertices(
-        olat, rig_of(capture), capture.vertices, capture.faces, normals=capture.normals, options=options
+        olat,
+        rig_of(capture),
+        capture.vertices,
+        capture.faces,
+        normals=capture.normals,
+        reference_distance_mm=capture.portrait.distance_mm,
     )
 
 

@@ -190,7 +190,7 @@ def _fit_image() -> BudgetedStage:
     def error(albedo: FloatArray) -> float:
         return 100 * albedo_error(albedo, face)
 
-    return BudgetedStage("fit_image", "%", run, error, error(model.diffuse_mean))
+    return BudgetedStage("fit_image", "%", run, error, error(model.diffuse.mean))
 
 
 def _refine_geometry() -> BudgetedStage:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.picture_samples import SmoothImage
+from scan2albedo.reflectance.geometry_terms import SmoothImage
 
 IMAGE = np.random.default_rng(0).uniform(size=(20, 30, 3))
 PIXELS = np.random.default_rng(1).uniform([0, 0], [29, 19], size=(200, 2))
