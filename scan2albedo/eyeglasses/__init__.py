@@ -27,7 +27,7 @@ from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, LensPictureO
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, RefractedRays, ThinLens, refract
 from scan2albedo.eyeglasses.lenses.rims import LensRim, find_lens_rim
 from scan2albedo.eyeglasses.lenses.scenes import Surface
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions, RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
 from scan2albedo.eyeglasses.on_face.start_poses import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.skinning import skin

@@ -46,7 +46,7 @@ def linear_of_srgb_numbers(colors: NDArray[np.generic]) -> NDArray[np.float32]:
     NaN and negative numbers are black.
     """
     if colors.dtype in (np.uint8, np.uint16):
-        return decode_srgb_integers(colors)
+        return decode_srgb_integers(np.asarray(colors))
     values = np.nan_to_num(colors.astype(np.float64)).clip(0)
     return srgb_to_linear(values / 255 if values.max(initial=0) > 1 else values).astype(np.float32)
 

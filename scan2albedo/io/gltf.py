@@ -208,7 +208,7 @@ def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tup
         ]
         colors = np.concatenate(
             [
-                np.tile(np.float32(base.base_color_linear), (len(p.vertices), 1))
+                np.tile(np.array(base.base_color_linear, np.float32), (len(p.vertices), 1))
                 if p.vertex_color_linear is None
                 else p.vertex_color_linear
                 for p, base in zip(parts, plain, strict=True)

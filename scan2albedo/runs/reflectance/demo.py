@@ -279,7 +279,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
                 "name": f"place_{k:02d}",
                 "rotation": rotation.tolist(),
                 "translation": translation.tolist(),
-                "mask": f"skin_{k:02d}.png" if k < options.views else None,
+                "mask": f"skin_{k:02d}.png" if k <= capture.view.max() else None,
             }
             for k, (rotation, translation) in enumerate(
                 zip(capture.head_rotations, capture.head_translations, strict=True)
