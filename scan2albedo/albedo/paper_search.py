@@ -13,6 +13,7 @@ from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
 from scan2albedo.albedo.model_selection import allowed_parts, undecided
+from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.shading import shade_rows
@@ -63,7 +64,7 @@ class DeviationProblem:
         self._level, self._view, self.meter = level, np.asarray(scene.view), scene.meter
         self._blocks, self._count = level.blocks(_BLOCK_AREA)
         surface = scene.shadows[0], level.anchor, level.normal
-        self._shadows = ShadowMap(*surface, scene.options.shadow_offset_mm)
+        self._shadows = ShadowMap(*surface, SHADOW_OFFSET_MM)
 
     @cached_property
     def _table(self) -> VisibilityTable:

@@ -20,10 +20,12 @@ from scan2albedo.batch.layout import Layout, folder_sha256
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.core.plan import Level, Plan
     from scan2albedo.pipeline.options import ProcessOptions
+    from scan2albedo.templates import AnnotatedFaceModel
 
 _ONE_AT_A_TIME = threading.Lock()
 _PARENT_INTERVAL_S = 0.5
@@ -116,10 +118,10 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         raise BatchError(f"the worker has scan2albedo {VERSION}, the batch {task.version}; install one")
     with _one_thread():
         from scan2albedo.pipeline.process import process
-        from scan2albedo.pipeline.result import FILES, own_files, write_result
+        from scan2albedo.pipeline.result import FILES, write_result
 
         recorded = layout.recorded_files(task.name)
-        own_files(layout.out / task.name, recorded)  # refused before any work
+        RunFolder(layout.out / task.name, FILES, recorded).check()  # refused before any work
         chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
         result = process(task.path, name=task.name, **chosen)
         if not layout.is_running(task.run):
@@ -136,13 +138,17 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
     return {
         "input_sha256": result.input_sha256,
         "timings_s": {**result.timings_s, "files": files_s},
-        "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if name in FILES},
+        "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if FILES.holds(name)},
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
-        "plan_ran": tuple(step.stage for step in result.plan if step.ran),
-        "plan_skipped": tuple(step.stage for step in result.plan if not step.ran),
+        "plan_ran": _stages(result.plan, "did"),
+        "plan_skipped": _stages(result.plan, "left out"),
         "notes": result.notes,
     }
+
+
+def _stages(plan: Plan, level: Level) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(step.stage for step in plan if step.level == level))
 
 
 def _input(task: ScanTask) -> dict[str, str]:
@@ -154,7 +160,7 @@ def _input(task: ScanTask) -> dict[str, str]:
 @lru_cache(_MODELS_KEPT)
 def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
     """Return the model, read once a worker as long as its files' hash is the same."""
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     return chosen_model(model) or "none"
 

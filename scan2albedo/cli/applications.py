@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,13 +45,13 @@ def swap(
 ) -> None:
     """Give A's shape B's skin."""
     from scan2albedo.applications import SwapOptions, load_result, swap_texture
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     _check_new_folder(out, [a, b])
     first, second = load_result(a), load_result(b)
-    chosen = {"match_level": not keep_level, "match_color": not (keep_level or keep_color)}
-    made = swap_texture(first, second, options=SwapOptions(**chosen), model=chosen_model(model))
-    _write_face(made, out, "swap", [first, second], chosen, json_summary)
+    options = SwapOptions(match_level=not keep_level, match_color=not (keep_level or keep_color))
+    made = swap_texture(first, second, options=options, model=chosen_model(model))
+    _write_face(made, out, "swap", [first, second], asdict(options), json_summary)
 
 
 def blend(
@@ -63,7 +64,7 @@ def blend(
 ) -> None:
     """Make a face between two, in shape and skin."""
     from scan2albedo.applications import blend_faces, load_result
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     if not 0 <= weight <= 1:
         raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
@@ -96,11 +97,10 @@ def transfer_expression(
         apart_where_still,
         level_to_refine,
     )
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
-    chosen: dict[str, Any] = {"strength": strength, "correspondence": correspondence}
     try:
-        options = applications.TransferOptions(**chosen)
+        options = applications.TransferOptions(strength=strength, correspondence=correspondence)  # type: ignore[arg-type]
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     _check_new_folder(out, [neutral_a, expression_a, neutral_b])
@@ -116,7 +116,7 @@ def transfer_expression(
         )
     made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
     refined = level_to_refine(faces[0].mesh, options, template) is not None
-    chosen["correspondence"] = "refined" if refined else "as-fitted"
+    chosen = {"strength": strength, "correspondence": "refined" if refined else "as-fitted"}
     _write_face(made, out, "transfer-expression", faces, chosen, json_summary)
 
 
@@ -132,7 +132,7 @@ def personal_model(
     stays, so results go with those of the model itself.
     """
     from scan2albedo import applications
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     if out.suffix.lower() != ".json":
         raise typer.BadParameter(f"-o takes a name that ends in .json, not {out}")

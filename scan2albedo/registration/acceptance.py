@@ -79,7 +79,7 @@ def accepted(
     ]
     if best.log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
         text = (
-            f"{name}: there is a second face {max(apart):.0f} mm away; the one that resembles the model "
+            f"there is a second face {max(apart):.0f} mm away; the one that resembles the model "
             "more was taken: cut the other off to choose"
         )
         steps.append(PlanStep.doubt("register.second_face", text))

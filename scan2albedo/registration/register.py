@@ -10,7 +10,7 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Tr
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
@@ -55,7 +55,7 @@ class Registration:
 
 def register(
     scan: RawScan,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     budget: Budget | float | None = None,
     seed: int = 0,
     *,
@@ -94,7 +94,7 @@ def register(
         Called with every trace row.
     """
     require_type(scan, RawScan, "register: scan", "load_scan(path) returns one")
-    require_type(model, AnnotatedFaceModel, "register: model", "AnnotatedFaceModel.default() returns one")
+    require_type(model, AnnotatedSurface, "register: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, RegistrationOptions, "register: options", "make them with RegistrationOptions()")
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
     seed = checked_seed(seed)
@@ -117,7 +117,7 @@ def register(
     if not low <= final.pose.scale <= high:
         reason = "the face's size is outside people's; check the unit of the scan"
         size = f"{100 * final.pose.scale:.0f} % of the model's"
-        plan += (PlanStep.doubt("register.size", f"{scan.name}: {reason}", size),)
+        plan += (PlanStep.doubt("register.size", reason, size),)
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid(model.front)) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),
@@ -134,7 +134,7 @@ def register(
 def refined_registration(
     registration: Registration,
     scan: RawScan,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     model_from_scan: FloatArray,
     face_scale: float,
 ) -> Registration:

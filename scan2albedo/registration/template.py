@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import RegistrationError
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
@@ -47,7 +47,7 @@ class Template:
     coarse_from_control: csr_matrix
 
     @classmethod
-    def of(cls, model: AnnotatedFaceModel, seed: int) -> Template:
+    def of(cls, model: AnnotatedSurface, seed: int) -> Template:
         """Sample a model about every 6 mm; too few control vertices raise a `RegistrationError`.
 
         The answer is kept for as long as the model is.

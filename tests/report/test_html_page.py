@@ -12,17 +12,16 @@ import scan2albedo as s2a
 from scan2albedo import report
 from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
-from scan2albedo.io.result_records import EnvironmentRecord, LightRecord
 from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.report.html.page import _environment, data_json
+from scan2albedo.report.html.write import _environment, data_json
 from tests.report.pages import check
 
 EVIL = "<script>alert('x')</script>\"'&<!--"
 
 
 def written(folder, path, **options):
-    made = report.write_report(folder, path, options=report.ReportOptions(**options))
+    made = report.write_report(folder, path, **options)
     assert made.size_bytes == made.path.stat().st_size
     return check(made.path.read_text(encoding="utf-8"))
 
@@ -34,7 +33,7 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
     words = check(made.path.read_text(encoding="utf-8")).words()
     for told in (
         "fit 0.125 mm mean · 2 lights at (35°, 20°), (−50°, 5°) · albedo ± 1.2 % · 12.5 s",
-        "albedo · shadows ran it shades itself at most 28 %",
+        "albedo · shadows did it shades itself at most 28 %",
         "left out no model was asked for",
         "± 0.5°",
         "Other lights explain the image nearly as well: (−20°, 5°) at 1.5 % more cost",
@@ -43,6 +42,17 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
         "0" * 64,
     ):
         assert told in words
+
+
+def test_a_report_of_somebody_else_is_never_replaced(one_scan):
+    path = report.write_report(one_scan).path
+    assert report.write_report(one_scan).path == path  # our own is
+    path.write_text("<title>mine</title>")
+    with pytest.raises(OutputError, match=r"holds report\.html, which no run of scan2albedo report wrote"):
+        report.write_report(one_scan)
+    assert path.read_text() == "<title>mine</title>"
+    report.write_report(one_scan, path)  # asked for by name
+    assert path.read_text() != "<title>mine</title>"
 
 
 def test_the_viewer_gets_lights_reflectance_and_textures(one_scan, tmp_path):
@@ -138,9 +148,7 @@ def test_harmonic_light_is_carried_over(write_scan, tmp_path):
 def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     lamp = s2a.PointLight(0.5, 0.2, intensity=2.0, color_linear=(1.5, 1.0, 0.5), radius_deg=12.0)
     soft = s2a.EnvironmentLight(np.eye(9, 3) + 0.1, fill=0.2)
-    folder = write_scan(
-        tmp_path / "warm", lights=(LightRecord.of(lamp),), environment=EnvironmentRecord.of(soft)
-    )
+    folder = write_scan(tmp_path / "warm", lights=(lamp,), environment=soft)
     page = written(folder, tmp_path / "page.html")
     face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
     assert face["lights"][0]["color"] == [1.5, 1.0, 0.5]
@@ -183,9 +191,9 @@ def test_without_jinja_the_extra_is_named(one_scan, tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
-def test_options_out_of_range_are_refused():
+def test_options_out_of_range_are_refused(one_scan):
     with pytest.raises(ValueError, match="scans is -1"):
-        report.ReportOptions(scans=-1)
+        report.write_report(one_scan, scans=-1)
 
 
 @pytest.mark.slow
