@@ -23,6 +23,7 @@ from scan2albedo.fitting.options import between
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import (
     boundary_vertex_mask,
     edges_with_faces,
@@ -31,7 +32,6 @@ from scan2albedo.geometry.mesh import (
     vertex_components,
     without_unreferenced,
 )
-from scan2albedo.geometry.nearest_surface import NearestSurface
 
 STEPS = 10
 REACH_MM = 20.0

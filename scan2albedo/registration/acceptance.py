@@ -8,7 +8,7 @@ from scipy.special import expit
 from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.geometry.rigid import invert_rigid
-from scan2albedo.registration.candidates import Candidate, Candidates, every_candidate
+from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidates, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.icp import residuals
 from scan2albedo.registration.options import RegistrationOptions
@@ -17,8 +17,6 @@ from scan2albedo.registration.template import Template
 
 LEAST_PROBABILITY = 0.4
 """Of a face, below which a scan is refused: 2 or 3 of 100 scraps of heads reach it."""
-_BEYOND_DOUBT = 5.0
-"""Log odds of a face (99 %) at which it is not asked whether the scan is inside out."""
 _CLEARLY_OUTWARD = 0.12
 """Bulge of a surface whose normals certainly point outward: whole faces with hair and shoulders have 0.24 and
 more, half a face with them about 0."""
@@ -30,8 +28,6 @@ _OTHER_FACE_MM = 100.0
 """Poses farther apart than a face is wide are of another one."""
 _LIKE_A_FACE = 0.55
 """Likeness at which a pose that was not looked at closely is reported as another face."""
-_NOTABLE_NOISE_MM, _NOTABLE_PROPORTION = 1.0, 1.2
-"""Noise, and proportion relative to the model's, from which a message has it; most people's are less."""
 
 
 def accepted(
@@ -103,7 +99,7 @@ def _refuse_inside_out(
     offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
     outward = samples.areas @ np.einsum("ij,ij->i", offset, samples.normals)
     clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ np.linalg.norm(offset, axis=1))
-    if (best.log_odds > 0 and clearly) or best.log_odds >= _BEYOND_DOUBT:
+    if (best.log_odds > 0 and clearly) or best.log_odds >= CONVINCING:
         return
     turned = scan.inside_out()
     # The turned scan is another problem than the scan, so its rows stay out of the trace.
@@ -157,16 +153,13 @@ def _cues_text(candidate: Candidate) -> str:
         return "nothing looked at"
     text = (
         f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm {found.relief.local:.2f}, "
-        f"{found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face"
+        f"{found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face with "
+        f"{found.relief.noise_mm:.1f} mm of noise"
     )
-    if found.relief.noise_mm > _NOTABLE_NOISE_MM:
-        text += f" with {found.relief.noise_mm:.1f} mm of noise"
     for cue, odds in (("colours", candidate.color_log_odds), ("landmarks", candidate.landmark_log_odds)):
         if odds:
             text += (
                 f", its {cue} speak {'for' if odds > 0 else 'against'} it by {abs(odds):.1f} in the log odds"
             )
     unlike = np.exp(np.abs(found.proportions)).max()
-    if unlike > _NOTABLE_PROPORTION:
-        text += f", proportions of width, height and depth {unlike:.2f} times the model's"
-    return text
+    return text + f", proportions of width, height and depth {unlike:.2f} times the model's"

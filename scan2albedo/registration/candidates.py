@@ -20,7 +20,7 @@ from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.evidence import Evidence, evidence
-from scan2albedo.registration.icp import icp, residuals, rigid_distance_mm
+from scan2albedo.registration.icp import FEW, icp, residuals, rigid_distance_mm
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.placed_pose import PlacedPose
 from scan2albedo.registration.relief import ReliefAgreement, normal_relief
@@ -28,18 +28,14 @@ from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import TextureWitness
 
-_CONVINCING, _CONVINCING_PERSON = 4.0, 0.95
+CONVINCING, _CONVINCING_PERSON = 4.0, 0.95
 """Log odds of a face (98 %), and probability of its proportions, beyond which no other pose is refined."""
 _MOST_LOG_ODDS = 8.0
 """No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
-_MORE_CANDIDATES = 24
-"""Further poses that are refined before a scan is refused."""
 _LOOKED_AT = 3
 """Candidates of a batch whose evidence is looked at."""
 _OTHER_ROTATION_RAD, _OTHER_POSITION_MM = np.deg2rad(20), 30.0
 _SAME_ROTATION_RAD, _SAME_POSITION_MM = np.deg2rad(3), 3.0
-_SAMPLES = 400
-_RANKED_BY_RELIEF = 40
 _OPEN3D_REACH_MM, _OPEN3D_TUKEY_MM, _OPEN3D_STEPS = 20.0, 8.0, 20
 _SCALED_MM = np.geomspace(6.0, 3.0, 15)
 """Scales of the ICP that also finds the face's size, step by step."""
@@ -86,7 +82,7 @@ class Candidate:
     @property
     def convinces(self) -> bool:
         """Whether it is so surely a person's face that nothing else is looked for."""
-        return self.log_odds > _CONVINCING and self.person > _CONVINCING_PERSON
+        return self.log_odds > CONVINCING and self.person > _CONVINCING_PERSON
 
     def is_apart(self, other: Candidate) -> bool:
         """Whether the poses are clearly not the same."""
@@ -137,7 +133,7 @@ def ranked_candidates(
     """
     target, candidates = ScanTarget(scan.samples), Candidates()
     placed = () if landmarks is None else (landmarks.start(),)
-    batches = chain(placed, _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES))
+    batches = chain(placed, _batches(scan, template, poses, options.candidates, 3 * options.candidates))
     # Open3D's wide pairs draw half a face round the head, towards its missing half: at last without it.
     freely = _batches(scan, template, poses, 2 * options.candidates, 0)
     for batch, cloud in chain(zip(batches, repeat(target)), zip(freely, repeat(None))):
@@ -200,7 +196,7 @@ def _batches(
     with most relief among all: distance alone prefers the whole back of a head to half a face, and relief
     alone is expensive.
     """
-    model = template.first(_SAMPLES).samples
+    model = template.first(FEW).samples
 
     def by_relief(count: int) -> IntArray:
         """Return the first `count` poses in the order of the relief that the scan's normals show there."""
@@ -211,7 +207,7 @@ def _batches(
 
     first = np.arange(min((candidates + 1) // 2, len(poses)))
     yield poses.subset(first)
-    nearer = by_relief(min(_RANKED_BY_RELIEF, len(poses)))
+    nearer = by_relief(min(5 * candidates, len(poses)))
     second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
     yield poses.subset(second)
     every = by_relief(len(poses))
@@ -232,7 +228,7 @@ def _with_refined(
     Without a `target` Open3D's part is left out. A start that ends at a known candidate is dropped.
     At least one is refined however small the budget is.
     """
-    few = template.first(_SAMPLES)
+    few = template.first(FEW)
     refined = [candidate.pose for candidate in known]
     candidates = list(known)
     for rotation, translation in zip(starts.rotations, starts.translations, strict=True):

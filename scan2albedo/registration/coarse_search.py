@@ -15,9 +15,8 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 
-_ROTATIONS = 200
-_CONE_RAD = np.deg2rad(35.0)
-"""Greatest angle between the model's +z axis and the averaged outward normal at an anchor."""
+_ROTATIONS, _CONE_RAD = 200, np.deg2rad(35.0)
+"""Rotations tried at an anchor, and greatest angle of the model's +z axis to the averaged normal there."""
 _ROUNDS = ((60, 4, (20.0, 10.0)), (200, 8, (12.0, 5.0)))
 """Samples, steps, and first and last scale in mm: of the search from every start, and from the best."""
 _BLOCK = 128

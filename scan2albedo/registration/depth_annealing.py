@@ -20,8 +20,6 @@ from scan2albedo.registration.template import Template
 _TRUNCATION = 0.5
 _REACH = np.array([np.deg2rad(8.0)] * 3 + [8.0] * 2)
 """Half widths of the box: turns in radians, and mm."""
-_IMAGE_SIZE = 64
-_INITIAL_TEMPERATURE = 0.1
 _CHECK_SIGMAS_MM = (0.5, 2.0)
 
 
@@ -132,7 +130,6 @@ def anneal_depth_derivatives(
         _REACH,
         seed=seed,
         evaluations=half,
-        initial_temperature=_INITIAL_TEMPERATURE,
         meter=meter.untraced(),
     )
     meter.count(rough.evaluations + 1)
@@ -144,7 +141,6 @@ def anneal_depth_derivatives(
         here + _REACH / 4,
         seed=seed,
         evaluations=evaluations - half,
-        initial_temperature=_INITIAL_TEMPERATURE,
         meter=meter,
     )
     delta = _moved(result.x, fine.depth_shift_mm(result.x))
@@ -196,7 +192,7 @@ def annealed(
         scan.faces,
         template,
         start,
-        size=_IMAGE_SIZE,
+        size=template.image.frame.size,
         evaluations=options.annealing_evaluations,
         seed=seed,
         meter=meter,

@@ -22,13 +22,12 @@ _LEAST_AGREEMENT = 0.5
 _SHAPED_MM, _NARROWING_MM, TIGHT_MM = (4.0, 3.0), (3.0, 1.0), 0.35
 """First and last scale of the weights of `shaped_icp` (with noise as in raw stereo, 2 mm scatters more than
 3) and of the tight ICP, and the scale at which that settles."""
-_FEW, _FEW_STEPS, _MOST_STEPS = 500, 8, 16
+FEW, _FEW_STEPS, _MOST_STEPS = 500, 8, 16
 """Samples and steps with few samples; most steps with all of them."""
 _SETTLED, _TIGHTLY_SETTLED = 0.02, 1e-3
 """Step, in degrees or mm, below which nothing more is gained."""
 _LOOSE = 6.0
 """Standard deviations that another width, height or depth may have where proportions are judged."""
-_LEAST_GROWTH = 0.05
 _STAGE = "shaped_icp"
 _RIGID_PART, _NOISE_MM = 0.3, 0.25
 """That part of the rigid face is within 0.22 mm on scans of the same person, smiles and open jaws too, and
@@ -167,7 +166,7 @@ def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, mete
     A template that cannot change is drawn aside by a smile or an open jaw; this one follows it.
     """
     first = np.geomspace(*_SHAPED_MM, _FEW_STEPS)
-    shaped = icp(scan, template.first(_FEW), start, first, shaped=True, meter=meter)
+    shaped = icp(scan, template.first(FEW), start, first, shaped=True, meter=meter)
     last = _MOST_STEPS * [_SHAPED_MM[1]]
     return icp(scan, template, shaped, last, shaped=True, settled=_SETTLED, meter=meter)
 
@@ -179,12 +178,12 @@ def proportions(scan: OrientedPoints, template: Template, shaped: Alignment) -> 
     width, height and depth: they would else be taken for those of people. This judges a pose, before there is
     a fit; `face_model.proportions` judges the landmarks of one.
     """
-    rest, sigmas_mm = template.first(_FEW), _FEW_STEPS * [_SHAPED_MM[1]]
+    rest, sigmas_mm = template.first(FEW), _FEW_STEPS * [_SHAPED_MM[1]]
     found = icp(scan, rest, shaped, sigmas_mm, shaped=True, stretch_sd=_LOOSE)
     areas, moved = rest.samples.areas, rest.modes @ found.coefficients
     offset = rest.samples.points - areas @ rest.samples.points / areas.sum()
     growth = 1 + (areas @ (offset * moved)) / (areas @ offset**2)
-    width, height, depth = np.log(np.maximum(growth, _LEAST_GROWTH))
+    width, height, depth = np.log(np.maximum(growth, np.finfo(float).tiny))
     return np.array([height - width, depth - width, depth - height])
 
 

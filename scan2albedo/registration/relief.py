@@ -16,7 +16,6 @@ from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise
 
-_NEAR_SAMPLE_MM = 15.0
 _LEAST_NORMAL_Z = 0.3
 _FEWEST_SAMPLES = 60
 _SIZE = 72
@@ -211,7 +210,7 @@ def normal_relief(
     index = grid.nearest_samples(placed)
     normals = grid.samples.normals[index] @ rotation
     offset = grid.samples.points[index] - placed
-    near = np.einsum("ij,ij->i", offset, offset) < _NEAR_SAMPLE_MM**2
+    near = np.einsum("ij,ij->i", offset, offset) < _SAME_SURFACE_MM**2
     front = model.normals[:, 2] > _LEAST_NORMAL_Z
     used = front & near & (index >= 0) & (normals[:, 2] > 0)
     if used.sum() < _FEWEST_SAMPLES:

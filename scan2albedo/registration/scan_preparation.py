@@ -19,11 +19,10 @@ from scan2albedo.registration.options import RegistrationOptions
 
 _FEWEST_VERTICES, _FEWEST_SAMPLES = 50, 150
 _FACE_MM, _LARGEST_MM = 200.0, 6000.0
-SPACING_MM = 4.0
 _ANCHOR_LIMIT = 600
 """Greatest number of anchors: a scan of a whole room is searched more coarsely."""
-_NORMAL_SMOOTHING_MM = 45.0
-_CELL_MM, _MARGIN_MM = 6.0, 40.0
+SPACING_MM, _CELL_MM, _MARGIN_MM = 4.0, 6.0, 40.0
+"""Of the samples, and of the grid over them."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def prepared_scan(scan: RawScan, options: RegistrationOptions) -> PreparedScan:
             f"too small for a face of about {_FACE_MM:.0f} mm. {unit}"
         )
     spacing_mm = options.anchor_spacing_mm
-    far_apart = anchors(samples, spacing=spacing_mm, limit=_ANCHOR_LIMIT, reach=_NORMAL_SMOOTHING_MM)
+    far_apart = anchors(samples, spacing=spacing_mm, limit=_ANCHOR_LIMIT, reach=1.5 * spacing_mm)
     return PreparedScan(vertices, faces, samples, far_apart, prepared_from_scan, scan)
 
 

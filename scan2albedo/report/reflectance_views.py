@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.mesh_filling import filled_over_mesh
+from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
 from scan2albedo.rendering.pictures import seen_samples
 from scan2albedo.rendering.views import View, heat_colors, render_mesh

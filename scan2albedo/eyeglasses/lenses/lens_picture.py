@@ -17,7 +17,6 @@ from scan2albedo.eyeglasses.lenses.lens_paths import trace_lenses
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.scene_colors import LitScene, PhotographedScene, SceneColors
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
-from scan2albedo.geometry.blocks import blocks
 from scan2albedo.geometry.pinhole import (
     camera_centers,
     normalized_cameras,
@@ -25,6 +24,7 @@ from scan2albedo.geometry.pinhole import (
     pixel_grid,
     project,
 )
+from scan2albedo.geometry.rays import blocks
 from scan2albedo.lighting.environment import DistantLights
 
 Lenses = LensMaterial | tuple[LensMaterial | None, LensMaterial | None]
