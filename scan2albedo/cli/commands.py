@@ -255,7 +255,7 @@ def batch(
                 scheduler=scheduler,
                 resume=resume,
                 timeout_s=timeout,
-                on_progress=lines.update,
+                on_progress=lines.show,
             )
     except KeyboardInterrupt as stopped:
         terminated = isinstance(stopped, Terminated)

@@ -37,8 +37,8 @@ def test_they_grow_with_their_scan():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({68: (0, 0, 0)}, "no landmark 68"),
-        ({"36": (0, 0, 0)}, "no landmark '36'"),
+        ({68: (0, 0, 0)}, "unknown landmark 68"),
+        ({"36": (0, 0, 0)}, "unknown landmark '36'"),
         ({36: (0, 0)}, "landmark 36 is .* expected three"),
         ({36: "abc"}, "landmark 36 is 'abc'"),
         ({}, "no landmark among"),
