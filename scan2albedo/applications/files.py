@@ -30,8 +30,6 @@ from scan2albedo.io.records import plain_json, read_record, write_record
 from scan2albedo.io.result_records import (
     APPLICATION_FILE,
     ApplicationRecord,
-    EnvironmentRecord,
-    LightRecord,
     ResultRecord,
 )
 from scan2albedo.lighting.shading import Reflectance
@@ -163,11 +161,11 @@ def _of_scan(folder: Path, record: ResultRecord, need_albedo: bool) -> Processed
         image,
         albedo,
         _reflectance(record.parameters, folder / RESULT_FILE),
-        tuple(light.light() for light in record.lights),
+        record.lights,
         FaceMesh.of_chart(image) if model == NO_MODEL else fitted_mesh(folder, image),
         model,
         all(step.ran for step in record.plan if step.stage == "albedo.shadows"),
-        environment=None if record.environment is None else record.environment.environment(),
+        environment=record.environment,
     )
 
 
@@ -180,13 +178,13 @@ def _of_application(folder: Path, record: ApplicationRecord, need_albedo: bool) 
         image,
         albedo,
         _reflectance(record.reflectance, folder / APPLICATION_FILE),
-        tuple(light.light() for light in record.lights),
+        record.lights,
         FaceMesh.of_chart(image) if record.chart_mesh else fitted_mesh(folder, image),
         record.model,
         record.casts_shadows,
         record.view_direction,
         record.shadow_offset_mm,
-        None if record.environment is None else record.environment.environment(),
+        record.environment,
     )
 
 
@@ -336,7 +334,7 @@ def _record(
             "specular_strength": skin.specular_strength,
             "specular_exponent": skin.exponent,
         },
-        lights=tuple(LightRecord.of(light) for light in face.lights),
-        environment=EnvironmentRecord.of(face.environment),
+        lights=tuple(face.lights),
+        environment=face.environment,
         files=files,
     )

@@ -20,6 +20,7 @@ from scan2albedo.batch.layout import Layout, folder_sha256
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
 from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from scan2albedo.core.plan import Level, Plan
@@ -117,10 +118,10 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         raise BatchError(f"the worker has scan2albedo {VERSION}, the batch {task.version}; install one")
     with _one_thread():
         from scan2albedo.pipeline.process import process
-        from scan2albedo.pipeline.result import FILES, own_files, write_result
+        from scan2albedo.pipeline.result import FILES, write_result
 
         recorded = layout.recorded_files(task.name)
-        own_files(layout.out / task.name, recorded)  # refused before any work
+        RunFolder(layout.out / task.name, FILES, recorded).check()  # refused before any work
         chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
         result = process(task.path, name=task.name, **chosen)
         if not layout.is_running(task.run):
@@ -137,7 +138,7 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
     return {
         "input_sha256": result.input_sha256,
         "timings_s": {**result.timings_s, "files": files_s},
-        "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if name in FILES},
+        "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if FILES.holds(name)},
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
         "plan_ran": _stages(result.plan, "did"),

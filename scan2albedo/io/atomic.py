@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scan2albedo.errors import OutputError
-from scan2albedo.io.leftovers import finished, hidden_path, remove_leftovers
-
-_CHANGING = ".unfinished.json"
-"""Lists the files of a folder while they change."""
+from scan2albedo.io.leftovers import finished, folder_lock, hidden_path, roll_back
+from scan2albedo.io.publishing import publish, staged
 
 
 @contextmanager
@@ -73,12 +70,11 @@ def result_folder(
 ) -> Iterator[Path]:
     """Give a hidden folder whose files, also those in its folders, go to `out` when the block ends well.
 
-    An error or a kill while files are made leaves `out` as it was. An older one of the `records`, such as
-    "result.json", is removed before any other file changes and the new one comes last: a folder that has a
-    record is whole. Files in `out` that are named in `obsolete` and were not made anew are removed. While
-    files change, `out` holds a list of them (`unfinished_files`). The hidden folder is made in `staged_in`,
-    on the file system of `out`; in `out` itself when omitted; those of killed processes go. Raises
-    OutputError, naming `out` and the cause, when it cannot be written, or a folder in it is a link.
+    Whatever ends the block or the process, `out` is as it was or has all new files, see `publish`. Files of
+    the same names are replaced, whoever made them, and those named in `obsolete` removed: a `RunFolder` knows
+    whose they are. The hidden folder is made in `staged_in`, beside `out` when omitted. `records` come last
+    where files are renamed one by one. Raises OutputError, naming `out` and the cause, when it cannot be
+    written, or a folder in it is a link.
 
     >>> import tempfile
     >>> out = Path(tempfile.mkdtemp())
@@ -87,55 +83,29 @@ def result_folder(
     >>> [path.name for path in out.iterdir()]
     ['result.json']
     """
+    target = Path(os.path.realpath(out))
+    with cannot_write(out), staged(target, staged_in and Path(os.path.realpath(staged_in))) as staging:
+        yield staging
+        with folder_lock(target) as locked:
+            roll_back(target, locked)
+            # A record may have been edited: nothing outside `out` is touched.
+            publish(staging, target, {name for name in obsolete if Path(name).name == name}, records)
+
+
+@contextmanager
+def cannot_write(out: Path) -> Iterator[None]:
+    """Turn an OSError of the block, also behind an OutputError, into one that names `out` and the cause."""
     try:
-        home = make_folder(out if staged_in is None else staged_in)
-        remove_leftovers(home, out)
-        staging = hidden_path(home / out.name)
-        try:
-            staging.mkdir(mode=0o700)
-            yield staging
-            _publish(staging, make_folder(out), records, obsolete)
-        finally:
-            finished(staging)
+        yield
     except (OSError, OutputError) as error:
         cause = error if isinstance(error, OSError) else error.__cause__
+        if cause is None:
+            raise
         reason = getattr(cause, "strerror", None) or str(error)
         raise OutputError(
             f"cannot write the results into {out}: {reason}; check that the folder can be written and has "
             "space left, or choose another"
         ) from error
-
-
-def _publish(source: Path, target: Path, records: Collection[str], obsolete: Collection[str] = ()) -> None:
-    files = sorted(source.iterdir(), key=lambda path: (path.is_file(), path.name in records))
-    made = {path.name for path in files}
-    # A record may have been edited: nothing outside `target` is touched.
-    older = {name for name in obsolete if Path(name).name == name}
-    write_text(target / _CHANGING, json.dumps(sorted(made | older)))
-    for name in (*made.intersection(records), *(older - made)):
-        (target / name).unlink(missing_ok=True)
-    for path in files:
-        if path.is_dir():
-            _publish(path, make_folder(_no_link(target / path.name)), records)
-        else:
-            os.replace(path, target / path.name)
-    (target / _CHANGING).unlink()
-
-
-def _no_link(folder: Path) -> Path:
-    if folder.is_symlink():
-        raise OutputError(f"{folder} is a link to another folder, and links are not followed; remove it")
-    return folder
-
-
-def unfinished_files(folder: Path) -> frozenset[str]:
-    """Return the names of files that a killed process was putting into a folder, or removing from it."""
-    try:
-        listed = json.loads((folder / _CHANGING).read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return frozenset()
-    names = listed if isinstance(listed, list) else []
-    return frozenset(name for name in names if isinstance(name, str))
 
 
 def check_writable(out: Path) -> None:

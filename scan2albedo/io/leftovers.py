@@ -1,17 +1,21 @@
-"""Hidden names under which files are made, and their removal when the process that made them was killed."""
+"""What killed processes leave: files under hidden names, and publications that ended between two renames."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 import re
 import secrets
 import shutil
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+JOURNAL = ".publishing.json"
+"""Lists the renames of a publication that cannot be a single one, while they last."""
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 _PATTERN = re.compile(r"\..*-([0-9a-f]{6})-(\d+)-[0-9a-f]{8}\.part(\.[^.]*)?")
 _LONGEST_STEM = 150
@@ -39,6 +43,11 @@ def finished(path: Path) -> None:
     _unfinished.discard(path)
 
 
+def keep(path: Path) -> None:
+    """Let `remove_unfinished` leave a path of `hidden_path` alone."""
+    _unfinished.discard(path)
+
+
 def is_hidden_path(path: Path) -> bool:
     """Return whether a path is one of `hidden_path`, of any process."""
     return _PATTERN.fullmatch(path.name) is not None
@@ -51,17 +60,17 @@ def remove_unfinished() -> None:
 
 
 def remove_leftovers(*folders: Path) -> int:
-    """Remove what killed processes left under hidden paths in folders; return how many.
+    """Remove what killed processes left under hidden paths in folders, which are settled; return how many.
 
     What processes still work on stays: those of this machine that run, those of others for an hour.
     """
     removed = 0
     for folder in folders:
         with suppress(OSError):
-            for entry in os.scandir(folder):
-                found = _PATTERN.fullmatch(entry.name)
-                if found and not entry.is_symlink() and not _at_work(entry, found[1], int(found[2])):
-                    _remove(Path(entry.path))
+            settle(folder)
+            for path in folder.iterdir():
+                if is_hidden_path(path) and not path.is_symlink() and not _at_work(path):
+                    _remove(path)
                     removed += 1
     return removed
 
@@ -74,15 +83,26 @@ def _remove(path: Path) -> None:
             path.unlink()
 
 
-def _at_work(entry: os.DirEntry[str], host: str, number: int) -> bool:
-    """Return whether the process of a number may still work on an entry."""
-    changed = entry.stat(follow_symlinks=False).st_mtime
+def _at_work(path: Path) -> bool:
+    """Return whether the process that made a hidden path may still work on it."""
+    found = _PATTERN.fullmatch(path.name)
+    assert found is not None
+    host, number = found[1], int(found[2])
+    changed = path.stat(follow_symlinks=False).st_mtime
     if host != _HOST:
         return time.time() - changed < _AT_WORK_ELSEWHERE_S
     try:
         import psutil
     except ImportError:  # of the extra `batch`
-        return os.name != "posix" or _answers(number)
+        if os.name != "posix":
+            return True
+        try:
+            os.kill(number, 0)
+        except ProcessLookupError:
+            return False
+        except (PermissionError, OverflowError):
+            return True
+        return True
     try:
         # A later process may have the same number.
         return bool(psutil.Process(number).create_time() < changed + _CLOCK_S)
@@ -90,11 +110,66 @@ def _at_work(entry: os.DirEntry[str], host: str, number: int) -> bool:
         return False
 
 
-def _answers(number: int) -> bool:
+@contextmanager
+def folder_lock(folder: Path) -> Iterator[bool]:
+    """Keep other publishers out of a folder during the block; give whether there is such a lock here.
+
+    It is on the folder around it, which stays in place; it leaves no file and ends with its process.
+    """
+    descriptor, locked = None, False
     try:
-        os.kill(number, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, OverflowError):
-        return True
-    return True
+        # Not POSIX, a folder that cannot be read, or a file system without locks: then there is none.
+        with suppress(ImportError, OSError):
+            import fcntl
+
+            descriptor = os.open(folder.parent, os.O_RDONLY)
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+            locked = True
+        yield locked
+    finally:
+        if descriptor is not None:
+            if locked:  # processes that were forked meanwhile hold the descriptor too
+                fcntl.flock(descriptor, fcntl.LOCK_UN)
+            os.close(descriptor)
+
+
+def settle(folder: Path) -> None:
+    """Roll a folder back to its state before a publication that was killed between two renames.
+
+    Raises OSError when that is impossible.
+    """
+    if os.path.lexists(folder / JOURNAL):
+        folder = Path(os.path.realpath(folder))
+        with folder_lock(folder) as locked:
+            roll_back(folder, locked)
+
+
+def roll_back(folder: Path, locked: bool) -> None:
+    """Undo the renames of a folder's `JOURNAL`, if it has one; the caller holds the lock, where there is one.
+
+    The journal names a hidden folder, `holder`. Files in `dropped` were being renamed into old/ in it, then
+    files in `made` out of new/ in it. A killed rollback can be repeated.
+    """
+    try:
+        journal = json.loads((folder / JOURNAL).read_bytes())
+        holder, made, dropped = folder / journal["holder"], journal["made"], journal["dropped"]
+        inside = not any({"", ".", ".."} & {*name.split("/")} for name in (*made, *dropped))
+        ours = inside and holder.parent == folder and is_hidden_path(holder) and not holder.is_symlink()
+    except FileNotFoundError:
+        return
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        ours = False
+    if not ours:
+        raise OSError(None, f"{folder / JOURNAL} was edited or cut short; remove it")
+    if not locked and holder.exists() and _at_work(holder):
+        raise OSError(None, "another run writes into it now")
+    new, old = holder / "new", holder / "old"
+    for name in made:
+        if not os.path.lexists(new / name):
+            with suppress(FileNotFoundError):  # somebody removed it
+                os.rename(folder / name, new / name)
+    for name in dropped:
+        if os.path.lexists(old / name):
+            os.rename(old / name, folder / name)
+    os.unlink(folder / JOURNAL)
+    _remove(holder)

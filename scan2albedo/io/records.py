@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from dataclasses import is_dataclass, replace
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -14,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, Validati
 
 from scan2albedo.errors import Scan2AlbedoError, printable
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.leftovers import settle
 
 _LIBRARIES = ("numpy", "scipy", "numba", "libigl", "open3d-cpu", "open3d", "embreex", "xatlas", "trimesh")
 
@@ -65,9 +68,13 @@ def _printable_texts(value: Any) -> Any:
         return printable(value)
     if isinstance(value, dict):
         return {_printable_texts(key): _printable_texts(item) for key, item in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        texts = {name: printable(text) for name, text in vars(value).items() if isinstance(text, str)}
+        return replace(value, **texts) if texts else value
     return type(value)(map(_printable_texts, value)) if type(value) in (list, tuple) else value
 
 
+@cache
 def installed_versions() -> dict[str, str]:
     """Return the versions of Python and of the numerical libraries that are installed."""
     import platform
@@ -97,11 +104,12 @@ def read_record(
     """Read and check a record, for example ``read_record("out/james/result.json", ResultRecord)``.
 
     Messages call the content `what`, such as "key points"; `advice` says what to do about a file that does
-    not fit. Raises `error`, naming the file and the first fault, when it is missing, no JSON, or does not
-    fit.
+    not fit. A folder whose publication was killed is settled first. Raises `error`, naming the file
+    and the first fault, when it is missing, no JSON, or does not fit.
     """
     place = f"{what} {path}".lstrip()
     try:
+        settle(Path(path).parent)
         if Path(path).exists() and not Path(path).is_file():
             raise error(f"{place}: is a folder, a pipe or a device, not a file; {advice}")
         text = Path(path).read_bytes().decode("utf-8")

@@ -30,9 +30,10 @@ from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.load_scan import with_landmarks
+from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions, Quality
-from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_result
+from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
 from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale
 from scan2albedo.registration import Registration, register
 from scan2albedo.registration.refined_pose import refined_registration
@@ -129,7 +130,7 @@ landmarks, unlit, texture_size
         raise ValueError(f"name is {name!r}, expected a name that a folder can have")
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
-        own_files(Path(out) / known)
+        RunFolder(Path(out) / known, FILES).check()
         check_writable(Path(out))
         remove_leftovers(Path(out))
     plan: dict[str, Sequence[PlanStep]] = {}

@@ -11,25 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.version import VERSION
-from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.atomic import result_folder, unfinished_files
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
-from scan2albedo.io.leftovers import is_hidden_path
 from scan2albedo.io.obj import write_obj
-from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
+from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import (
-    EnvironmentRecord,
     InputRecord,
-    LightRecord,
-    PlanRecord,
     RegistrationRecord,
     ResultRecord,
 )
+from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.pipeline.textured_files import TEMPLATE_FILES, UNLIT_FILES, write_template, write_unlit
 from scan2albedo.report.overview import figure_png, overview_figure, preview_srgb, result_panels
 
@@ -42,9 +36,10 @@ if TYPE_CHECKING:
     from scan2albedo.registration import Registration
 
 RESULT_FILE = "result.json"
-FILES = frozenset(
-    {
-        RESULT_FILE,
+FILES = OwnFiles(
+    RESULT_FILE,
+    ResultRecord,
+    (
         "geometry_image.npz",
         "geometry_image.exr",
         "albedo.exr",
@@ -63,7 +58,8 @@ FILES = frozenset(
         "trace.csv",
         "error_vs_time.png",
         "overview.png",
-    }
+    ),
+    whole_folder=True,
 )
 """Every file a result may have."""
 
@@ -174,40 +170,6 @@ class ProcessResult:
         return "; ".join(parts)
 
 
-def own_files(folder: Path, recorded: Collection[str] = ()) -> frozenset[str]:
-    """Return the names of the files in the folder of a result that earlier runs wrote, to replace or remove.
-
-    A run wrote those that a `result.json` lists, those of a run that was killed (`unfinished_files`) and
-    those of a batch's record, `recorded`. Raises OutputError for a folder that holds anything else and no
-    `result.json`, for a file of somebody else under a name that a result needs, and for a link.
-    """
-    if folder.is_symlink():
-        raise OutputError(f"{folder}: is a link to another folder, and links are not followed; remove it")
-    if not folder.is_dir():
-        return frozenset()
-    there = {path.name for path in folder.iterdir() if not is_hidden_path(path)}
-    own = {*recorded, *unfinished_files(folder)}
-    fault = ""
-    if (folder / RESULT_FILE).is_symlink():
-        fault = f"its {RESULT_FILE} is a link"
-    elif RESULT_FILE in there:
-        try:
-            own |= {RESULT_FILE, *read_record(folder / RESULT_FILE, ResultRecord).files}
-        except Scan2AlbedoError as error:
-            fault = str(error)
-    if there and not own:
-        raise OutputError(
-            f"{folder}: is not empty, and no run of scan2albedo wrote it ({fault or f'no {RESULT_FILE}'}); "
-            "nothing in it is touched: move it away, or choose another folder"
-        )
-    if others := sorted((there & FILES) - own):
-        raise OutputError(
-            f"{folder}: holds {others[0]}, which no run of scan2albedo wrote; move it away, or choose "
-            "another folder"
-        )
-    return frozenset(own & FILES)
-
-
 def write_result(
     result: ProcessResult,
     out: Path,
@@ -218,27 +180,37 @@ def write_result(
 ) -> Path:
     """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
 
-    The files are made in a hidden folder beside it and then renamed into place: a run that is killed while
-    they are made, or a disk that is full, leaves older results as they were and no half-file. An older
-    `result.json` goes first and the new one comes last, so a folder that has one is whole. `overview.png` and
-    `error_vs_time.png` are left out without `pictures`, `LEFT_OUT` where `files` is "minimal". Raises
-    `OutputError`, as `own_files` does.
+    They appear all at once, and an older result stays until then, see `RunFolder`; `recorded` are files that
+    a batch's record says an earlier run wrote. `overview.png` and `error_vs_time.png` are left out without
+    `pictures`, `LEFT_OUT` where `files` is "minimal". Raises `OutputError` when the folder is somebody else's
+    or cannot be written.
     """
-    folder = out / result.scan.name
-    older = own_files(folder, recorded)
-    record = _result_record(result)
+    folder = RunFolder(out / result.scan.name, FILES, recorded)
+    scan, estimate = result.scan, result.albedo
+    own = None if result.fitted is None else result.fitted.model.template_from_model
     left_out = LEFT_OUT if files == "minimal" else frozenset() if pictures else PICTURES
-    drawn = {name: draw() for name, draw in _pictures(result).items() if name not in left_out}
-    # An older run may have had more stages.
-    with result_folder(folder, RESULT_FILE, obsolete=older, staged_in=out) as staging:
-        for name, png in drawn.items():
-            (staging / name).write_bytes(png)
+    with folder.publishing() as staging:
+        for name, draw in _pictures(result).items():
+            if name not in left_out:
+                (staging.folder / name).write_bytes(draw())
         for name, write in (_stage_files(result) | _mesh_files(result)).items():
             if name not in left_out:
-                write(staging / name)
-        written = (*sorted(path.name for path in staging.iterdir()), RESULT_FILE)
-        write_record(staging / RESULT_FILE, record.model_copy(update={"files": written}))
-    return folder
+                write(staging.folder / name)
+        staging.write_record(
+            name=scan.name,
+            seed=result.seed,
+            options=dict(result.options),
+            input=InputRecord.of(scan, result.source, result.input_sha256),
+            plan=tuple(result.plan),
+            metrics=result.metrics(),
+            lights=() if estimate is None else tuple(estimate.lights),
+            environment=None if estimate is None else estimate.environment,
+            parameters={} if estimate is None else estimate.parameters,
+            timings_s=dict(result.timings_s),
+            notes=result.notes,
+            template_from_model=None if own is None else own.tolist(),
+        )
+    return folder.path
 
 
 def _pictures(result: ProcessResult) -> dict[str, Callable[[], bytes]]:
@@ -338,26 +310,3 @@ def _landmarks_record(result: ProcessResult) -> LandmarksRecord | None:
     if deviation_mm is None:
         return None
     return LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, result.scan.mm_per_unit)
-
-
-def _result_record(result: ProcessResult) -> ResultRecord:
-    """Return the record of a result whose files are not named yet."""
-    scan, estimate = result.scan, result.albedo
-    own = None if result.fitted is None else result.fitted.model.template_from_model
-    return ResultRecord(
-        scan2albedo_version=VERSION,
-        versions=installed_versions(),
-        name=scan.name,
-        seed=result.seed,
-        options=dict(result.options),
-        input=InputRecord.of(scan, result.source, result.input_sha256),
-        plan=tuple(PlanRecord.of(step) for step in result.plan),
-        metrics=result.metrics(),
-        lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
-        environment=None if estimate is None else EnvironmentRecord.of(estimate.environment),
-        parameters={} if estimate is None else plain_json(estimate.parameters),
-        timings_s=dict(result.timings_s),
-        notes=result.notes,
-        template_from_model=None if own is None else own.tolist(),
-        files=(),
-    )

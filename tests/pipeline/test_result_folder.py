@@ -1,7 +1,5 @@
 """Results replace those of earlier runs and nothing else; a scan that fails changes nothing."""
 
-import json
-import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,26 +84,6 @@ def test_links_among_the_files_are_replaced_not_followed(tmp_path, result):
     (folder / "result.json").symlink_to(tmp_path / "result.json")
     with pytest.raises(OutputError, match=r"its result\.json is a link"):
         write_result(result, tmp_path / "out", pictures=False)
-
-
-def test_a_run_that_was_killed_while_files_changed_is_replaced(tmp_path, result, monkeypatch):
-    folder = write_result(result, tmp_path, pictures=False)
-    replace_file = os.replace
-
-    def killed(source, target):
-        if Path(target) == folder / "albedo.png":
-            raise KeyboardInterrupt
-        replace_file(source, target)
-
-    monkeypatch.setattr(os, "replace", killed)
-    with pytest.raises(KeyboardInterrupt):
-        write_result(result, tmp_path, pictures=False)
-    monkeypatch.undo()
-    assert not (folder / "result.json").exists()
-    write_result(result, tmp_path, pictures=False)
-    assert {path.name for path in folder.iterdir()} == set(
-        json.loads((folder / "result.json").read_text())["files"]
-    )
 
 
 def test_a_scan_that_fails_changes_nothing(tmp_path, result):

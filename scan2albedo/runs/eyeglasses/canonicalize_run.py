@@ -30,7 +30,7 @@ from scan2albedo.eyeglasses.files.keypoint_files import read_keypoints_with_unit
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.atomic import make_folder, result_folder
 from scan2albedo.io.records import installed_versions, plain_json, write_record
-from scan2albedo.io.result_records import InputRecord, PlanRecord
+from scan2albedo.io.result_records import InputRecord
 from scan2albedo.io.skinned_glb import SkinWritten
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.report.eyeglasses_views import CANONICAL_COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
@@ -184,7 +184,7 @@ def _write_frame(frame: GlassesFrame, canonical: CanonicalEyeglasses, folder: Pa
         mode="unbend" if canonical.unbent else "mean",
         converged=canonical.converged,
         missing_key_points=frame.missing_key_points,
-        plan=tuple(PlanRecord.of(step) for step in canonical.plan),
+        plan=tuple(canonical.plan),
         metrics=figures,
         notes=frame.scan.notes,
         files=(*files, FRAME_RECORD),
@@ -233,7 +233,7 @@ def _write_set(done: CanonicalFiles, folder: Path) -> None:
         converged=result.converged,
         iterations=result.iterations,
         seconds=done.seconds,
-        plan=tuple(PlanRecord.of(step) for step in result.plan),
+        plan=tuple(result.plan),
         files=(*files, SET_RECORD),
     )
     write_record(folder / SET_RECORD, record)

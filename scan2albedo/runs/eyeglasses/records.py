@@ -6,8 +6,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
-from scan2albedo.io.result_records import SHA256, InputRecord, PlanRecord, RunRecord
+from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord
 
 _Vector = tuple[Number, Number, Number]
 
@@ -30,7 +31,7 @@ class CanonicalFrameRecord(RunRecord):
     )
     converged: bool = Field(description="Whether the weights did.")
     missing_key_points: tuple[str, ...] = ()
-    plan: tuple[PlanRecord, ...]
+    plan: tuple[PlanStep, ...]
     metrics: Figures
     notes: tuple[str, ...] = Field((), description="What loading decided and repaired.")
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")
@@ -53,7 +54,7 @@ class CanonicalSetRecord(RunRecord):
     converged: bool
     iterations: int = Field(ge=0, description="Rounds of the mean; 0 when it was given.")
     seconds: Number = Field(ge=0)
-    plan: tuple[PlanRecord, ...]
+    plan: tuple[PlanStep, ...]
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")
 
 
@@ -96,7 +97,7 @@ class RegisteredFrameRecord(RunRecord):
     depth_observed: bool
     unobserved: tuple[str, ...] = Field(description="'depth', and key points that no picture tells.")
     views: tuple[RegisteredViewRecord, ...]
-    plan: tuple[PlanRecord, ...]
+    plan: tuple[PlanStep, ...]
     metrics: Figures
     notes: tuple[str, ...] = Field((), description="What reading decided, repaired and did not find.")
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")

@@ -24,7 +24,6 @@ from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.records import installed_versions, plain_json, write_record
-from scan2albedo.io.result_records import PlanRecord
 from scan2albedo.report.eyeglasses_views import MOST_VIEWS, SeenView, registration_panels
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.runs.eyeglasses.records import FileRecord, RegisteredFrameRecord, RegisteredViewRecord
@@ -187,7 +186,7 @@ def _write_all(done: PlacedFrame, folder: Path) -> dict[str, Any]:
         depth_observed=result.depth_observed,
         unobserved=result.unobserved,
         views=tuple(RegisteredViewRecord(**view) for view in done.view_figures()),
-        plan=tuple(PlanRecord.of(step) for step in result.plan),
+        plan=tuple(result.plan),
         metrics=figures,
         notes=done.notes,
         files=(*files, RECORD),
