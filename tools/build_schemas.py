@@ -17,7 +17,7 @@ from scan2albedo.batch.records import BatchRecord, BatchScanRecord
 from scan2albedo.eyeglasses.files.camera_files import CamerasFile
 from scan2albedo.eyeglasses.files.frame_files import StartFile
 from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile, LabelsFile
-from scan2albedo.face_model.files import FaceModelFile
+from scan2albedo.face_model.annotation import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
 from scan2albedo.recognition.template_files import TemplatesHeader

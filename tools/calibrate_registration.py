@@ -25,10 +25,10 @@ import trimesh
 from benchmarks.door_scans import UNSEEN, Case, face_case, random_body, random_relief, scrap
 from scipy.optimize import minimize
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget, Meter, RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RegistrationError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import (
     compose,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, uniform_filter
 
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -90,11 +90,8 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> 
     V itself is the largest of three noisy channels, and so brighter than the surface, most where the channels
     are alike and the light is poor. Choosing by averages avoids that.
     """
-    import cv2
-
     known = usable[..., None] * texture_linear
-    means = cv2.boxFilter(known, -1, (_CHOICE_SIDE, _CHOICE_SIDE), borderType=cv2.BORDER_REFLECT)
-    chosen = means.argmax(-1)
+    chosen = uniform_filter(known, (_CHOICE_SIDE, _CHOICE_SIDE, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 

@@ -12,7 +12,7 @@ from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace, on_
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
@@ -67,7 +67,7 @@ def transfer_expression(
     neutral_b: ProcessedFace,
     *,
     options: TransferOptions = TransferOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> ProcessedFace:
     """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
 
@@ -106,7 +106,7 @@ def expression_displacement(
     expression_a: FaceMesh,
     *,
     options: TransferOptions = TransferOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> FloatArray:
     """Return (V, 3) mm by which each vertex moves between two meshes of the same triangles.
 
@@ -117,13 +117,13 @@ def expression_displacement(
     rest, moved = neutral_a.vertices, lay(expression_a.vertices, neutral_a.vertices)
     level = level_to_refine(neutral_a, options, model)
     if level is not None:
-        given = model or AnnotatedFaceModel.default()
+        given = model or default_model()
         moved = lay(refined_expression(neutral_a, moved, given, level), rest)
     return options.strength * (moved - rest)
 
 
 def level_to_refine(
-    neutral_a: FaceMesh, options: TransferOptions, model: AnnotatedFaceModel | None = None
+    neutral_a: FaceMesh, options: TransferOptions, model: AnnotatedSurface | None = None
 ) -> int | None:
     """Return the refinement of the model that the mesh is; None where A's fits are taken as they are.
 
@@ -131,7 +131,7 @@ def level_to_refine(
     """
     if options.correspondence == "as-fitted":
         return None
-    given = model or AnnotatedFaceModel.default()
+    given = model or default_model()
     level = refinement_level(neutral_a, given)
     if level is None and options.correspondence == "refined":
         raise ApplicationError(
@@ -175,9 +175,7 @@ def _as_it_lies(moved: FloatArray, rest: FloatArray) -> FloatArray:
     return moved
 
 
-def refined_expression(
-    rest: FaceMesh, moved: FloatArray, model: AnnotatedFaceModel, level: int
-) -> FloatArray:
+def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurface, level: int) -> FloatArray:
     """Return where each vertex of the face at rest is with the expression, (V, 3) mm.
 
     Two fits of one person slide along the skin each in its own way. So the face at rest itself becomes the
@@ -201,7 +199,7 @@ def refined_expression(
     return np.asarray(rest.vertices + subdivision.matrix @ (fitted.control_points - at_rest))
 
 
-def _with_jaw_turned(model: AnnotatedFaceModel, at_rest: FloatArray, as_fitted: FloatArray) -> FloatArray:
+def _with_jaw_turned(model: AnnotatedSurface, at_rest: FloatArray, as_fitted: FloatArray) -> FloatArray:
     hinge = JawHinge.of(model, at_rest)
     if hinge is None:
         return at_rest

@@ -10,7 +10,7 @@ from scan2albedo.albedo.poisson import integrate_gradients
 from scan2albedo.applications.face_features import JAWS, SIDES, feature_texels, grown, region_texels
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 
 _DARK, _DARKEST, _NOT_SKIN = 0.6, 0.35, 0.5
 """Part of the skin's level below which a side is dark, and what goes on from there over the jaw; and below
@@ -21,7 +21,7 @@ far a patch goes on over the jaw."""
 _FLOOR = 1e-3
 
 
-def without_gaps(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> ProcessedFace:
+def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> ProcessedFace:
     """Return the face with smooth skin where none was seen, and on `dark_sides`.
 
     Log albedo is interpolated from around: Laplace's equation. Eyes, brows and lips stay as they are.
@@ -39,7 +39,7 @@ def without_gaps(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -
     return replace(face, albedo_linear=np.where(gaps[..., None], filled, face.albedo_linear))
 
 
-def dark_sides(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> BoolArray:
+def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) dark texels of temples and cheeks along the chart's rim that are no skin.
 
     Hair before the ears, or what was too dark to be seen there: cut out by the face's outline it is a black

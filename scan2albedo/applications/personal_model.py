@@ -9,7 +9,7 @@ import numpy as np
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.fitting import FittedFace
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
@@ -20,8 +20,8 @@ _SAME_SURFACE_MM = 0.05
 
 
 def personal_model(
-    face: FittedFace | ProcessedFace, model: AnnotatedFaceModel | None = None
-) -> AnnotatedFaceModel:
+    face: FittedFace | ProcessedFace, model: AnnotatedSurface | None = None
+) -> AnnotatedSurface:
     """Return a face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
@@ -44,7 +44,7 @@ def personal_model(
     """
     if isinstance(face, FittedFace):
         return replace(face.model, control_vertices=face.control_points)
-    template = AnnotatedFaceModel.default() if model is None else model
+    template = default_model() if model is None else model
     if face.model_name != template.name:
         raise ApplicationError(
             f"{face.name}: was processed with the model {face.model_name!r}, not {template.name!r}; give "
@@ -53,7 +53,7 @@ def personal_model(
     return replace(template, control_vertices=_control_points(face, template))
 
 
-def _control_points(face: ProcessedFace, model: AnnotatedFaceModel) -> FloatArray:
+def _control_points(face: ProcessedFace, model: AnnotatedSurface) -> FloatArray:
     """Return (C, 3) mm: the control points whose limit surface is the face's."""
     level = refinement_level(face.mesh, model)
     if level is not None:
@@ -67,7 +67,7 @@ def _control_points(face: ProcessedFace, model: AnnotatedFaceModel) -> FloatArra
     )
 
 
-def refinement_level(mesh: FaceMesh, model: AnnotatedFaceModel) -> int | None:
+def refinement_level(mesh: FaceMesh, model: AnnotatedSurface) -> int | None:
     """Return how often the model's control mesh is refined to these triangles; None when they are others."""
     for level in range(_MOST_LEVELS + 1):
         if len(mesh.faces) == len(model.control_faces) * 4**level:

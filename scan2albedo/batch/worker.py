@@ -24,8 +24,8 @@ from scan2albedo.io.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from scan2albedo.core.plan import Level, Plan
-    from scan2albedo.face_model import AnnotatedFaceModel
     from scan2albedo.pipeline.options import ProcessOptions
+    from scan2albedo.templates import AnnotatedFaceModel
 
 _ONE_AT_A_TIME = threading.Lock()
 _PARENT_INTERVAL_S = 0.5
@@ -160,7 +160,7 @@ def _input(task: ScanTask) -> dict[str, str]:
 @lru_cache(_MODELS_KEPT)
 def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
     """Return the model, read once a worker as long as its files' hash is the same."""
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     return chosen_model(model) or "none"
 

@@ -161,8 +161,8 @@ def process(
         )
     options = _process_options(context)
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.face_model import chosen_model
     from scan2albedo.pipeline.process import process as run
+    from scan2albedo.templates import chosen_model
 
     stop_cleanly_on_interrupt(out)
     template = chosen_model(options.model)

@@ -95,7 +95,7 @@ def examined_library(package: str, requirement: str, extra: str = "") -> Finding
 
 def _default_model() -> Finding:
     from scan2albedo.errors import ModelError
-    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.templates import AnnotatedFaceModel
 
     try:
         model = AnnotatedFaceModel.default()

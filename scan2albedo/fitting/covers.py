@@ -14,7 +14,7 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.fitting.forces import ForceGates, scan_forces
 from scan2albedo.fitting.openings import EYES
@@ -82,7 +82,7 @@ class Uncovered:
         return near
 
 
-def uncovered(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, meter: Meter) -> Uncovered:
+def uncovered(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray, meter: Meter) -> Uncovered:
     """Return the scan without what stands far before the eyes: lenses with their frame, a visor.
 
     `reference` (C, 3) are control points at rest, in the scan's frame and about of its size. Models without
@@ -112,7 +112,7 @@ def _part(scan: ScanSurface, chosen: BoolArray, border: BoolArray) -> ScanSurfac
 
 
 def _may_be_covered(
-    scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, landmarks: FloatArray
+    scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray, landmarks: FloatArray
 ) -> bool:
     """Whether the scan's foremost point at one of the eyes lies `SUSPECT_MM` before the model's foremost."""
     surface = model.subdivision(LEVEL).matrix @ reference
@@ -128,7 +128,7 @@ def _may_be_covered(
     return False
 
 
-def persons_face(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray) -> FloatArray:
+def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray) -> FloatArray:
     """Return control points (C, 3) of the person's face nearest to the scan, but for what lies before it.
 
     Gauss-Newton on a similarity and the coefficients of `shape_modes`, point to plane, with a normal prior.
@@ -160,7 +160,7 @@ def persons_face(scan: ScanSurface, model: AnnotatedFaceModel, reference: FloatA
     return np.asarray(reference + modes @ found)
 
 
-def _modes(model: AnnotatedFaceModel, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _modes(model: AnnotatedSurface, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return displacements (C, 3, M) of the control points, and the precision (M,) of their coefficients."""
     offset = (reference - reference.mean(0)) / SIZE_MM
     motions = [np.cross(unit, offset) for unit in np.eye(3)]
@@ -170,7 +170,7 @@ def _modes(model: AnnotatedFaceModel, reference: FloatArray) -> tuple[FloatArray
     return np.stack([*motions, offset, *person], axis=2), precision
 
 
-def _covers(scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray) -> BoolArray:
+def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> BoolArray:
     """Return (V,) which vertices of the scan belong to a cover of the face with control points `person`."""
     before_mm, looked_at, nose = _before(scan, model, person)
     if not nose.any() or abs(float(np.median(before_mm[nose]))) > NOSE_MM:
@@ -205,7 +205,7 @@ def _ends_in_steps(scan: ScanSurface, cover: BoolArray, before_mm: FloatArray, e
 
 
 def _before(
-    scan: ScanSurface, model: AnnotatedFaceModel, person: FloatArray
+    scan: ScanSurface, model: AnnotatedSurface, person: FloatArray
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Return (V,) how far each vertex of the scan lies before a face, mm, whether covers are looked for
     there, and whether it is of the nose."""

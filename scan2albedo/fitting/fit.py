@@ -13,7 +13,7 @@ from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
 from scan2albedo.fitting.covers import Uncovered, uncovered
 from scan2albedo.fitting.forces import ForceGates
@@ -46,7 +46,7 @@ class Posed(Protocol):
 
 def fit(
     scan: RawScan,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     reg: Posed | FloatArray,
     budget: Budget | float | None = None,
     *,
@@ -94,7 +94,7 @@ def fit(
        Computer-Aided Design 32, 2000.
     """
     require_type(scan, RawScan, "fit: scan", "load_scan(path) returns one")
-    require_type(model, AnnotatedFaceModel, "fit: model", "AnnotatedFaceModel.default() returns one")
+    require_type(model, AnnotatedSurface, "fit: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, (FitOptions, type(None)), "fit: options", "make them with FitOptions()")
     chosen = options or FitOptions()
     pose = _pose_of(reg)
@@ -141,7 +141,7 @@ def fit(
 
 
 def _believed(
-    pull: LandmarkPull, model: AnnotatedFaceModel, reference: FloatArray
+    pull: LandmarkPull, model: AnnotatedSurface, reference: FloatArray
 ) -> tuple[LandmarkPull | None, list[PlanStep]]:
     """Return the landmarks without wrong ones, and a doubt about those that somebody placed."""
     believed, left_out = pull.without_wrong(model, reference)
@@ -180,7 +180,7 @@ def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
 
 
 def _scan_surface(
-    scan: RawScan, model: AnnotatedFaceModel, pose: FloatArray, options: FitOptions
+    scan: RawScan, model: AnnotatedSurface, pose: FloatArray, options: FitOptions
 ) -> ScanSurface:
     low, high = model.control_vertices.min(0), model.control_vertices.max(0)
     margin = CROP_MARGIN * float(np.max(high - low))
@@ -198,7 +198,7 @@ def _scan_surface(
 
 def _refined(
     surface: ScanSurface,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     options: FitOptions,
     meter: Meter,
     landmarks: LandmarkPull | None,

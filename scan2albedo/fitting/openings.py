@@ -10,11 +10,11 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
-from scan2albedo.face_model.template_cleaning import boundary_loops
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_HOLE, LandmarkPull
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.mesh import boundary_loops
 
 EYES = (tuple(range(36, 42)), tuple(range(42, 48)))
 """iBUG-68, the subject's right eye first."""
@@ -83,7 +83,7 @@ def _mean_of(numbers: tuple[int, ...]) -> FloatArray:
     return weights
 
 
-def openings(scan: ScanSurface, model: AnnotatedFaceModel) -> LandmarkPull | None:
+def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     """Return the pull of lids and lips to the holes that they surround; None where the scan has none.
 
     The scan lies in the model's frame, registered. Two holes are eyes when both have about the size of an

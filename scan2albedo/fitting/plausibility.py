@@ -15,9 +15,8 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.annotation import MOUTH_REGION
-from scan2albedo.face_model.from_mesh import FILLED_REGION, REST_REGION
+from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.face_model.annotation import FILLED_REGION, MOUTH_REGION, REST_REGION
 from scan2albedo.face_model.proportions import proportions
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
@@ -206,7 +205,7 @@ def _between(values: FloatArray, ends: tuple[float, float]) -> BoolArray:
     return np.asarray((values > ends[0]) & (values < ends[1]))
 
 
-def _in_regions(model: AnnotatedFaceModel, level: int, *names: str) -> BoolArray:
+def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
     """Return (V,) which vertices of a refinement touch the regions."""
     subdivision = model.subdivision(level)
     faces = np.logical_or.reduce([model.in_region(name) for name in names])[subdivision.parent]

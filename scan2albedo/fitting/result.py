@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.landmark_deviation import landmark_deviation_mm
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import Deformation, StagesResult, imbalance_mm
@@ -59,7 +59,7 @@ class FittedFace:
     """Steps taken."""
     trace: Trace
     """Stage "fit", mm."""
-    model: AnnotatedFaceModel
+    model: AnnotatedSurface
     """That was fitted."""
     metrics: dict[str, float] = field(default_factory=dict)
     """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move

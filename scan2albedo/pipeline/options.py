@@ -17,10 +17,10 @@ from scan2albedo.applications.template_baking import LARGEST_TEXTURE
 from scan2albedo.core import Budget, checked_seed
 from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE, check_size
 from scan2albedo.core.landmarks import AUTO, landmarks_option
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.registration import RegistrationOptions
+from scan2albedo.templates import AnnotatedFaceModel
 
 STEPS = ("register.depth_annealing", *OPTIONAL_STEPS)
 """Steps that the evidence may leave out: the names that `force` takes."""

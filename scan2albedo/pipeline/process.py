@@ -22,7 +22,6 @@ from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
-from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.plausibility import doubts, face_coverage
 from scan2albedo.io import load_scan
@@ -38,6 +37,7 @@ from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_an
 from scan2albedo.registration import Registration, register
 from scan2albedo.registration.refined_pose import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
+from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left for searching that each stage may take."""

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import import_open3d
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import Poses
@@ -86,7 +86,7 @@ class Colors:
     """The colours of a scan, which are asked only where its shape leaves doubts."""
 
     scan: PreparedScan
-    model: AnnotatedFaceModel
+    model: AnnotatedSurface
 
     @cached_property
     def _witness(self) -> TextureWitness | None:

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.rigid import Similarity, procrustes, transform_points
 from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.scan_preparation import PreparedScan
@@ -37,7 +37,7 @@ class PlacedPose:
     of_scan: FloatArray
 
     @classmethod
-    def of(cls, scan: PreparedScan, model: AnnotatedFaceModel) -> PlacedPose | None:
+    def of(cls, scan: PreparedScan, model: AnnotatedSurface) -> PlacedPose | None:
         """Return the landmarks of a scan; None where they are too few to show a pose."""
         placed, of_model = scan.raw.landmarks, model.landmarks
         if placed is None or of_model is None:

@@ -9,7 +9,7 @@ import numpy as np
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
@@ -22,7 +22,7 @@ from scan2albedo.registration.template import Template
 def refined_registration(
     registration: Registration,
     scan: RawScan,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     model_from_scan: FloatArray,
     face_scale: float,
     *,

@@ -8,7 +8,7 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Tr
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.rigid import invert_rigid
 from scan2albedo.registration.acceptance import accepted
 from scan2albedo.registration.candidates import Colors, ranked_candidates
@@ -51,7 +51,7 @@ class Registration:
 
 def register(
     scan: RawScan,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     budget: Budget | float | None = None,
     seed: int = 0,
     *,
@@ -90,7 +90,7 @@ def register(
         Called with every trace row.
     """
     require_type(scan, RawScan, "register: scan", "load_scan(path) returns one")
-    require_type(model, AnnotatedFaceModel, "register: model", "AnnotatedFaceModel.default() returns one")
+    require_type(model, AnnotatedSurface, "register: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, RegistrationOptions, "register: options", "make them with RegistrationOptions()")
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
     seed = checked_seed(seed)

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import RegistrationError
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
@@ -67,7 +67,7 @@ class Template:
     modes: Modes
 
     @classmethod
-    def of(cls, model: AnnotatedFaceModel, spacing_mm: float, seed: int) -> Template:
+    def of(cls, model: AnnotatedSurface, spacing_mm: float, seed: int) -> Template:
         """Sample a model about every `spacing_mm`; too few control vertices raise a `RegistrationError`.
 
         The answer is kept for as long as the model is.
@@ -79,7 +79,7 @@ class Template:
         return _KNOWN[key]
 
     @classmethod
-    def _sampled(cls, model: AnnotatedFaceModel, spacing_mm: float, seed: int) -> Template:
+    def _sampled(cls, model: AnnotatedSurface, spacing_mm: float, seed: int) -> Template:
         if len(model.control_vertices) < _FEWEST_CONTROL_VERTICES:
             raise RegistrationError(
                 f"{model.name}: a model of {len(model.control_vertices)} control vertices has no relief "
@@ -128,7 +128,7 @@ _KNOWN: dict[tuple[int, float, int], Template] = {}
 """By the identity of the model, spacing and seed: thousands of scans are registered with one model."""
 
 
-def _vertex_stiffness(model: AnnotatedFaceModel, vertex_count: int, faces: IntArray) -> FloatArray:
+def _vertex_stiffness(model: AnnotatedSurface, vertex_count: int, faces: IntArray) -> FloatArray:
     of_face = model.region_values("stiffness")[model.region]
     if of_face.mean() <= 0:
         return np.ones(vertex_count)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
@@ -22,7 +24,7 @@ from scan2albedo.sampling.texture_lookup import (
 )
 
 if TYPE_CHECKING:
-    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.face_model import AnnotatedSurface
 
 SOFTENING = 1 / 50
 """Standard deviation of the blur of annotated values, as a fraction of the image's size."""
@@ -58,7 +60,7 @@ class Fitted(Protocol):
         """(4, 4)."""
 
     @property
-    def model(self) -> AnnotatedFaceModel:
+    def model(self) -> AnnotatedSurface:
         """The model that was fitted."""
 
 
@@ -198,9 +200,9 @@ def _softened(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
 
     Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
     """
-    import cv2
-
     sigma = SOFTENING * mask.shape[0]
-    weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma)
-    blurred = cv2.GaussianBlur(np.where(mask, values, np.float32(0)), (0, 0), sigma)
+    weight, blurred = (
+        gaussian_filter(field, sigma, mode="mirror", radius=math.ceil(4 * sigma))
+        for field in (mask.astype(np.float32), np.where(mask, values, np.float32(0)))
+    )
     return np.where(mask, blurred / np.maximum(weight, 1e-6), np.float32(0))

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.polylines import inside_polygon
 from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise, smoothstep
 
@@ -37,7 +37,7 @@ class PaintedFeatures:
 
 def paint_face(
     uv: FloatArray,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     rng: np.random.Generator,
     *,
     grain: float = 1.0,
@@ -81,7 +81,7 @@ def paint_around(
     return np.clip(albedo, 0.01, 0.95)
 
 
-def landmark_uv(model: AnnotatedFaceModel) -> FloatArray:
+def landmark_uv(model: AnnotatedSurface) -> FloatArray:
     """Return (68, 2) chart coordinates of the model's landmarks."""
     points = model.landmark_points
     if points is None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.camera import PortraitOptions, exposure_for
@@ -66,7 +66,7 @@ def face_photograph(
     *,
     expression: Expression = "neutral",
     options: FacePhotographOptions = FacePhotographOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> FacePhotograph:
     """Return a picture of the person of `flash_capture(seed)` under an environment map.
 
@@ -85,7 +85,7 @@ def face_photograph(
         The default model when omitted; it needs landmarks.
     """
     lights = DistantLights.from_environment(environment_linear, options.lights)
-    sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
+    sitter = sit_down(seed, expression=expression, model=model or default_model())
     person = GlossyPerson.of(sitter, hair=options.hair)
     camera = options.camera(options.azimuth_deg, options.elevation_deg)
     center = camera_centers(camera[None])[0]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import (
     ASYMMETRY_BUMPS,
     EXPRESSION_BUMPS,
@@ -28,7 +28,7 @@ Expression = Literal["neutral", "smile", "frown", "pout", "puff", "surprise"]
 
 
 def person(
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     rng: np.random.Generator,
     *,
     expression: Expression = "neutral",
@@ -56,7 +56,7 @@ def person(
 
 
 def expression_offsets(
-    model: AnnotatedFaceModel, rng: np.random.Generator, *, levels: int, each: int = 8
+    model: AnnotatedSurface, rng: np.random.Generator, *, levels: int, each: int = 8
 ) -> FloatArray:
     """Return (E, V, 3) random expressions, `each` of a kind, less the face at rest; mm on the surface."""
     to_surface = model.subdivision(levels).matrix
@@ -90,7 +90,7 @@ class FaceSurface:
         return uv
 
 
-def face_surface(model: AnnotatedFaceModel, control_points: FloatArray, *, levels: int = 3) -> FaceSurface:
+def face_surface(model: AnnotatedSurface, control_points: FloatArray, *, levels: int = 3) -> FaceSurface:
     """Return the refined limit surface of deformed control points (C, 3)."""
     subdivision = model.subdivision(levels)
     vertices = subdivision.matrix @ control_points
@@ -130,7 +130,7 @@ def _refined_corners(corners: FloatArray, levels: int) -> FloatArray:
     return corners
 
 
-def face_geometry_image(model: AnnotatedFaceModel, surface: FaceSurface, size: int) -> GeometryImage:
+def face_geometry_image(model: AnnotatedSurface, surface: FaceSurface, size: int) -> GeometryImage:
     """Return the (size, size) geometry image of a surface, annotated, without texture."""
     corner_index = np.arange(3 * len(surface.faces)).reshape(-1, 3)
     raster = rasterize_uv(surface.corner_uv.reshape(-1, 2), corner_index, size)

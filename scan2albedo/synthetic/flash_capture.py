@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.synthetic.camera import TARGET_MM, PortraitOptions, exposure_for, toward
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson, SeenSurface
@@ -102,7 +102,7 @@ def flash_capture(
     *,
     expression: Expression = "neutral",
     options: FlashCaptureOptions = FlashCaptureOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> FlashCapture:
     """Return pictures of a random person with one flash at a time.
 
@@ -119,7 +119,7 @@ def flash_capture(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
     """
-    sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
+    sitter = sit_down(seed, expression=expression, model=model or default_model())
     person = GlossyPerson.of(sitter, hair=options.hair)
     rotations, translations, intrinsics = _head_poses(options)
     centers = _centers(rotations, translations)

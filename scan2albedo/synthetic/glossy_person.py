@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
@@ -161,7 +161,7 @@ class GlossyPerson:
         return diffuse, weights
 
 
-def gloss_weights(face: FaceSurface, model: AnnotatedFaceModel, uv: FloatArray, seed: int) -> FloatArray:
+def gloss_weights(face: FaceSurface, model: AnnotatedSurface, uv: FloatArray, seed: int) -> FloatArray:
     """Return (V, 3): the person's own means, patches of more and less shine, more on lips and nose."""
     rng = np.random.default_rng([seed, 20])
     mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)

@@ -11,7 +11,7 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.face_shape import Expression, face_surface
 from scan2albedo.synthetic.face_shape import person as sculpted
@@ -82,7 +82,7 @@ def population_scan(
     *,
     seed: int = 0,
     options: PopulationOptions = PopulationOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
     """Return the scan "person-<person>-session-<session>" of one person of a population, and its truth.
 
@@ -99,7 +99,7 @@ def population_scan(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
     """
-    template = model or AnnotatedFaceModel.default()
+    template = model or default_model()
     shape_seed, tone, paint = _individual(person, seed, options, template)
     now = np.random.default_rng([seed, person, session, 13])
     room = random_room(now, options.lamp_colors) if options.light == "room" else None
@@ -126,7 +126,7 @@ def population_reflectance(
     seed: int = 0,
     options: PopulationOptions = PopulationOptions(individuality=1.0, tones=(0.0, 1.0)),
     levels: int = 1,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> GlossyFace:
     """Return the true reflectance of one person of a population, without any photograph of it.
 
@@ -145,7 +145,7 @@ def population_reflectance(
     GlossyFace
         Vertices of all people correspond.
     """
-    template = model or AnnotatedFaceModel.default()
+    template = model or default_model()
     shape_seed, _, paint = _individual(person, seed, options, template)
     points = sculpted(template, np.random.default_rng([shape_seed, 2]))
     face = face_surface(template, points, levels=levels)
@@ -161,7 +161,7 @@ def population_reflectance(
 
 
 def _individual(
-    person: int, seed: int, options: PopulationOptions, model: AnnotatedFaceModel
+    person: int, seed: int, options: PopulationOptions, model: AnnotatedSurface
 ) -> tuple[int, float, Callable[[FloatArray], FloatArray]]:
     """Return the seed of a person's shape, the skin's tone, and the paint."""
     own = np.random.default_rng([seed, person, 11])
@@ -170,7 +170,7 @@ def _individual(
 
 
 def _painter(
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     own: np.random.Generator,
     tone: float,
     options: PopulationOptions,

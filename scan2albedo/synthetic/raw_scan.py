@@ -12,7 +12,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
@@ -79,7 +79,7 @@ def raw_scan(
     expression: Expression = "neutral",
     lights: Sequence[PointLight] | None = None,
     material: Material | None = None,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
     options: RawScanOptions | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
     """Return the scan of a random synthetic person by a virtual two-pod stereo scanner, and its truth.
@@ -101,7 +101,7 @@ def raw_scan(
     options : RawScanOptions, optional
     """
     settings, rng = options or RawScanOptions(), np.random.default_rng([seed, 7])
-    sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
+    sitter = sit_down(seed, expression=expression, model=model or default_model())
     flashes = _flashes(seed) if lights is None else tuple(lights)
     material = material or Material(0.3, 0.12, 14.0)
     return scan_of(sitter, flashes, material, settings, rng, f"synthetic-{seed}")

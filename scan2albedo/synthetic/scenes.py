@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.face_paint import paint_face
@@ -156,7 +156,7 @@ def face(
     noise: float = 0.0,
     bits: int | None = 8,
     exposure: float = 1.0,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> SyntheticScene:
     """Return a random person's face on the model's chart, with cast shadows.
 
@@ -175,7 +175,7 @@ def face(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
     """
-    template = model or AnnotatedFaceModel.default()
+    template = model or default_model()
     control_points = person(template, np.random.default_rng([seed, 2]), expression=expression)
     image = face_geometry_image(template, face_surface(template, control_points), size)
     uv = texel_coordinates(size)[image.mask.ravel()]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.face_paint import paint_face
@@ -36,7 +36,7 @@ class Sitter:
     linear albedo (N, 3) at chart coordinates (N, 2); `seed` is that of the textures.
     """
 
-    model: AnnotatedFaceModel
+    model: AnnotatedSurface
     control_points: FloatArray
     face: FaceSurface
     vertices: FloatArray
@@ -85,7 +85,7 @@ def sit_down(
     seed: int,
     *,
     expression: Expression,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     expression_strength: float = 1.0,
     tone: float | None = None,
     face_albedo: Painter | None = None,

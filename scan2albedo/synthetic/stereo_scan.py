@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
@@ -75,7 +75,7 @@ def stereo_scan(
     seed: int = 0,
     *,
     capture_seed: int | None = None,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
     options: StereoScanOptions = StereoScanOptions(),
 ) -> tuple[RawScan, StereoTruth]:
     """Return the untextured scan of a random person with a random expression, in any pose, and its truth.
@@ -101,7 +101,7 @@ def stereo_scan(
     sitter = sit_down(
         seed,
         expression=expression,
-        model=model or AnnotatedFaceModel.default(),
+        model=model or default_model(),
         expression_strength=rng.uniform(0.5, 1.5),
     )
     face = sitter.face

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
@@ -167,7 +167,7 @@ def wearer(
     bend: GlassesBend | None = None,
     shape: GlassesShape | None = None,
     options: WearerOptions = WearerOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> Wearer:
     """Return a random person with glasses on the nose.
 
@@ -183,7 +183,7 @@ def wearer(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
     """
-    sitter = sit_down(seed, expression="neutral", model=model or AnnotatedFaceModel.default())
+    sitter = sit_down(seed, expression="neutral", model=model or default_model())
     head = compact(sitter.vertices, sitter.faces[options.hair | (sitter.part != HAIR)])
     scene, eyes = RayScene(*head), sitter.face.landmarks[_EYES].mean(0)
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))

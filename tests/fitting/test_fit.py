@@ -4,10 +4,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, vertex_normals

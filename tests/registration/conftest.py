@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan2albedo import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, rotation_angle_rad, transform_points
 from scan2albedo.synthetic import RawLikeOptions, raw_like

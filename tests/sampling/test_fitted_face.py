@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
 from scan2albedo.geometry.operators import linear_refinement

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.synthetic import Material, PopulationOptions, RawScanOptions, light_at, population_scan
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.face_shape import face_geometry_image, face_surface

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_components
 from scan2albedo.geometry.parametrization import boundary_loop

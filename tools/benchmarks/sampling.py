@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from benchmarks.presets import SizeOptions, preset_settings
 from benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry.mesh import face_areas, face_normals
 from scan2albedo.geometry.rasterization import pixels_from_uv

@@ -7,9 +7,9 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import procrustes, transform_points

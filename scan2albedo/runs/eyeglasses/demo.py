@@ -22,7 +22,6 @@ from scan2albedo.eyeglasses import (
     write_labels,
     write_masks,
 )
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers
@@ -37,6 +36,7 @@ from scan2albedo.runs.eyeglasses.lens_input import read_lens_input
 from scan2albedo.runs.eyeglasses.register_run import PlacedFrame, register_frame, write_registration_files
 from scan2albedo.runs.eyeglasses.registration_input import RegistrationFiles, read_registration
 from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
+from scan2albedo.templates import AnnotatedFaceModel
 
 Mesh = tuple[FloatArray, IntArray]
 

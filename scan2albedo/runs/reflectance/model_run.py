@@ -132,10 +132,10 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     predicts people left out best (`held_out_components`) when `components` is None. Takes 0.1 s of CPU a
     person. Raises `ReflectanceError` for fewer than two people, or than 10 without `components`.
     """
-    from scan2albedo.face_model import AnnotatedFaceModel
     from scan2albedo.reflectance.model_choice import held_out_components
     from scan2albedo.synthetic import population_reflectance
     from scan2albedo.synthetic.face_shape import expression_offsets
+    from scan2albedo.templates import AnnotatedFaceModel
 
     if count < _LEAST_SYNTHETIC:
         raise ReflectanceError(f"{count} people make no model; give {_LEAST_SYNTHETIC} or more")

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     DistantLights,
@@ -16,7 +17,6 @@ from scan2albedo.eyeglasses import (
     light_by_environment,
     refract,
 )
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import (
     camera_centers,
     look_at,

@@ -13,15 +13,20 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model.annotation import LANDMARK_LEVELS, AnnotatedSurface, Region, surface_frames
-from scan2albedo.face_model.limit_fit import ControlMesh, decimated, fit_limit_surface, project
-from scan2albedo.face_model.template_cleaning import CleanTemplate, clean_template
-from scan2albedo.face_model.template_surface import TemplateSurface
+from scan2albedo.face_model.annotation import (
+    FILLED_REGION,
+    LANDMARK_LEVELS,
+    REST_REGION,
+    AnnotatedSurface,
+    Region,
+    surface_frames,
+)
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import face_cross_products, vertex_normals
+from scan2albedo.templates.cleaning import CleanTemplate, clean_template
+from scan2albedo.templates.limit_fit import ControlMesh, decimated, fit_limit_surface, project
+from scan2albedo.templates.surface import TemplateSurface
 
-REST_REGION = "face"
-FILLED_REGION = "filled"
 FILLED_STIFFNESS = 0.5
 """Faces over the template's own holes (eyes, mouth) are softer, so that a mouth may open."""
 LANDMARK_COUNT = 68

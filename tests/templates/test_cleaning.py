@@ -4,8 +4,8 @@ import igl
 import numpy as np
 import pytest
 
-from scan2albedo.face_model.template_cleaning import boundary_loops, fill_hole
-from scan2albedo.geometry.mesh import boundary_edges, face_areas, face_cross_products
+from scan2albedo.geometry.mesh import boundary_edges, boundary_loops, face_areas, face_cross_products
+from scan2albedo.templates.cleaning import fill_hole
 
 
 def test_a_hole_is_closed_with_least_area_and_the_right_orientation():

@@ -4,12 +4,11 @@ import igl
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import surface_frames
-from scan2albedo.face_model.template_cleaning import boundary_loops
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import face_areas, face_cross_products
+from scan2albedo.geometry.mesh import boundary_loops, face_areas, face_cross_products
 
 plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
 """The domes below are no faces, so nothing is to be recognised in them."""

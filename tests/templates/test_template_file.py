@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.from_mesh import DenseTemplate, _corner_uv, _vertex_uv
+from scan2albedo.templates.from_mesh import DenseTemplate, _corner_uv, _vertex_uv
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model.template_surface import TemplateSurface, largest_component
-from scan2albedo.geometry.mesh import edges_with_faces, without_unreferenced
+from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, without_unreferenced
+from scan2albedo.templates.surface import TemplateSurface, largest_component
 
 MAX_FILLED_LOOP = 600
 BACK_OF_HEAD = 0.35
@@ -80,14 +80,6 @@ def _require_disc(faces: IntArray, name: str) -> None:
         f"{name}: after filling holes the surface has {loops} rims and Euler characteristic {euler}, "
         "expected 1 and 1 (a disc); close handles or cut the face out of the head"
     )
-
-
-def boundary_loops(faces: IntArray) -> list[IntArray]:
-    """Return the boundary loops, longest (in vertices) first, in the direction of the faces' own edges."""
-    import igl
-
-    loops = [np.asarray(loop, np.int64) for loop in igl.boundary_loop_all(np.asarray(faces, np.int64))]
-    return sorted(loops, key=len, reverse=True)
 
 
 def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray:

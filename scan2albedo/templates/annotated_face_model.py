@@ -1,22 +1,38 @@
-"""The Annotated Face Model: the default one, anyone's template, and files of both."""
+"""The Annotated Face Model: the default one, anyone's template, and files of both.
+
+A template gets its axes, regions and landmarks from the default model, which is registered and fitted to it
+as to a scan. This needs the stages, so the public class stands above them; what they work on is its base.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
+import numpy as np
+
+from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.core.hooks import TEMPLATE_ANNOTATOR
-from scan2albedo.errors import ModelError, ScanError
-from scan2albedo.face_model.annotation import AnnotatedSurface
-from scan2albedo.face_model.files import load_model, save_model
-from scan2albedo.face_model.from_mesh import DenseTemplate, model_from_surface
-from scan2albedo.face_model.template_surface import template_surface
+from scan2albedo.errors import ModelError, RegistrationError, ScanError
+from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, MOUTH_REGION
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import face_normals, without_unreferenced
+from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
+from scan2albedo.templates.from_mesh import DenseTemplate, model_from_surface
+from scan2albedo.templates.limit_fit import project
+from scan2albedo.templates.surface import TemplateSurface, template_surface
+
+_SAME_AXES_DEG = 25.0
+"""Templates look up or down by some degrees; only templates turned further get other axes."""
+_REACH_MM = 8.0
+"""Annotation that lies farther from the template than this is not carried over."""
+_INNER = slice(17, 68)
+_LIPS = ("upper_lip", "lower_lip")
 
 
 @dataclass(frozen=True)
@@ -27,16 +43,7 @@ class AnnotatedFaceModel(AnnotatedSurface):
     @lru_cache(maxsize=1)
     def default() -> AnnotatedFaceModel:
         """Return the model that ships with the package (cached)."""
-        return AnnotatedFaceModel.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))
-
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a model from its JSON file."""
-        return cls._with_fields_of(load_model(path))
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as JSON beside a small binary of its arrays."""
-        save_model(self, path)
+        return AnnotatedFaceModel._with_fields_of(default_model())
 
     @classmethod
     def from_mesh(
@@ -92,10 +99,8 @@ class AnnotatedFaceModel(AnnotatedSurface):
             Used in messages and results.
         """
         given = DenseTemplate(vertices, faces, uv, regions, landmarks, name)
-        surface = template_surface(vertices, faces, name)
-        # Annotating registers and fits the default model: the stages, floors above this one, provide it.
-        make = TEMPLATE_ANNOTATOR.provided() if annotate else model_from_surface
-        return cls._with_fields_of(make(surface, given, control_size))
+        make = _annotated_model if annotate else model_from_surface
+        return cls._with_fields_of(make(template_surface(vertices, faces, name), given, control_size))
 
     @classmethod
     def from_file(cls, path: str | Path, *, control_size: int = 1000) -> Self:
@@ -145,3 +150,72 @@ def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFace
     if Path(model).suffix.lower() in SUPPORTED_SCANS:
         return AnnotatedFaceModel.from_file(model)
     return AnnotatedFaceModel.load(model)
+
+
+def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
+    """Make a model in the convention's axes, with the default model's annotation where none is given.
+
+    `surface` is that of `given`, in any pose; the model gets about `control_size` control vertices.
+    """
+    from scan2albedo.fitting import fit
+    from scan2albedo.registration import register
+
+    kept, faces = without_unreferenced(surface.vertices, surface.faces)
+    scan, default = RawScan(surface.vertices[kept], faces, name=given.name), default_model()
+    failure = ""
+    try:
+        registration = register(scan, default)
+    except RegistrationError as error:
+        failure = str(error)
+    else:
+        # Below even odds the pose is more likely wrong than right.
+        if registration.confidence < 0.5:
+            failure = f"a face is recognised with confidence {registration.confidence:.2f} only"
+    if failure:
+        model = model_from_surface(surface, given, control_size)
+        return replace(model, notes=(*model.notes, f"axes taken as they are, nothing annotated: {failure}"))
+    fitted = fit(scan, default, registration)
+    rotation, axes = fitted.model_from_scan[:3, :3], "axes as they came"
+    degrees = np.degrees(rotation_angle_rad(rotation))
+    if degrees <= _SAME_AXES_DEG:
+        rotation = np.eye(3)
+    else:
+        axes = f"turned by {degrees:.0f} degrees to x left, y up, z out of the face"
+    model = model_from_surface(surface.turned(rotation), given, control_size)
+    # The skin of the fitted default model in the new model's frame.
+    model_from_default = compose(rotation, np.zeros(3)) @ invert_rigid(fitted.model_from_scan)
+    is_skin = fitted.region != default.regions[MOUTH_REGION].index
+    skin, skin_faces = transform_points(model_from_default, fitted.vertices), fitted.faces[is_skin]
+    nearest = ClosestPointQuery(skin, skin_faces)
+    notes = [*model.notes, axes]
+    if given.regions is None:
+        # Each control face gets the region that lies on it.
+        first = 1 + max(region.index for region in model.regions.values())
+        added = {
+            name: replace(region, index=first + region.index) for name, region in default.regions.items()
+        }
+        centres = model.control_vertices[model.control_faces].mean(1)
+        hits = nearest.query_facing(centres, face_normals(model.control_vertices, model.control_faces))
+        carried = (first + fitted.region[is_skin][hits.face]).astype(np.uint8)
+        region = np.where(hits.distance > _REACH_MM, model.region, carried)
+        # Faces that close the mouth's own hole are film.
+        in_mouth = model.in_region(FILLED_REGION) & np.isin(carried, [added[name].index for name in _LIPS])
+        region = np.where(in_mouth, added[MOUTH_REGION].index, region).astype(np.uint8)
+        model = replace(model, region=region, regions={**model.regions, **added})
+        notes.append("regions carried over from the default model")
+        if not model.in_region(MOUTH_REGION).any():
+            notes.append("no opening between the lips: a mouth that opens stretches what is there")
+    if given.landmarks is None:
+        assert fitted.landmarks is not None  # the default model has them
+        landmarks = transform_points(model_from_default, fitted.landmarks)
+        normals = face_normals(skin, skin_faces)[nearest.query(landmarks).face]
+        subdivision = model.subdivision(LANDMARK_LEVELS)
+        points = project(subdivision, model.control_vertices, landmarks, normals)
+        apart = subdivision.points_matrix(points) @ model.control_vertices - landmarks
+        farthest = float(np.linalg.norm(apart, axis=1)[_INNER].max())
+        if farthest > _REACH_MM:
+            notes.append(f"no landmarks: one would lie {farthest:.1f} mm beside the template")
+        else:
+            model = replace(model, landmark_points=points)
+            notes.append("landmarks carried over from the default model")
+    return replace(model, notes=tuple(notes))
