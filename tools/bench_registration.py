@@ -304,7 +304,7 @@ def same_person(shapes: Shapes, repeats: int) -> None:
 
 
 def annealing_rate(model: s2a.AnnotatedFaceModel) -> None:
-    template = Template.of(model, RegistrationOptions().model_spacing_mm, 0)
+    template = Template.of(model, 0)
     rest = Similarity(np.eye(3), np.zeros(3))
     for size in (32, 64, 128):
         objective = DepthDerivativeObjective(*model.surface(2), template, rest, size)

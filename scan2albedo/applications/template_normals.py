@@ -19,8 +19,8 @@ from scan2albedo.geometry.mesh import (
 )
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space
-from scan2albedo.registration.scan_noise import SurfaceNoise
 
 REACH_MM = 4.0
 """What lies farther from a surface has its shape from elsewhere."""

@@ -16,7 +16,7 @@ from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
 from scan2albedo.fitting.covers import Uncovered, uncovered
-from scan2albedo.fitting.forces import ForceGates
+from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates
 from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
@@ -212,7 +212,7 @@ def _refined(
         samples,
         model.control_vertices,
         samples.area * samples.rigidity * relief,
-        (ForceGates.at(options, 0.0), ForceGates.at(options, 1.0)),
+        ForceGates(options.gate_mm[0], options.tangential, MIN_ROBUST_MM[1]),
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,
         meter=meter,

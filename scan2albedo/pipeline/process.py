@@ -35,7 +35,7 @@ from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
 from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale
 from scan2albedo.registration import Registration, register
-from scan2albedo.registration.refined_pose import refined_registration
+from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 
@@ -235,9 +235,7 @@ def _processed(
             fitted = fit(scan, model, pose, share, options=stage, on_progress=on_progress)
             if registration is not None:
                 pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
-                registration = refined_registration(
-                    registration, scan, model, pose, scale, options=options.stages.registration
-                )
+                registration = refined_registration(registration, scan, model, pose, scale)
                 plan["register"] = _register_rows(registration)
         plan["fit"] = [*steps, *_fit_rows(options, scan, fitted)]
     with clock.timed("geometry_image"):

@@ -27,7 +27,7 @@ from scan2albedo.pipeline import process as pipeline_process
 from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
 from scan2albedo.pipeline.options import STEPS, ProcessOptions
-from scan2albedo.registration.refined_pose import refined_registration
+from scan2albedo.registration.register import refined_registration
 from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
 
 SIZE = 128

@@ -57,7 +57,7 @@ def test_the_pose_is_rigid_and_the_size_is_told_apart(registered):
     assert 0.85 < registration.face_scale < 1.15
 
 
-def test_the_trace_and_the_notes_tell_what_happened(registered, model):
+def test_the_trace_and_the_plan_tell_what_happened(registered, model):
     example, _ = registered
     registration = register(example.scan, model, options=RegistrationOptions(force_annealing=True))
     assert registration.trace.stages == ("icp", "shaped_icp", "tight_icp", "depth_annealing")
@@ -65,10 +65,10 @@ def test_the_trace_and_the_notes_tell_what_happened(registered, model):
     annealing = [row.error for row in registration.trace.of_stage("depth_annealing")]
     assert (np.diff(annealing) <= 0).all()
     assert annealing[-1] <= registration.depth_error <= annealing[0]
-    assert [(step.stage, step.ran) for step in registration.plan] == [
-        ("register.search", True),
-        ("register.tight_icp", False),
-        ("register.depth_annealing", True),
+    assert [(step.stage, step.level) for step in registration.plan] == [
+        ("register.search", "did"),
+        ("register.tight_icp", "left out"),
+        ("register.depth_annealing", "did"),
     ]
     assert "evaluations" in registration.plan[2].evidence
     assert registration.iterations >= 400
@@ -196,7 +196,7 @@ def test_a_million_vertices_are_sampled(ict, model):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"candidates": 0}, {"coarse_iterations": (4, 0)}, {"icp_iterations": -1}, {"kept_starts": 0}],
+    [{"candidates": 0}, {"settling_iterations": -1}, {"kept_starts": 0}, {"anchor_spacing_mm": np.inf}],
 )
 def test_options_that_search_nothing_are_refused(changes):
     with pytest.raises(ValueError, match=f"{next(iter(changes))} must be "):
