@@ -106,7 +106,7 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
     row = validation.ValidationRow(30.0, "wood", "lambert", 5.0, 0.02, 0.03, 0.01, 0.5, 1)
     monkeypatch.setattr(validation, "validation_row", lambda scene, angle, brdf: row)
     monkeypatch.setattr(
-        validation, "_lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
+        validation, "lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
     monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)  # keep the tests' own Ctrl-C
     done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
