@@ -99,7 +99,7 @@ def relight(
     if sweep is not None and environment is not None:
         raise typer.BadParameter("--sweep moves a lamp; leave out --environment")
     if not lights and environment is None and sweep is None:
-        raise typer.BadParameter("there is no light; give --light, --environment or --sweep")
+        raise typer.BadParameter("no light is given; add --light, --environment or --sweep")
     if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
         raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
     import numpy as np
