@@ -176,14 +176,12 @@ PLACES = {
     "applications": ["RelightOptions", "SwapOptions", "TransferOptions"],
     "eyeglasses": [
         "CanonicalizationOptions",
-        "WeightOptions",
         "FaceRegistrationOptions",
         "LensPictureOptions",
     ],
     "fitting": ["FitOptions"],
     "recognition": ["SimilarityOptions", "TemplateOptions"],
-    "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
-    + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions", "FaceFitOptions", "DetailOptions"],
+    "reflectance": ["OlatOptions", "ReflectanceFitOptions"],
     "registration": ["RegistrationOptions"],
 }
 """Where the options that pages name are."""

@@ -41,7 +41,7 @@ from scan2albedo.io.units import millimetres_per_unit
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
 from scan2albedo.registration.template import Template
-from scan2albedo.synthetic import RawLikeOptions, raw_like
+from scan2albedo.synthetic import raw_like
 
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 FACE_PART = 6706
@@ -159,8 +159,7 @@ def scan_of(shapes: Shapes, shape: str, seed: int) -> tuple[s2a.RawScan, FloatAr
         model = s2a.AnnotatedFaceModel.default()
         return s2a.load_scan(face_data(REAL_SCANS[shape])), procrustes(picked, model.landmarks[17:])
     noise = np.random.default_rng(seed).uniform(0.2, 0.5)
-    options = RawLikeOptions(noise_mm=noise, **UNPOSED)
-    scan, _ = raw_like(shapes.vertices[shape], shapes.faces, seed, options=options)
+    scan, _ = raw_like(shapes.vertices[shape], shapes.faces, seed, noise_mm=noise, **UNPOSED)
     return scan, shapes.truth(shape)
 
 

@@ -37,9 +37,10 @@ from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import TextureWitness
 from scan2albedo.synthetic.face_paint import PaintedFeatures, landmark_uv, paint_face
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, Expression
-from scan2albedo.synthetic.raw_scan import RawScanOptions, scan_of
+from scan2albedo.synthetic.raw_scan import scan_of
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.room_light import random_colors, random_room
+from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.scenes import light_at
 from scan2albedo.synthetic.sitter import Painter, sit_down
 from scan2albedo.synthetic.textures import skin, smooth_noise, smoothstep
@@ -118,9 +119,7 @@ def person_scan(model: AnnotatedFaceModel, seed: int) -> tuple[RawScan, np.ndarr
         )
         for _ in range(1 if in_room else rng.integers(1, 3))
     )
-    options = RawScanOptions(
-        size=32, picture_size=300, spacing_mm=rng.uniform(3, 5), noise_mm=rng.uniform(0.2, 1)
-    )
+    options = Scanner(size=32, picture_size=300, spacing_mm=rng.uniform(3, 5), noise_mm=rng.uniform(0.2, 1))
     scan, truth = scan_of(
         sitter,
         lamps,

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from scan2albedo.applications.pictures import Picture
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
@@ -19,6 +18,7 @@ from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
+from scan2albedo.rendering.pictures import Picture
 
 
 class SweepRecord(RunRecord):

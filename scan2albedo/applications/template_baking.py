@@ -14,6 +14,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
@@ -157,15 +158,15 @@ def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.
     ----------
     .. [1] S. Gortler et al., "The Lumigraph", SIGGRAPH 1996 (pull-push).
     """
-    import cv2
+    from skimage.transform import resize
 
     if known.all() or not known.any():
         return color
     height, width = known.shape
-    half = ((width + 1) // 2, (height + 1) // 2)
-    weight = known.astype(np.float32)
-    mass = cv2.resize(weight, half, interpolation=cv2.INTER_AREA)
-    mean = cv2.resize(color * weight[..., None], half, interpolation=cv2.INTER_AREA)
-    coarse = filled_smoothly((mean / np.maximum(mass, 1e-6)[..., None]).astype(np.float32), mass > 0)
-    back = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)
+    half = (height + 1) // 2, (width + 1) // 2
+    mass = area_mean(known, half)
+    mean = area_mean(color * known[..., None], half)
+    # Sums of what is known differ from 0 by rounding only where nothing is known.
+    coarse = filled_smoothly((mean / np.maximum(mass, 1e-6)[..., None]).astype(np.float32), mass > 1e-6)
+    back = resize(coarse, known.shape, order=1, mode="edge", anti_aliasing=False, preserve_range=True)
     return np.where(known[..., None], color, back).astype(np.float32)

@@ -105,13 +105,13 @@ def relight(
     import numpy as np
 
     from scan2albedo import applications
-    from scan2albedo.applications.files import FILES
+    from scan2albedo.applications.files import FACE_FILES
     from scan2albedo.applications.light_sweep import FRAMES
     from scan2albedo.io.images import read_image_linear, write_exr, write_image
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.pipeline.result import FILES as SCAN_FILES
 
-    ours = out.name in FILES or SCAN_FILES.holds(out.name)
+    ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
     if out.resolve() == result.resolve() or (ours and out.resolve().parent == result.resolve()):
         raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
     try:

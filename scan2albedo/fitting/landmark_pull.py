@@ -82,14 +82,9 @@ class LandmarkPull:
         """Return the pull to both their targets."""
         if other is None:
             return self
+        pairs = [(getattr(self, part.name), getattr(other, part.name)) for part in fields(self)]
         return LandmarkPull(
-            numbers=np.concatenate([self.numbers, other.numbers]),
-            matrix=sparse.vstack([self.matrix, other.matrix]).tocsr(),
-            targets=np.concatenate([self.targets, other.targets]),
-            sigma_mm=np.concatenate([self.sigma_mm, other.sigma_mm]),
-            wrong_mm=np.concatenate([self.wrong_mm, other.wrong_mm]),
-            axes=np.concatenate([self.axes, other.axes]),
-            still=np.concatenate([self.still, other.still]),
+            *(sparse.vstack(p).tocsr() if sparse.issparse(p[0]) else np.concatenate(p) for p in pairs)
         )
 
     @property

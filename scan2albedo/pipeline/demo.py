@@ -16,7 +16,7 @@ from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transfo
 from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.process import process
 from scan2albedo.pipeline.result import ProcessResult
-from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
+from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 INNER_LANDMARKS = slice(17, 68)
 """iBUG-68 without the jaw line, which no point of a smooth jaw defines."""
@@ -83,7 +83,7 @@ def run_demo(
     as in `process`, which also writes files to `out` unless it is None.
     """
     texels = ProcessOptions(size=size, quality=quality).texels
-    scan, truth = raw_scan(seed, options=RawScanOptions(size=texels))
+    scan, truth = raw_scan(seed, scanner=Scanner(size=texels))
     result = process(scan, out, size=size, quality=quality, seed=seed, on_progress=on_progress)
     return compare_with_truth(result, truth)
 

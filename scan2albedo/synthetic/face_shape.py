@@ -94,13 +94,19 @@ def face_surface(model: AnnotatedSurface, control_points: FloatArray, *, levels:
     """Return the refined limit surface of deformed control points (C, 3)."""
     subdivision = model.subdivision(levels)
     vertices = subdivision.matrix @ control_points
-    corner_uv = _refined_corners(model.uv[model.control_faces], levels)
+    # Chart coordinates (F, 3, 2) of corners by linear refinement, children ordered as in Loop's.
+    corners = model.uv[model.control_faces]
+    for _ in range(levels):
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        children = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        corners = np.stack([np.stack(child, 1) for child in children], 1).reshape(-1, 3, 2)
     landmarks = model.landmarks_of(control_points)
     return FaceSurface(
         vertices,
         subdivision.faces,
         vertex_normals(vertices, subdivision.faces),
-        corner_uv,
+        corners,
         model.region[subdivision.parent],
         np.zeros((0, 3)) if landmarks is None else landmarks,
     )
@@ -117,17 +123,6 @@ def with_relief(
     height = height_mm * smooth_noise(uv, (bumps, bumps), rng)
     vertices = surface.vertices + height[:, None] * surface.normals
     return replace(surface, vertices=vertices, normals=vertex_normals(vertices, surface.faces))
-
-
-def _refined_corners(corners: FloatArray, levels: int) -> FloatArray:
-    """Return (F 4^levels, 3, K) corner values after linear refinement, children ordered as in Loop's."""
-    for _ in range(levels):
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        children = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-        stacked = np.stack([np.stack(child, 1) for child in children], 1)
-        corners = stacked.reshape(-1, 3, corners.shape[2])
-    return corners
 
 
 def face_geometry_image(model: AnnotatedSurface, surface: FaceSurface, size: int) -> GeometryImage:

@@ -28,7 +28,7 @@ from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
 from scan2albedo.pipeline.options import STEPS, ProcessOptions
 from scan2albedo.registration.register import refined_registration
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZE = 128
 SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
@@ -56,7 +56,7 @@ FILES = {
 @pytest.fixture(scope="module")
 def case():
     """A synthetic raw scan with its truth, quick to make."""
-    return raw_scan(0, options=RawScanOptions(size=SIZE, picture_size=500, spacing_mm=3.0))
+    return raw_scan(0, scanner=Scanner(size=SIZE, picture_size=500, spacing_mm=3.0))
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,12 @@ import scan2albedo as s2a
 from scan2albedo.errors import NoFaceError, RegistrationError, UnitError
 from scan2albedo.pipeline.scale_search import registered_at_any_scale
 from scan2albedo.registration import Registration
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 
 @pytest.fixture(scope="module")
 def case():
-    return raw_scan(0, options=RawScanOptions(size=64, picture_size=64, spacing_mm=3.5))
+    return raw_scan(0, scanner=Scanner(size=64, picture_size=64, spacing_mm=3.5))
 
 
 def write(path, scan, factor):

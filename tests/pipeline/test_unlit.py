@@ -17,7 +17,7 @@ from scan2albedo.io.images import encode_image, read_image_linear
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
 from scan2albedo.pipeline.textured_files import write_unlit
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZE = 128
 
@@ -39,7 +39,7 @@ def with_template(model, columns=1):
 
 @pytest.fixture(scope="module")
 def case():
-    return raw_scan(0, options=RawScanOptions(size=SIZE, picture_size=500, spacing_mm=3.0))
+    return raw_scan(0, scanner=Scanner(size=SIZE, picture_size=500, spacing_mm=3.0))
 
 
 @pytest.fixture(scope="module")

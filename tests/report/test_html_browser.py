@@ -87,8 +87,10 @@ def test_the_picture_is_the_librarys(opened, face_folder, case):
     camera = default_camera(
         face, (SIZE, SIZE), azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation)
     )
-    options = RelightOptions(shadows=shadows, gloss="found", fill_gaps=False)
-    picture = relight(face, lights, options=options).picture(camera, shape=(SIZE, SIZE))
+    options = RelightOptions(gloss="found", fill_gaps=False)
+    picture = relight(replace(face, casts_shadows=shadows), lights, options=options).picture(
+        camera, shape=(SIZE, SIZE)
+    )
     state = {
         "mode": "relit", "ambient": 1, "exposure": -1, "shadows": shadows,
         "view": {"azimuth": azimuth, "elevation": elevation, "zoom": 1},

@@ -14,14 +14,14 @@ from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
 from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.report.html.page import _environment, data_json
+from scan2albedo.report.html.write import _environment, data_json
 from tests.report.pages import check
 
 EVIL = "<script>alert('x')</script>\"'&<!--"
 
 
 def written(folder, path, **options):
-    made = report.write_report(folder, path, options=report.ReportOptions(**options))
+    made = report.write_report(folder, path, **options)
     assert made.size_bytes == made.path.stat().st_size
     return check(made.path.read_text(encoding="utf-8"))
 
@@ -191,9 +191,9 @@ def test_without_jinja_the_extra_is_named(one_scan, tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
-def test_options_out_of_range_are_refused():
+def test_options_out_of_range_are_refused(one_scan):
     with pytest.raises(ValueError, match="scans is -1"):
-        report.ReportOptions(scans=-1)
+        report.write_report(one_scan, scans=-1)
 
 
 @pytest.mark.slow

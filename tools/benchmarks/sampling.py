@@ -20,7 +20,7 @@ from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.sampling import geometry_image
 from scan2albedo.sampling.texture_lookup import TextureLookup
-from scan2albedo.synthetic import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZES = (64, 96, 128, 192, 256, 384, 512, 768, 1024)
 _POINTS = 40_000
@@ -43,8 +43,8 @@ class SampledFace:
 @cache
 def _sampled_face(seed: int, picture_size: int) -> SampledFace:
     model = AnnotatedFaceModel.default()
-    options = RawScanOptions(picture_size=picture_size, size=32)
-    scan, truth = raw_scan(seed, model=model, options=options)
+    scanner = Scanner(picture_size=picture_size, size=32)
+    scan, truth = raw_scan(seed, model=model, scanner=scanner)
     fitted = fit(scan, model, truth.model_from_scan)
     rng = np.random.default_rng(seed)
     area = face_areas(fitted.vertices, fitted.faces)

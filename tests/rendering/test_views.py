@@ -1,0 +1,83 @@
+"""The quick pictures show what is there, where it is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import trimesh
+
+from scan2albedo import RawScan
+from scan2albedo.rendering.views import View, heat_colors, render_mesh
+from scan2albedo.report.overview import Panel, _input_panel, overview_figure, preview_srgb
+
+
+def test_a_sphere_covers_the_disc_it_should():
+    sphere = trimesh.creation.icosphere(4, 10.0)
+    view = View((0, 0, 0), 20.0)
+    picture = render_mesh(sphere.vertices, sphere.faces, view=view, size=200)
+    covered = (picture != 255).any(-1)
+    assert abs(covered.mean() - np.pi * 100 / 1600) < 0.01
+    assert covered[100, 100]
+    assert not covered[5, 5]
+
+
+def test_yaw_shows_the_right_side_and_pitch_the_underside():
+    box = trimesh.creation.box((10, 10, 10))
+    # Face colours by vertex: the side at -x red, the others blue.
+    color = np.where(box.vertices[:, :1] < 0, [1.0, 0, 0], [0, 0, 1.0])
+    front = render_mesh(box.vertices, box.faces, vertex_color_srgb=color, yaw_deg=60, shaded=False, size=64)
+    assert (front[..., 0].astype(int) > front[..., 2]).sum() > (
+        front[..., 2].astype(int) > front[..., 0]
+    ).sum()
+    low = np.where(box.vertices[:, 1:2] < 0, [1.0, 0, 0], [0, 0, 1.0])
+    below = render_mesh(box.vertices, box.faces, vertex_color_srgb=low, pitch_deg=60, shaded=False, size=64)
+    assert (below[..., 0].astype(int) > below[..., 2]).sum() > (
+        below[..., 2].astype(int) > below[..., 0]
+    ).sum()
+
+
+def test_stray_patches_in_front_hide_nothing():
+    ball = trimesh.creation.icosphere(4, 90.0)
+    patch = np.array([[-40, -40, 600.0], [40, -40, 600], [0, 60, 600]])
+    vertices = np.concatenate([ball.vertices, patch])
+    faces = np.concatenate([ball.faces, [np.arange(3) + len(ball.vertices)]])
+    color = np.where(np.arange(len(vertices))[:, None] < len(ball.vertices), [0.0, 0, 1], [1.0, 0, 0])
+    fitted = SimpleNamespace(model_from_scan=np.eye(4), landmarks=None)
+    scan = RawScan(vertices, faces, vertex_color_linear=color.astype(np.float32))
+    picture = _input_panel(scan, fitted, View((0, 0, 0), 100.0)).picture
+    middle = len(picture) // 2
+    assert picture[middle, middle].tolist() == [0, 0, 255]
+
+
+def test_texture_is_upright():
+    vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    uv = (vertices[:, :2] + 1)[faces] / 2
+    texture = np.zeros((8, 8, 3), np.uint8)
+    texture[0, 0] = 255  # top left
+    picture = render_mesh(
+        vertices, faces, texture_srgb=(uv, texture), view=View((0, 0, 0), 1.0), size=80, shaded=False
+    )
+    assert (picture[2:8, 2:8] == 255).all()
+    assert (picture[70:78, 2:70] == 0).all()
+
+
+def test_heat_colours_end_where_the_scale_ends_and_mark_missing_values():
+    colors = heat_colors([0.0, 1.0, 5.0, np.nan], 0, 1)
+    np.testing.assert_array_equal(colors[1], colors[2])
+    np.testing.assert_array_equal(colors[3], [0.6] * 3)
+
+
+def test_preview_keeps_hue_and_leaves_room_below_white():
+    linear = np.full((4, 4, 3), [0.02, 0.01, 0.005])
+    mask = np.ones((4, 4), bool)
+    mask[0] = False
+    preview = preview_srgb(linear, mask)
+    assert (preview[0] == 255).all()
+    assert preview[1, 0, 0] == round(255 * (1.055 * 0.55 ** (1 / 2.4) - 0.055))
+    assert preview[1, 0, 0] > preview[1, 0, 1] > preview[1, 0, 2]
+
+
+def test_overview_takes_any_number_of_panels(tmp_path):
+    panels = [Panel(str(i), np.zeros((10, 10, 3), np.uint8)) for i in range(6)]
+    overview_figure("title", panels).savefig(tmp_path / "overview.png")
+    assert (tmp_path / "overview.png").stat().st_size > 1000
