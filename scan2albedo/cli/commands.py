@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -255,7 +254,7 @@ def batch(
                 scheduler=scheduler,
                 resume=resume,
                 timeout_s=timeout,
-                on_progress=lines.update,
+                on_progress=lines.show,
             )
     except KeyboardInterrupt as stopped:
         terminated = isinstance(stopped, Terminated)
@@ -305,25 +304,24 @@ def validate(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.pipeline import validation
 
-    tables: dict[str, Callable[..., Any]] = {
-        "hemisphere": validation.validate_hemisphere,
-        "face": validation.validate_face,
-        "lighting": validation.validate_lighting,
-    }
-    chosen = list(tables) if what == "all" else [what]
-    if unknown := [name for name in chosen if name not in tables]:
-        raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(tables)}, all")
-    results = {}
+    names = ("hemisphere", "face", "lighting")
+    chosen = names if what == "all" else (what,)
+    if what not in (*names, "all"):
+        raise typer.BadParameter(f"{what!r} is unknown, expected one of {', '.join(names)}, all")
+    results: dict[str, Any] = {}
     for name in chosen:
         with ProgressLines(name) as progress:
-            results[name] = tables[name](
-                size=size, seed=seed, on_row=lambda row, show=progress.say: show(row.text())
-            )
+            asked: dict[str, Any] = {"size": size, "seed": seed}
+            asked["on_row"] = lambda row, say=progress.say: say(row.text())
+            if name == "lighting":
+                results[name] = validation.validate_lighting(**asked)
+            else:
+                results[name] = validation.validate_scenes(name, **asked)
     if json_summary:
         echo_json({name: table.figures() for name, table in results.items()})
         return
     for table in results.values():
-        typer.echo(validation.format_table(table))
+        typer.echo(table.text())
 
 
 @app.command()

@@ -345,7 +345,7 @@ def lenses(
     Drawn scenes without --environment have a built-in light: an even, neutral room with three soft lamps
     around the wearer, the main one on their right, one on their left, one above. Drawn pictures are exposed
     so that a white plate that faces as the frame does is 0.9 of white, the same for all views; the factor is
-    told. Photographs keep their own light and exposure. Lenses are clear window glass by default.
+    printed. Photographs keep their own light and exposure. Lenses are clear window glass by default.
     """
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError

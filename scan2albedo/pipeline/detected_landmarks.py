@@ -35,7 +35,7 @@ _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 _FACING = 0.5
 """Cosine between the surface and the view: what is seen at a more grazing angle is left out."""
 _FEWEST_VIEWS, _APART_MM = 2, 5.0
-"""At least so many views must see a landmark this near to the median of all."""
+"""Least number of views that see a landmark, and how near to the median of all."""
 _LEAST_SECONDS = 2.0
 """What loading the network and looking take."""
 _TEXTURE_PIXELS = 2048
@@ -53,7 +53,7 @@ _SIGMA_MM = {range(17, 27): 5.0, range(27, 36): 4.0, range(36, 48): 3.0, range(4
 """Deviation of the network's points from those that people place; points of a feature err alike, so these are
 larger than the deviation of one."""
 _GREY = 2.0
-"""The network knows photographs: on grey shapes it errs about so many times as far."""
+"""The network knows photographs: factor of its errors on grey shapes."""
 
 
 def require_detector() -> None:

@@ -169,7 +169,7 @@ class ProcessOptions:
         self._check_stages()
 
     def _check_stages(self) -> None:
-        """Refuse names that are no stage, or that cannot be skipped or forced."""
+        """Refuse unknown names, and stages that cannot be skipped or forced."""
         for name in (*self.skip, *self.force):
             if name not in STAGES:
                 raise ValueError(f"unknown stage {name!r}; stages are {', '.join(STAGES)}")
