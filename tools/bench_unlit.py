@@ -36,8 +36,7 @@ from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
 from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
-from scan2albedo.applications.template_baking import TemplateTexture, template_texture
-from scan2albedo.applications.template_normals import FineShape
+from scan2albedo.applications.template_baking import FineShape, TemplateTexture, template_texture
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize, rasterize_uv

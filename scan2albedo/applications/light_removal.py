@@ -19,6 +19,7 @@ from skimage.filters.rank import median
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.division import Usual, divide_light
 from scan2albedo.albedo.result import shade_image
+from scan2albedo.applications.face_features import FLOOR
 from scan2albedo.applications.shadow_lines import outlines, without_lines
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
@@ -43,8 +44,6 @@ DARKEST = 0.1
 (`tools/bench_unlit.py traced`)."""
 _ROUGHER = 2.0
 """How much farther noise is averaged than on a chart of such texels, each a mean over its footprint."""
-_BLACK = 1e-3
-"""Albedo below which the light is that of the estimate, not the quotient of two colours."""
 _SPOT, _DARK_SPOT = 0.012, 0.7
 """Half side of what is around a spot, as a part of the chart's, and how much darker it is, as a logarithm:
 by eye, on the folded lips of a coarse template."""
@@ -115,7 +114,8 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     assert image.texture_linear is not None
     albedo = estimate.albedo_linear.astype(np.float64)
     usual = float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else mask]))
-    black = _BLACK * max(float(np.median(albedo[mask])), 1e-12)
+    # The light of black texels is that of the estimate, not the quotient of two colours.
+    black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
     light = (image.texture_linear + black * estimate.shading) / (albedo + black)
     log_light = filled_from_nearest(np.log(np.maximum(light, DARKEST * usual)), mask)
     log_light = _without_dark_spots(log_light)

@@ -322,8 +322,8 @@ class _View:
         """Return one ray through each of the pixels (N, 2)."""
         parts = [self._band(pixels[part]) for part in blocks(len(pixels), _BAND) or [slice(0)]]
         names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
-        joined = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return _SeenRays(*joined, glancing=sum(part.glancing for part in parts))
+        joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
+        return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
 
     def _band(self, pixels: FloatArray) -> _SeenRays:
         scene, center = self.scene, camera_centers(self.camera[None])[0]
