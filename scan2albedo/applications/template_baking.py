@@ -26,8 +26,8 @@ from scan2albedo.geometry.mesh import (
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
+from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
-from scan2albedo.registration.scan_noise import SurfaceNoise
 from scan2albedo.sampling.fitted_face import without_covers
 from scan2albedo.sampling.texture_lookup import TextureLookup, texel_steps
 
