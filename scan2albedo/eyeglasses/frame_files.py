@@ -262,7 +262,9 @@ def _read_arrays(path: str | Path, layout: _Layout, what: str, example: str) -> 
         raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")
     if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise EyeglassesError(f"{what} {path}: faces are not those of its vertices; write it again")
-    typed = {name: arrays[name].astype(kind, copy=False) for name, (kind, *_) in layout.items()}
+    typed: dict[str, Any] = {
+        name: arrays[name].astype(kind, copy=False) for name, (kind, *_) in layout.items()
+    }
     return {name: array if array.ndim else array.item() for name, array in typed.items()}
 
 

@@ -93,7 +93,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView) -> FloatArray | No
     seen = np.isfinite(view.labels).all(1) & np.isfinite(keypoints).all(1)
     if seen.sum() < _FEWEST:
         return None
-    with needs_extra("glasses"):
+    with needs_extra("opencv"):
         import cv2
     from scipy.linalg import rq
 
