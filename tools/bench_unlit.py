@@ -36,8 +36,7 @@ from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
 from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
-from scan2albedo.applications.template_baking import TemplateTexture, template_texture
-from scan2albedo.applications.template_normals import FineShape
+from scan2albedo.applications.template_baking import FineShape, TemplateTexture, template_texture
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize, rasterize_uv
@@ -96,8 +95,8 @@ def print_traced() -> None:
         corners = pixels_from_uv(scan.uv.reshape(-1, 2), shape)
         index = np.arange(len(corners)).reshape(-1, 3)
         raster = rasterize(corners, np.zeros(len(corners)), index, shape)
-        on_chart = scan_on_chart(scan, fitted, estimate.image)
-        weight = interpolate(raster, index, on_chart.weight[scan.faces].reshape(-1, 1))[..., 0]
+        own = scan_on_chart(scan, fitted, estimate.image)[1]
+        weight = interpolate(raster, index, own[scan.faces].reshape(-1, 1))[..., 0]
         light = scan.texture_linear.max(-1) / np.maximum(true.max(-1), 1e-3)
         lit = (
             raster.covered & (true.min(-1) > 0.01) & (light > LEAST_LIGHT * np.median(light[weight > INSIDE]))
@@ -105,7 +104,7 @@ def print_traced() -> None:
         inside, beyond = lit & (weight > INSIDE), lit & (weight < 1 - INSIDE)
         row = [
             mse_percent(scan.texture_linear[inside], true[inside]),
-            _chart_error(result, true, on_chart.weight),
+            _chart_error(result, true, own),
             mse_percent(face[inside], true[inside]),
             mse_percent(scan.texture_linear[beyond], true[beyond]),
             mse_percent(everywhere[beyond], true[beyond]),

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace, on_common_chart
+from scan2albedo.applications.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
@@ -25,9 +25,6 @@ Correspondence = Literal["auto", "refined", "as-fitted"]
 _ROUNDS = 20
 _STILL_MM, _STILL_PERCENTILE = 0.1, 25
 """Points that move less than this count as still; a smile leaves a quarter of the face so."""
-_MOST_LEVELS = 4
-_SAME_SURFACE_MM = 0.05
-"""A surface farther than this from one of the model is of another model."""
 TWO_PEOPLE_MM = 0.4
 """`apart_where_still` above which two faces are taken for two people: fits of light-stage people, at rest and
 with expressions, gave up to 0.27 mm for one person, and for two 0.38 mm and more."""
@@ -235,7 +232,7 @@ def personal_model(
     if level is not None:
         subdivision = template.subdivision(level)
         points = limit_control_points(face.mesh.vertices, subdivision)
-        if np.abs(subdivision.matrix @ points - face.mesh.vertices).max() < _SAME_SURFACE_MM:
+        if np.abs(subdivision.matrix @ points - face.mesh.vertices).max() < SAME_PLACE_MM:
             return replace(template, control_vertices=points)
     raise ApplicationError(
         f"{face.name}: its surface is none of the model {template.name!r}; give the folder of a scan that "
@@ -245,11 +242,12 @@ def personal_model(
 
 def refinement_level(mesh: FaceMesh, model: AnnotatedSurface) -> int | None:
     """Return how often the model's control mesh is refined to these triangles; None when they are others."""
-    for level in range(_MOST_LEVELS + 1):
-        if len(mesh.faces) == len(model.control_faces) * 4**level:
-            same = np.array_equal(model.subdivision(level).faces, mesh.faces)
-            return level if same else None
-    return None
+    level = 0
+    while len(mesh.faces) > len(model.control_faces) * 4**level:
+        level += 1
+    if len(mesh.faces) < len(model.control_faces) * 4**level:
+        return None
+    return level if np.array_equal(model.subdivision(level).faces, mesh.faces) else None
 
 
 def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:

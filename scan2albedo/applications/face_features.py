@@ -32,12 +32,12 @@ of lips; and how far a dark patch goes on over the jaw."""
 _CATCHLIGHT, _BRIGHTEST = 0.018, 1.5
 """Of the image's side: bright spots on eyes that are smaller are reflections if they are so many times
 brighter than skin."""
-_DARK, _DARKEST, _SKIN = 0.6, 0.35, 0.5
+_DARK, _DARKEST, SKIN = 0.6, 0.35, 0.5
 """Part of the skin's level below which a side is dark, and what goes on from there over the jaw; and how
 likely a texel is skin at least."""
-_BLUR = 0.006
-"""Of the image's side: the deviation of the mean that is compared."""
-_FLOOR = 1e-3
+BLUR = 0.006
+"""Of the image's side: the deviation of means of skin."""
+FLOOR = 1e-3
 """Part of the level below which albedo has no logarithm."""
 
 
@@ -108,7 +108,7 @@ def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> 
     gaps = (face.mask & ~face.image.seen & ~kept) | dark_sides(face, model)
     if not gaps.any() or not (known := face.mask & ~gaps).any():
         return face
-    floor = _FLOOR * max(face.level(), 1e-12)
+    floor = FLOOR * max(face.level(), 1e-12)
     field = np.log(np.maximum(face.albedo_linear.astype(np.float64), floor))
     across, down = np.zeros_like(field[:, 1:]), np.zeros_like(field[1:])
     filled = np.exp(integrate_gradients(field, gaps, known, across, down))
@@ -122,15 +122,15 @@ def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> Bo
     patch. What goes on over the jaw is a beard and stays.
     """
     skin, side = face.image.skin, region_texels(face, SIDES, model)
-    if skin is None or not side.any() or not (skin > _SKIN).any():
+    if skin is None or not side.any() or not (skin > SKIN).any():
         return np.zeros(face.mask.shape, bool)
     value = face.albedo_linear.max(-1).astype(np.float64)
-    usual = float(np.median(value[skin > _SKIN]))
-    sigma = _BLUR * max(face.mask.shape)
+    usual = float(np.median(value[skin > SKIN]))
+    sigma = BLUR * max(face.mask.shape)
     mean, sure = blurred_inside(value, face.mask, sigma), blurred_inside(skin, face.mask, sigma)
     around = side | region_texels(face, JAWS, model)
     darkest = around & (mean < _DARKEST * usual)
-    dark = darkest | (around & (mean < _DARK * usual) & (sure < _SKIN))
+    dark = darkest | (around & (mean < _DARK * usual) & (sure < SKIN))
     patches = _touching(dark & side, face.image.border)
     patches |= _touching(darkest, patches) & grown(patches, _ONTO_JAW)
     return np.asarray(grown(patches, _AROUND) & around)

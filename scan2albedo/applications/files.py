@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.applications.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core.arguments import described
 from scan2albedo.core.geometry_image import GeometryImage
@@ -48,28 +48,18 @@ FACE_FILES = OwnFiles(
 """Of a face that an application made."""
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
-_SAME_PLACE_MM = 0.01
-"""GLB files hold metres with 24 bits: a vertex of a face is off by far less."""
 
 
 class ProcessedScan(Protocol):
-    """What `load_result` takes of a result in memory; `scan2albedo.ProcessResult` is one."""
+    """What `load_result` takes of a result in memory; `scan2albedo.ProcessResult` is one.
 
-    @property
-    def scan(self) -> RawScan:
-        """The input."""
+    `fitted` is None for a scan that was processed without a model, `albedo` for a scan without colour.
+    """
 
-    @property
-    def fitted(self) -> FittedFace | None:
-        """None for a scan that was processed without a model."""
-
-    @property
-    def geometry_image(self) -> GeometryImage:
-        """The evenly sampled surface."""
-
-    @property
-    def albedo(self) -> AlbedoEstimate | None:
-        """None for a scan without colour."""
+    scan: RawScan
+    fitted: FittedFace | None
+    geometry_image: GeometryImage
+    albedo: AlbedoEstimate | None
 
 
 def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True) -> ProcessedFace:
@@ -220,7 +210,7 @@ def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
         ) from error
     exact = None if image.occluder is None else image.occluder[0]
     if exact is not None and (
-        exact.shape != vertices.shape or np.abs(exact - vertices).max() > _SAME_PLACE_MM
+        exact.shape != vertices.shape or np.abs(exact - vertices).max() > SAME_PLACE_MM
     ):
         raise ApplicationError(
             f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "

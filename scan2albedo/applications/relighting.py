@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.face_features import feature_texels, without_gaps
+from scan2albedo.applications.face_features import BLUR, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace, on_grid
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray
@@ -42,8 +42,6 @@ SKIN_GLOSS, SKIN_EXPONENT = 0.25, 12.0
 reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 / (2 m^2) = 12 follows, peaks
 at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
 
-_SKIN_BLUR = 0.01
-"""Of the image's side: over what the likelihood of bare skin is averaged."""
 _ENVIRONMENT_LIGHTS = 128
 """Distant lights that stand for an environment map."""
 _TESSELLATION = 0.75
@@ -83,16 +81,47 @@ class RelitFace:
     def picture(
         self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2
     ) -> Picture:
-        """Return what a camera (3, 4) sees, a portrait from the front when omitted; see `photograph`.
+        """Return what a camera (3, 4) sees, a portrait from the front when omitted.
+
+        Every sample is shaded for its own line of sight; a pixel is the mean of its samples. A face that
+        casts no shadows has attached ones.
 
         Parameters
         ----------
         camera : (3, 4) array_like of float, optional
+            As in `geometry.pinhole`.
         shape : (H, W)
         samples : int
             On each side of a pixel.
+
+        Raises
+        ------
+        ValueError
+            For an invalid camera, a shape below 2 pixels, or no sample.
         """
-        return photograph(self.face, self.light, camera=camera, shape=shape, samples=samples)
+        if min(shape) < 2 or samples < 1:
+            raise ValueError(
+                f"shape is {shape} and samples {samples}, expected 2 pixels and 1 sample or more"
+            )
+        face, mesh, mask = self.face, self.face.mesh, self.face.mask
+        given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
+        projection = normalized_cameras(given[None])[0]
+        seen = seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
+        normal = seen.interpolated(mesh.normals)
+        toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
+        outside = np.einsum("nc,nc->n", normal, toward) > 0
+        seen, normal, toward = seen.chosen(outside), normalized(normal[outside]), toward[outside]
+        # The triangles of a chart lie below the curved surface, and its finer occluder would shade them.
+        position = seen.raised(mesh.vertices, mesh.normals, _TESSELLATION if mesh.from_chart else 0.0)
+        caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
+        shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm)
+        pixels, gloss = pixels_from_uv(seen.interpolated(mesh.uv), mask.shape), face.image.specular_scale
+        albedo, scale = bilinear(filled_from_nearest(face.albedo_linear, mask), pixels), None
+        if gloss is not None:
+            scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
+        diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
+        made = seen.picture(np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))]))
+        return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
         """Write the face with its relit texture as a GLB that shines by itself, so no viewer lights it again.
@@ -232,7 +261,7 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
             features = feature_texels(face)
             glossy = [~face.image.seen, *(features[name] for name in ("eyes", "mouth") if name in features)]
             bare = np.where(np.logical_or.reduce(glossy), 1.0, bare).astype(np.float64)
-            smooth = gaussian_filter(bare, _SKIN_BLUR * max(bare.shape), mode="mirror")
+            smooth = gaussian_filter(bare, BLUR * max(bare.shape), mode="mirror")
             scale = np.asarray(smooth if scale is None else smooth * scale, np.float32)
         face = replace(face, image=replace(face.image, specular_scale=scale))
         notes.append("no highlight was found, so skin's usual one is assumed")
@@ -262,39 +291,3 @@ def default_camera(
         For an azimuth that is not finite, an elevation beyond 89 degrees, or a shape below 2 pixels.
     """
     return portrait_camera(face.mesh.vertices, shape, azimuth_rad, elevation_rad)
-
-
-def photograph(
-    face: ProcessedFace,
-    light: SceneLight,
-    *,
-    camera: ArrayLike | None = None,
-    shape: tuple[int, int] = (512, 512),
-    samples: int = 2,
-) -> Picture:
-    """Return the picture of a face under light: every sample is shaded for its own line of sight.
-
-    `camera` (3, 4) is as in `geometry.pinhole`, `default_camera` when None. A pixel is the mean of `samples`
-    by `samples`. A face that casts no shadows has attached ones. ValueError for an invalid camera, a shape
-    below 2 pixels, or no sample.
-    """
-    if min(shape) < 2 or samples < 1:
-        raise ValueError(f"shape is {shape} and samples {samples}, expected 2 pixels and 1 sample or more")
-    given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
-    projection, mesh, mask = normalized_cameras(given[None])[0], face.mesh, face.mask
-    seen = seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
-    normal = seen.interpolated(mesh.normals)
-    toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
-    outside = np.einsum("nc,nc->n", normal, toward) > 0
-    seen, normal, toward = seen.chosen(outside), normalized(normal[outside]), toward[outside]
-    # The triangles of a chart lie below the curved surface, and its finer occluder would shade them.
-    position = seen.raised(mesh.vertices, mesh.normals, _TESSELLATION if mesh.from_chart else 0.0)
-    caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
-    shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm)
-    pixels, given_scale = pixels_from_uv(seen.interpolated(mesh.uv), mask.shape), face.image.specular_scale
-    albedo, scale = bilinear(filled_from_nearest(face.albedo_linear, mask), pixels), None
-    if given_scale is not None:
-        scale = bilinear(filled_from_nearest(given_scale[..., None], mask), pixels)[:, 0]
-    diffuse, specular = shade(shadows, light, face.reflectance, toward, scale)
-    made = seen.picture(np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))]))
-    return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from scan2albedo.applications.face_features import blurred_inside
+from scan2albedo.applications.face_features import SKIN, blurred_inside
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import needs_extra
 
-_SKIN, _LEAST_TEXELS = 0.5, 100
-"""Likelihood from which texels count as skin, and how many both faces must have."""
+_LEAST_TEXELS = 100
+"""Of skin that both faces must have."""
 _LOCAL, _SMOOTH, _FARTHEST, _AGREE = 0.04, 0.02, 0.03, 0.004
 """Of the image's side: over what the albedo's mean is taken away before features are matched, over what the
 displacement is averaged, how far a feature is followed, and how far from its start it may end there and
@@ -27,7 +27,7 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
     are skin in both faces; seen ones where skin is not known. The factors are 1 for black albedos.
     """
     both = source.image.seen & target.image.seen
-    skin = [face.image.skin > _SKIN for face in (source, target) if face.image.skin is not None]
+    skin = [face.image.skin > SKIN for face in (source, target) if face.image.skin is not None]
     bare = np.logical_and.reduce([both, *skin])
     for texels in (bare, both):
         if texels.sum() >= _LEAST_TEXELS:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
-from scan2albedo.applications.face_features import dark_sides, taken_features, without_catchlights
+from scan2albedo.applications.face_features import FLOOR, dark_sides, taken_features, without_catchlights
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.skin_match import skin_gains
 from scan2albedo.core.arguments import require_type
@@ -17,8 +17,6 @@ from scan2albedo.face_model import AnnotatedSurface
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either, and over which a feature at the border fades."""
-_FLOOR = 1e-5
-"""Albedo below this part of the level counts as this in logarithms."""
 _REACH, _UNLIKE = 0.05, 0.25
 """Over which part of the image's side the faces' difference is averaged, and from which departure (of a
 logarithm) on a texel is a feature of one face only."""
@@ -125,7 +123,7 @@ def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide:
     missing = other.mask & ~known
     if not missing.any() or not known.any() or np.allclose(albedo, other.albedo_linear, rtol=1e-6, atol=0):
         return albedo
-    floor = _FLOOR * max(other.level(), 1e-12)
+    floor = FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))
     log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
     across, down = forward_differences(log_other)

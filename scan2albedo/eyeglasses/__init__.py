@@ -22,7 +22,7 @@ from scan2albedo.eyeglasses.frame_files import (
     write_start,
 )
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
-from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, lens_mesh
+from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, LensPictureOptions, insert_lenses
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, RefractedRays, ThinLens, refract
 from scan2albedo.eyeglasses.lenses.rims import LensRim, find_lens_rim
@@ -79,7 +79,6 @@ __all__ = [
     "environment_weights",
     "find_lens_rim",
     "insert_lenses",
-    "lens_mesh",
     "read_cameras",
     "read_canonical",
     "read_keypoints",

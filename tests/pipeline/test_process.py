@@ -87,7 +87,7 @@ def test_error_against_the_truth(result, case):
 
 def test_the_skin_becomes_a_reflectance_of_the_models_vertices(result, case):
     found = reflectance_of_processed(result.out)
-    np.testing.assert_array_equal(found.faces, result.fitted.faces)
+    np.testing.assert_array_equal(found.mesh.faces, result.fitted.faces)
     known = found.reflectance.known
     assert known.mean() > 0.7
     as_true = replace(load_result(result.out), image=case[1].image)

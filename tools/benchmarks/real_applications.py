@@ -17,7 +17,6 @@ from benchmarks.scan_files import face_data
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.applications import (
     ProcessedFace,
-    RelightOptions,
     blend_faces,
     default_camera,
     load_result,
@@ -25,7 +24,6 @@ from scan2albedo.applications import (
     swap_texture,
 )
 from scan2albedo.applications.files import PORTRAIT_LIGHT
-from scan2albedo.applications.relighting import as_lit, photograph
 from scan2albedo.applications.skin_match import displacement, local_contrast, warped
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core import PointLight
@@ -33,7 +31,6 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG
 from scan2albedo.lighting.environment import DistantLights, LightSpread
 from scan2albedo.pipeline.result import write_result
-from scan2albedo.rendering.scene_light import SceneLight
 
 SCANS = {
     "james": "james.obj",
@@ -242,8 +239,8 @@ def bench_environment(results: Path, out: Path, names: Sequence[str] = ("james",
     for name, face in real_faces(results, names).items():
         for place, make in ENVIRONMENTS.items():
             environment = make()
-            many = SceneLight.from_lamps([], reference_lights(environment))
-            truth = photograph(as_lit(face, RelightOptions())[0], many, shape=shape, samples=1)
+            many = relight(face, environment_linear=reference_lights(environment))
+            truth = many.picture(shape=shape, samples=1)
             exposure, row = truth.auto_exposure(), []
             for spread, count in _FEW_LIGHTS:
                 cpu = time.process_time()

@@ -322,7 +322,7 @@ class _View:
         """Return one ray through each of the pixels (N, 2)."""
         parts = [self._band(pixels[part]) for part in blocks(len(pixels), _BAND) or [slice(0)]]
         names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
-        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
         return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
 
     def _band(self, pixels: FloatArray) -> _SeenRays:

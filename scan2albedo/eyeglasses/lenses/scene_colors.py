@@ -120,26 +120,31 @@ class LitScene:
         """Return (N, 3) radiance without lenses, and with what those that dim light take of it."""
         shadows, strength = ShadowMap(self._scene.caster, position, normal), reflectance.specular_strength
         diffuse, highlight, lost, lost_highlight = np.zeros((4, len(position), 3))
-        near = []
+        near, passed = [], np.ones((len(position), 3))
         for lens in dimming:
             # Only rays that pass a ball around the lens are shot; float32 may reach a little farther.
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
             reach = 1 + float(np.linalg.norm(lens.vertices - center, axis=1).max())
-            near.append((lens, lens.caster.to_local(position), center - position, reach))
+            offset = center - position
+            beyond = np.einsum("nc,nc->n", offset, offset) - reach**2
+            near.append((lens, lens.caster.to_local(position), offset, beyond, reach))
         for k, factors in each_lamp(shadows, self._light, reflectance, view):
             toward, intensity = self._light.directions[k], self._light.intensity[k]
             diffuse += factors.diffuse[:, None] * intensity
-            highlight += factors.highlight[:, None] * intensity
-            if not near:
-                continue
-            passed = np.ones((len(position), 3))
-            for lens, local, offset, reach in near:
+            if strength > 0:
+                highlight += factors.highlight[:, None] * intensity
+            crossed = []
+            for lens, local, offset, beyond, reach in near:
                 along = offset @ toward
-                beside = np.einsum("nc,nc->n", offset, offset) - along**2
-                ray = np.flatnonzero((factors.diffuse > 0) & (along >= -reach) & (beside <= reach**2))
-                passed[ray[lens.caster.occluded_local(local[ray], toward)]] *= lens.material.transmission
-            lost += factors.diffuse[:, None] * intensity * (1 - passed)
-            lost_highlight += factors.highlight[:, None] * intensity * (1 - passed)
+                ray = np.flatnonzero((factors.diffuse > 0) & (along >= -reach) & (beyond <= along**2))
+                crossed.append(ray[lens.caster.occluded_local(local[ray], toward)])
+                passed[crossed[-1]] *= lens.material.transmission
+            for ray in crossed:
+                # Where several lenses are crossed the first takes what all take.
+                taken = intensity * (1 - passed[ray])
+                lost[ray] += factors.diffuse[ray, None] * taken
+                lost_highlight[ray] += factors.highlight[ray, None] * taken
+                passed[ray] = 1.0
         bare = albedo * diffuse + strength * highlight
         return bare, bare - (albedo * lost + strength * lost_highlight)
 

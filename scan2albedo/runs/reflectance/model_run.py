@@ -72,7 +72,7 @@ def read_sample(path: Path) -> MeshReflectance:
         from scan2albedo.applications import reflectance_of_processed
 
         face = reflectance_of_processed(path)
-        return MeshReflectance(face.vertices, face.faces, face.reflectance)
+        return MeshReflectance(face.mesh.vertices, face.mesh.faces, face.reflectance)
     if path.is_dir():
         raise ReflectanceError(
             f"{path} holds neither {RESULT_FILE} nor {_RESULT_FILE}: give the folder of a fit or of a "

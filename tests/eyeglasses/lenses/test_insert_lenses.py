@@ -13,9 +13,9 @@ from scan2albedo.eyeglasses import (
     distant_directions,
     environment_weights,
     insert_lenses,
-    lens_mesh,
     refract,
 )
+from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.geometry.pinhole import (
     camera_centers,
     look_at,
