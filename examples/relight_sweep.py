@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 
 import scan2albedo as s2a
-from scan2albedo.applications import ProcessedFace, RelightOptions
+from scan2albedo.applications import ProcessedFace
 
 
 def synthetic_face(size: int = 128) -> ProcessedFace:
@@ -53,9 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     camera = applications.default_camera(face, shape, azimuth_rad=np.deg2rad(25))
     Image.fromarray(portrait.picture(camera, shape=shape).srgb()).save(given.out / "portrait.png")
 
-    under_sky = applications.relight(
-        face, environment_linear=evening_sky(), options=RelightOptions(environment_lights=64)
-    )
+    under_sky = applications.relight(face, environment_linear=evening_sky())
     Image.fromarray(under_sky.picture(shape=shape).srgb()).save(given.out / "sky.png")
 
     places = applications.light_arc(given.frames)

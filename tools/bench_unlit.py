@@ -35,10 +35,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
-from scan2albedo.applications.light_removal import unlit_scan
-from scan2albedo.applications.scan_on_chart import scan_on_chart
-from scan2albedo.applications.template_baking import TemplateTexture, template_texture
-from scan2albedo.applications.template_normals import FineShape
+from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
+from scan2albedo.applications.template_baking import FineShape, TemplateTexture, template_texture
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize, rasterize_uv
@@ -46,7 +44,7 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.geometry.tangents import tangent_mesh
 from scan2albedo.io.color import encode_srgb_bytes, srgb_to_linear
 from scan2albedo.io.images import read_image_linear
-from scan2albedo.report.rendering import View, render_mesh
+from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
 
 LEAST_LIGHT = 0.03

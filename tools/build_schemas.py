@@ -12,6 +12,7 @@ from pathlib import Path
 
 from pydantic import BaseModel
 
+from scan2albedo.applications.light_sweep import SweepRecord
 from scan2albedo.batch.records import BatchRecord, BatchScanRecord
 from scan2albedo.eyeglasses.frame_files import KeyPointsFile, StartFile
 from scan2albedo.eyeglasses.view_files import CamerasFile, LabelsFile
@@ -38,6 +39,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "landmarks": LandmarksRecord,
     "annotated_face_model": FaceModelFile,
     "application": ApplicationRecord,
+    "sweep": SweepRecord,
     "batch": BatchRecord,
     "batch_scan": BatchScanRecord,
     "identification": IdentificationRecord,

@@ -1,7 +1,11 @@
 """What a processed face is for: other light, skin or expression; the scan itself, and templates, unlit."""
 
 from scan2albedo.applications.blending import blend_faces
-from scan2albedo.applications.expression_transfer import TransferOptions, transfer_expression
+from scan2albedo.applications.expression_transfer import (
+    TransferOptions,
+    personal_model,
+    transfer_expression,
+)
 from scan2albedo.applications.face_reflectance import (
     FaceReflectance,
     reflectance_model_of_processed,
@@ -10,12 +14,11 @@ from scan2albedo.applications.face_reflectance import (
 from scan2albedo.applications.files import load_result, write_face
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
-from scan2albedo.applications.personal_model import personal_model
-from scan2albedo.applications.pictures import Picture, default_camera
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
-from scan2albedo.applications.relighting import RelightOptions, RelitFace, relight
+from scan2albedo.applications.relighting import RelightOptions, RelitFace, default_camera, relight
 from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile, template_texture
 from scan2albedo.applications.texture_swap import SwapOptions, swap_texture
+from scan2albedo.rendering.pictures import Picture
 
 __all__ = [
     "FaceMesh",

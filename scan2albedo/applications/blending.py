@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.skin_match import displacement, skin_gains, warped
 from scan2albedo.applications.texture_swap import continued_skin
-from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.lighting.shading import Reflectance
 
@@ -56,28 +56,36 @@ def blend_faces(
             f"weight is {weight}, expected a number from 0 (all {a.name}) to 1 (all {b.name})"
         )
     a, b = on_common_chart(a, b)
-    nearer, gains = (a if weight < 0.5 else b), _gains(a, b, weight)
-    levels = (float(np.exp(np.log(gains[0]).mean())), float(np.exp(np.log(gains[1]).mean())))
-    mask = a.mask
-    vertices = _between(a.mesh.vertices, b.mesh.vertices, weight)
-    mesh = replace(nearer.mesh, vertices=vertices)
+    toward_b = skin_gains(a, b)
+    gains = toward_b**weight, toward_b ** (weight - 1)
+    nearer, mask = (a if weight < 0.5 else b), a.mask
+    mesh = replace(nearer.mesh, vertices=_between(a.mesh.vertices, b.mesh.vertices, weight))
     position = _between(a.image.position[mask], b.image.position[mask], weight)
     shaped_a, shaped_b = (face.reshaped(mesh, position, face.name) for face in (a, b))
-    normal = _between(shaped_a.image.normal, shaped_b.image.normal, weight)
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    shaped = shaped_a if nearer is a else shaped_b
+    shaped, scales = (shaped_a if nearer is a else shaped_b), [f.image.specular_scale for f in (a, b)]
+    if scales[0] is not None and scales[1] is not None:
+        scale: NDArray | None = _between(scales[0], scales[1], weight)
+    else:
+        scale = scales[0] if scales[1] is None else scales[1]
     image = replace(
         shaped.image,
-        normal=normal / np.where(length > 0, length, 1),
+        normal=normalized(_between(shaped_a.image.normal, shaped_b.image.normal, weight)),
         texture_linear=None,
         texture_valid=a.image.seen & b.image.seen,
-        specular_scale=_between_maps(a.image.specular_scale, b.image.specular_scale, weight),
+        specular_scale=scale,
     )
-    skins = (
-        gains[0] * _whole_skin(a, b, weight, model),
-        gains[1] * _whole_skin(b, a, 1 - weight, model),
-    )
-    albedo = skins[round(weight)] if weight in (0, 1) else _met(*skins, mask, weight)
+    skins = []
+    for face, other, part, gain in ((a, b, weight, gains[0]), (b, a, 1 - weight, gains[1])):
+        own, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
+        skins.append(gain * (own if share == 0 else _between(own, continued_skin(face, other, model), share)))
+    if weight in (0, 1):
+        albedo = skins[round(weight)]
+    else:
+        # Features move toward one another, A's by `weight`, so that none is there twice.
+        beside = displacement(skins[0], skins[1], mask)
+        first, second = (filled_from_nearest(skin, mask) for skin in skins)
+        albedo = _between(warped(first, -weight * beside), warped(second, (1 - weight) * beside), weight)
+    levels = [float(np.exp(np.log(gain).mean())) for gain in gains]
     return replace(
         shaped,
         name=f"{a.name}+{b.name}",
@@ -88,58 +96,19 @@ def blend_faces(
     )
 
 
-def _met(a: FloatArray, b: FloatArray, mask: BoolArray, weight: float) -> FloatArray:
-    """Return (H, W, 3) the albedo between two whose features move toward one another, A's by `weight`."""
-    beside = displacement(a, b, mask)
-    first, second = (filled_from_nearest(albedo, mask) for albedo in (a, b))
-    return _between(warped(first, -weight * beside), warped(second, (1 - weight) * beside), weight)
-
-
-def _between(a: NDArray, b: NDArray, weight: float | NDArray[np.float64]) -> NDArray[np.float64]:
+def _between(a: NDArray, b: NDArray, weight: float) -> NDArray[np.float64]:
     return np.asarray((1 - weight) * a + weight * b, np.float64)
 
 
-def _whole_skin(
-    face: ProcessedFace, other: ProcessedFace, weight: float, model: AnnotatedFaceModel | None
-) -> NDArray[np.float64]:
-    """Return (H, W, 3) the albedo, continued where it was badly seen unless `weight` of `other` is low."""
-    own = face.albedo_linear.astype(np.float64)
-    share = min(weight / _OWN_END, 1.0)
-    if share == 0:
-        return own
-    return _between(own, continued_skin(face, other, model), share)
-
-
-def _between_maps(a: NDArray | None, b: NDArray | None, weight: float) -> NDArray | None:
-    if a is None or b is None:
-        return a if b is None else b
-    return _between(a, b, weight)
-
-
-def _gains(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[FloatArray, FloatArray]:
-    """Return (3,) each: what brings A's and B's skin to the colour between theirs."""
-    toward_b = skin_gains(a, b)
-    return toward_b**weight, toward_b ** (weight - 1)
-
-
-def _blended_reflectance(
-    a: Reflectance, b: Reflectance, weight: float, gains: tuple[float, float]
-) -> Reflectance:
+def _blended_reflectance(a: Reflectance, b: Reflectance, weight: float, gains: list[float]) -> Reflectance:
     """Return the reflectance between two; the nearer one's where their models do not blend."""
     strength = (1 - weight) * gains[0] * a.specular_strength + weight * gains[1] * b.specular_strength
     nearer = a if weight < 0.5 else b
     if (a.brdf == "minnaert") != (b.brdf == "minnaert"):
         return replace(nearer, specular_strength=strength)
-    if a.brdf == b.brdf == "lambert":
-        brdf = "lambert"
-    else:
-        brdf = "minnaert" if a.brdf == "minnaert" else "oren-nayar"
-    exponent = _blended_exponent(a, b, weight)
-    return Reflectance(brdf, (1 - weight) * a.roughness + weight * b.roughness, strength, exponent)
-
-
-def _blended_exponent(a: Reflectance, b: Reflectance, weight: float) -> float:
-    """Return the exponent between two; that of a face without highlight does not count."""
+    brdf = a.brdf if a.brdf == b.brdf else "oren-nayar"
+    exponent = float(a.exponent ** (1 - weight) * b.exponent**weight)
     if 0 < weight < 1 and 0 in (a.specular_strength, b.specular_strength):
-        return b.exponent if a.specular_strength == 0 else a.exponent
-    return float(a.exponent ** (1 - weight) * b.exponent**weight)
+        # That of a face without highlight does not count.
+        exponent = b.exponent if a.specular_strength == 0 else a.exponent
+    return Reflectance(brdf, (1 - weight) * a.roughness + weight * b.roughness, strength, exponent)

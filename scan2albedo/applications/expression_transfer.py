@@ -1,4 +1,4 @@
-"""`transfer_expression`: one person's expression on another person's face."""
+"""One person's expression on another person's face, and a face model in one person's shape."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from scan2albedo.applications.personal_model import limit_control_points, refinement_level
-from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace, on_common_chart
+from scan2albedo.applications.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
-from scan2albedo.fitting import FitOptions, fit
+from scan2albedo.fitting import FitOptions, FittedFace, fit
+from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
@@ -46,8 +47,6 @@ class TransferOptions:
 
     strength: float = 1.0
     """Factor of the displacement; less than 1 is a milder expression."""
-    align: bool = True
-    """First align A's expression rigidly with A at rest, by the points that did not move."""
     correspondence: Correspondence = "auto"
     """"as-fitted" believes that A's two fits put each vertex on one point of the skin; "refined" fits A at
     rest to the surface with the expression; "auto" refines faces on the model's own mesh, and no others."""
@@ -90,9 +89,9 @@ def transfer_expression(
 
     Notes
     -----
-    Each scan was registered by itself, so A's two heads may lie a little apart; `align` takes that out. A's
-    two fits slide along the skin each in its own way, which is most of the error; `refined_expression`
-    corrects it.
+    Each scan was registered by itself, so A's two heads may lie a little apart: they are first aligned by
+    the points that did not move. A's two fits slide along the skin each in its own way, which is most of the
+    error; `refined_expression` corrects it.
     """
     a, smiling, b = on_common_chart(neutral_a, expression_a, neutral_b)
     moved = expression_displacement(a.mesh, smiling.mesh, options=options, model=model)
@@ -113,12 +112,12 @@ def expression_displacement(
     ApplicationError when the correspondence is to be refined and the mesh is not that of `model`, the default
     model when None.
     """
-    lay = laid_on_what_is_still if options.align else _as_it_lies
-    rest, moved = neutral_a.vertices, lay(expression_a.vertices, neutral_a.vertices)
+    rest = neutral_a.vertices
+    moved = laid_on_what_is_still(expression_a.vertices, rest)
     level = level_to_refine(neutral_a, options, model)
     if level is not None:
         given = model or AnnotatedFaceModel.default()
-        moved = lay(refined_expression(neutral_a, moved, given, level), rest)
+        moved = laid_on_what_is_still(refined_expression(neutral_a, moved, given, level), rest)
     return options.strength * (moved - rest)
 
 
@@ -171,10 +170,6 @@ def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
     return float(np.percentile(along, _STILL_PERCENTILE))
 
 
-def _as_it_lies(moved: FloatArray, rest: FloatArray) -> FloatArray:
-    return moved
-
-
 def refined_expression(
     rest: FaceMesh, moved: FloatArray, model: AnnotatedFaceModel, level: int
 ) -> FloatArray:
@@ -194,16 +189,73 @@ def refined_expression(
     """
     subdivision = model.subdivision(level)
     at_rest, as_fitted = (limit_control_points(v, subdivision) for v in (rest.vertices, moved))
-    start = replace(model, control_vertices=_with_jaw_turned(model, at_rest, as_fitted))
+    hinge, turned = JawHinge.of(model, at_rest), at_rest
+    if hinge is not None:
+        turned = hinge.opened(at_rest, float(np.clip(hinge.angle_deg(at_rest, as_fitted), 0, ANGLES_DEG[-1])))
+    start = replace(model, control_vertices=turned)
     skin = ~model.in_region(MOUTH_REGION)[subdivision.parent]
     scan = RawScan(subdivision.matrix @ as_fitted, rest.faces[skin], name="the face with the expression")
     fitted = fit(scan, start, np.eye(4), options=REFIT)
     return np.asarray(rest.vertices + subdivision.matrix @ (fitted.control_points - at_rest))
 
 
-def _with_jaw_turned(model: AnnotatedFaceModel, at_rest: FloatArray, as_fitted: FloatArray) -> FloatArray:
-    hinge = JawHinge.of(model, at_rest)
-    if hinge is None:
-        return at_rest
-    angle = np.clip(hinge.angle_deg(at_rest, as_fitted), 0.0, ANGLES_DEG[-1])
-    return hinge.opened(at_rest, float(angle))
+def personal_model(
+    face: FittedFace | ProcessedFace, model: AnnotatedFaceModel | None = None
+) -> AnnotatedFaceModel:
+    """Return a face's model with the control points that the fit found.
+
+    Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
+    itself. An expression fitted from the person's own face at rest, and not from the model's, leaves points
+    that did not move mostly in their place. `transfer_expression` does not need it: it finds corresponding
+    points itself, and more exactly (the figures are in docs/applications.md).
+
+    Parameters
+    ----------
+    face : FittedFace or ProcessedFace
+        Of the person at rest. Files hold the fitted surface and not its control points: for what
+        `load_result` reads, they are solved for by least squares, S P = vertices, S the subdivision's matrix.
+    model : AnnotatedFaceModel, optional
+        Of the fit; a FittedFace knows its own, for other faces the default model when omitted.
+
+    Raises
+    ------
+    ApplicationError
+        When the face was not fitted with that model.
+    """
+    if isinstance(face, FittedFace):
+        return replace(face.model, control_vertices=face.control_points)
+    template = AnnotatedFaceModel.default() if model is None else model
+    if face.model_name != template.name:
+        raise ApplicationError(
+            f"{face.name}: was processed with the model {face.model_name!r}, not {template.name!r}; give "
+            "that model"
+        )
+    level = refinement_level(face.mesh, template)
+    if level is not None:
+        subdivision = template.subdivision(level)
+        points = limit_control_points(face.mesh.vertices, subdivision)
+        if np.abs(subdivision.matrix @ points - face.mesh.vertices).max() < SAME_PLACE_MM:
+            return replace(template, control_vertices=points)
+    raise ApplicationError(
+        f"{face.name}: its surface is none of the model {template.name!r}; give the folder of a scan that "
+        "was processed with this very model"
+    )
+
+
+def refinement_level(mesh: FaceMesh, model: AnnotatedFaceModel) -> int | None:
+    """Return how often the model's control mesh is refined to these triangles; None when they are others."""
+    level = 0
+    while len(mesh.faces) > len(model.control_faces) * 4**level:
+        level += 1
+    if len(mesh.faces) < len(model.control_faces) * 4**level:
+        return None
+    return level if np.array_equal(model.subdivision(level).faces, mesh.faces) else None
+
+
+def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:
+    """Return the control points c (C, 3) whose limit surface S c is nearest to the vertices (V, 3).
+
+    S^T S c = S^T v; exact where the vertices come from control points.
+    """
+    matrix = subdivision.matrix
+    return factorized(matrix.T @ matrix)(matrix.T @ vertices)

@@ -1,11 +1,16 @@
-"""Which texels are eyes, brows, nostrils and mouth, and from which of two faces each of them is taken."""
+"""Which texels are eyes, brows, nostrils and mouth, unseen or dark; from which face each is taken."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, grey_opening, label, maximum_filter
+from skimage.morphology import disk
 
+from scan2albedo.albedo.poisson import integrate_gradients
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
@@ -21,11 +26,19 @@ SIDES = ("left_temple", "right_temple", "left_cheek", "right_cheek")
 JAWS = ("left_jaw", "right_jaw")
 _WHOLE = 0.05
 """A feature of which less is missing is whole."""
-_AROUND = 0.012
-"""Of the image's side: how far a feature reaches beyond its region, for lashes and the red of lips."""
+_AROUND, _ONTO_JAW = 0.012, 0.2
+"""Of the image's side: how far a feature, or what is dark, reaches beyond its texels, for lashes and the red
+of lips; and how far a dark patch goes on over the jaw."""
 _CATCHLIGHT, _BRIGHTEST = 0.018, 1.5
 """Of the image's side: bright spots on eyes that are smaller are reflections if they are so many times
 brighter than skin."""
+_DARK, _DARKEST, SKIN = 0.6, 0.35, 0.5
+"""Part of the skin's level below which a side is dark, and what goes on from there over the jaw; and how
+likely a texel is skin at least."""
+BLUR = 0.006
+"""Of the image's side: the deviation of means of skin."""
+FLOOR = 1e-3
+"""Part of the level below which albedo has no logarithm."""
 
 
 def feature_texels(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> dict[str, BoolArray]:
@@ -73,24 +86,71 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedFaceModel | None = 
 
     They are reflections of the scan's lamps, which are no albedo: V is lowered to its morphological opening.
     """
-    import cv2
-
     albedo, eyes = face.albedo_linear.astype(np.float64), region_texels(face, FEATURES["eyes"], model)
     if not eyes.any():
         return albedo
     side, around = max(eyes.shape), face.mask & grown(eyes, _AROUND)
-    value = albedo.max(-1)
-    width = 2 * max(1, round(_CATCHLIGHT * side / 2)) + 1
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
-    opened = cv2.GaussianBlur(cv2.morphologyEx(value, cv2.MORPH_OPEN, disc), (0, 0), width / 3)
+    value, radius = albedo.max(-1), max(1, round(_CATCHLIGHT * side / 2))
+    opened = gaussian_filter(grey_opening(value, footprint=disk(radius)), (2 * radius + 1) / 3, mode="mirror")
     most = np.maximum(opened, _BRIGHTEST * face.level())
     factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
     return np.asarray(albedo * factor[..., None])
 
 
+def without_gaps(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> ProcessedFace:
+    """Return the face with smooth skin where none was seen, and on `dark_sides`.
+
+    Log albedo is interpolated from around: Laplace's equation. Eyes, brows and lips stay as they are.
+    `model` is that of the face, the default model when None.
+    """
+    features = feature_texels(face, model)
+    kept = np.logical_or.reduce([features[name] for name in features if name != "nostrils"] or [~face.mask])
+    gaps = (face.mask & ~face.image.seen & ~kept) | dark_sides(face, model)
+    if not gaps.any() or not (known := face.mask & ~gaps).any():
+        return face
+    floor = FLOOR * max(face.level(), 1e-12)
+    field = np.log(np.maximum(face.albedo_linear.astype(np.float64), floor))
+    across, down = np.zeros_like(field[:, 1:]), np.zeros_like(field[1:])
+    filled = np.exp(integrate_gradients(field, gaps, known, across, down))
+    return replace(face, albedo_linear=np.where(gaps[..., None], filled, face.albedo_linear))
+
+
+def dark_sides(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> BoolArray:
+    """Return (H, W) dark texels of temples and cheeks along the chart's rim that are no skin.
+
+    Hair before the ears, or what was too dark to be seen there: cut out by the face's outline it is a black
+    patch. What goes on over the jaw is a beard and stays.
+    """
+    skin, side = face.image.skin, region_texels(face, SIDES, model)
+    if skin is None or not side.any() or not (skin > SKIN).any():
+        return np.zeros(face.mask.shape, bool)
+    value = face.albedo_linear.max(-1).astype(np.float64)
+    usual = float(np.median(value[skin > SKIN]))
+    sigma = BLUR * max(face.mask.shape)
+    mean, sure = blurred_inside(value, face.mask, sigma), blurred_inside(skin, face.mask, sigma)
+    around = side | region_texels(face, JAWS, model)
+    darkest = around & (mean < _DARKEST * usual)
+    dark = darkest | (around & (mean < _DARK * usual) & (sure < SKIN))
+    patches = _touching(dark & side, face.image.border)
+    patches |= _touching(darkest, patches) & grown(patches, _ONTO_JAW)
+    return np.asarray(grown(patches, _AROUND) & around)
+
+
+def _touching(texels: BoolArray, others: BoolArray) -> BoolArray:
+    """Return the connected parts of `texels` (H, W) that hold one of `others`."""
+    part = label(texels, np.ones((3, 3)))[0]
+    return np.asarray(np.isin(part, np.setdiff1d(part[others], [0])))
+
+
 def grown(texels: BoolArray, part: float) -> BoolArray:
     """Return `texels` (H, W) with those closer than this part of the image's side."""
-    import cv2
+    return np.asarray(
+        maximum_filter(texels, 2 * max(1, round(part * max(texels.shape))) + 1, mode="constant")
+    )
 
-    width = 2 * max(1, round(part * max(texels.shape))) + 1
-    return np.asarray(cv2.dilate(texels.astype(np.uint8), np.ones((width, width), np.uint8)) > 0)
+
+def blurred_inside(field: NDArray[np.floating], mask: BoolArray, sigma: float) -> FloatArray:
+    """Return the Gaussian means of a field (H, W) over the texels of `mask` (H, W) alone."""
+    inside = mask.astype(np.float64)
+    weight = np.maximum(gaussian_filter(inside, sigma, mode="mirror"), 1e-6)
+    return np.asarray(gaussian_filter(field * inside, sigma, mode="mirror") / weight)

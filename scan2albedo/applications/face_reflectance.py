@@ -21,10 +21,6 @@ if TYPE_CHECKING:
     from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
 
 
-_LEAST_TRUSTED = 0.5
-"""Part of a vertex's texels, by weight, that must have been seen."""
-
-
 @dataclass(frozen=True)
 class FaceReflectance:
     """A processed scan's reflectance, and the mesh whose vertices it belongs to."""
@@ -104,9 +100,10 @@ def reflectance_of_processed(
     if not known.any():
         raise ApplicationError(f"{face.name}: no vertex of its surface was seen; scan it from other sides")
     scale = 1.0 if level is None else level / face.level()
-    skin = face.reflectance
+    skin, gloss = face.reflectance, face.image.specular_scale
     lobes = lobe_weights_of_phong(skin.specular_strength, skin.exponent)
-    strength, _ = sampled_at_vertices(_specular_scale(face), face)
+    gloss = np.ones(face.image.shape) if gloss is None else gloss.astype(np.float64)
+    strength, _ = sampled_at_vertices(gloss[..., None], face)
     reflectance = reflectance_from_albedo(
         scale * _lambert_share(skin) * albedo, weights=scale * strength * lobes, known=known
     )
@@ -142,7 +139,13 @@ def reflectance_model_of_processed(
 
     people = [reflectance_of_processed(source, level=level) for source in sources]
     for other in people[1:]:
-        _check_pair(people[0], other)
+        a, b = people[0], other
+        if a.model_name != b.model_name or not same_mesh(a.mesh, b.mesh):
+            raise ApplicationError(
+                f"{a.name} ({a.model_name}, {len(a.vertices)} vertices) and {b.name} ({b.model_name}, "
+                f"{len(b.vertices)} vertices): their meshes differ; process both scans with one model and "
+                "one version of it"
+            )
     samples = [person.reflectance for person in people]
     model = MorphableReflectanceModel.from_samples(
         samples, components=components, least_support=least_support
@@ -169,14 +172,9 @@ def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatAr
             seen = on_surface * face.image.seen[row, column]
             total += seen[:, None] * image[row, column]
             trusted, surface = trusted + seen, surface + on_surface
-    known = (trusted > 0) & (trusted >= _LEAST_TRUSTED * surface)
+    known = (trusted > 0) & (2 * trusted >= surface)
     values = total / np.where(known, trusted, 1.0)[:, None]
     return np.where(known[:, None], values, np.nan), known
-
-
-def _specular_scale(face: ProcessedFace) -> FloatArray:
-    scale = face.image.specular_scale
-    return (np.ones(face.image.shape) if scale is None else scale.astype(np.float64))[..., None]
 
 
 def _lambert_share(skin: Reflectance) -> float:
@@ -196,12 +194,3 @@ def _lambert_share(skin: Reflectance) -> float:
         rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
         product, square = product + rough @ lambert, square + lambert @ lambert
     return float(product / square)
-
-
-def _check_pair(a: FaceReflectance, b: FaceReflectance) -> None:
-    if a.model_name != b.model_name or not same_mesh(a.mesh, b.mesh):
-        raise ApplicationError(
-            f"{a.name} ({a.model_name}, {len(a.vertices)} vertices) and {b.name} ({b.model_name}, "
-            f"{len(b.vertices)} vertices): their meshes differ; process both scans with one model and one "
-            "version of it"
-        )

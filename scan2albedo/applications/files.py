@@ -8,16 +8,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from scan2albedo.applications.pictures import auto_exposure
-from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
+from scan2albedo.applications.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core.arguments import described
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
-from scan2albedo.core.version import VERSION
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest
-from scan2albedo.io.atomic import result_folder
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import (
     read_geometry_image,
@@ -26,15 +23,15 @@ from scan2albedo.io.geometry_image_files import (
 )
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
-from scan2albedo.io.records import plain_json, read_record, write_record
+from scan2albedo.io.records import plain_json, read_record
 from scan2albedo.io.result_records import (
     APPLICATION_FILE,
     ApplicationRecord,
-    EnvironmentRecord,
-    LightRecord,
     ResultRecord,
 )
+from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.rendering.pictures import auto_exposure
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
@@ -42,34 +39,27 @@ if TYPE_CHECKING:
     from scan2albedo.fitting import FittedFace
 
 RESULT_FILE = "result.json"
-FILES = frozenset(
-    {"application.json", "geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "picture.png"}
+FACE_FILES = OwnFiles(
+    APPLICATION_FILE,
+    ApplicationRecord,
+    ("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "picture.png"),
+    command="scan2albedo swap, blend or transfer-expression",
 )
-"""Every file of a face that an application made."""
+"""Of a face that an application made."""
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
-_SAME_PLACE_MM = 0.01
-"""GLB files hold metres with 24 bits: a vertex of a face is off by far less."""
 
 
 class ProcessedScan(Protocol):
-    """What `load_result` takes of a result in memory; `scan2albedo.ProcessResult` is one."""
+    """What `load_result` takes of a result in memory; `scan2albedo.ProcessResult` is one.
 
-    @property
-    def scan(self) -> RawScan:
-        """The input."""
+    `fitted` is None for a scan that was processed without a model, `albedo` for a scan without colour.
+    """
 
-    @property
-    def fitted(self) -> FittedFace | None:
-        """None for a scan that was processed without a model."""
-
-    @property
-    def geometry_image(self) -> GeometryImage:
-        """The evenly sampled surface."""
-
-    @property
-    def albedo(self) -> AlbedoEstimate | None:
-        """None for a scan without colour."""
+    scan: RawScan
+    fitted: FittedFace | None
+    geometry_image: GeometryImage
+    albedo: AlbedoEstimate | None
 
 
 def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True) -> ProcessedFace:
@@ -131,63 +121,48 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         )
     try:
         if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
-            return _of_scan(folder, read_record(_present(folder, RESULT_FILE), ResultRecord), need_albedo)
-        record = read_record(folder / APPLICATION_FILE, ApplicationRecord)
-        return _of_application(folder, record, need_albedo)
+            file = _present(folder, RESULT_FILE)
+            scan = read_record(file, ResultRecord)
+            found: dict[str, Any] = {
+                "name": scan.name,
+                "lights": scan.lights,
+                "environment": scan.environment,
+                "model_name": str(scan.options.get("model", NO_MODEL)),
+                "casts_shadows": all(step.ran for step in scan.plan if step.stage == "albedo.shadows"),
+            }
+            parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL
+        else:
+            file = folder / APPLICATION_FILE
+            made = read_record(file, ApplicationRecord)
+            found = {
+                "name": made.name,
+                "lights": made.lights,
+                "environment": made.environment,
+                "model_name": made.model,
+                "casts_shadows": made.casts_shadows,
+                "view_direction": made.view_direction,
+                "shadow_offset_mm": made.shadow_offset_mm,
+            }
+            parameters, chart_mesh = made.reflectance, made.chart_mesh
+        if not parameters and need_albedo:
+            raise ApplicationError(
+                f"{folder}: holds no albedo, for the scan has no colour or the stage was skipped; process a "
+                "coloured scan with the stage albedo"
+            )
+        if parameters:
+            image, albedo = read_image_and_albedo(folder)
+        else:
+            image = read_geometry_image(_present(folder, "geometry_image.npz"))
+        mesh = FaceMesh.of_chart(image) if chart_mesh else fitted_mesh(folder, image)
+        if not parameters:
+            return ProcessedFace.shape_alone(found["name"], image, mesh, found["model_name"])
+        reflectance = _reflectance(parameters, file)
+        return ProcessedFace(image=image, albedo_linear=albedo, reflectance=reflectance, mesh=mesh, **found)
     except ApplicationError:
         raise
     except Scan2AlbedoError as error:
         text = str(error) if str(folder) in str(error) else f"{folder}: {error}"
         raise ApplicationError(text) from error
-
-
-def _shape_alone(folder: Path, name: str, model: str, chart_mesh: bool, need_albedo: bool) -> ProcessedFace:
-    """Return the face of a folder without an albedo; ApplicationError where it is needed."""
-    if need_albedo:
-        raise ApplicationError(
-            f"{folder}: holds no albedo, for the scan has no colour or the stage was skipped; process a "
-            "coloured scan with the stage albedo"
-        )
-    image = read_geometry_image(_present(folder, "geometry_image.npz"))
-    mesh = FaceMesh.of_chart(image) if chart_mesh else fitted_mesh(folder, image)
-    return ProcessedFace.shape_alone(name, image, mesh, model)
-
-
-def _of_scan(folder: Path, record: ResultRecord, need_albedo: bool) -> ProcessedFace:
-    model = str(record.options.get("model", NO_MODEL))
-    if not record.parameters:
-        return _shape_alone(folder, record.name, model, model == NO_MODEL, need_albedo)
-    image, albedo = read_image_and_albedo(folder)
-    return ProcessedFace(
-        record.name,
-        image,
-        albedo,
-        _reflectance(record.parameters, folder / RESULT_FILE),
-        tuple(light.light() for light in record.lights),
-        FaceMesh.of_chart(image) if model == NO_MODEL else fitted_mesh(folder, image),
-        model,
-        all(step.ran for step in record.plan if step.stage == "albedo.shadows"),
-        environment=None if record.environment is None else record.environment.environment(),
-    )
-
-
-def _of_application(folder: Path, record: ApplicationRecord, need_albedo: bool) -> ProcessedFace:
-    if not record.reflectance:
-        return _shape_alone(folder, record.name, record.model, record.chart_mesh, need_albedo)
-    image, albedo = read_image_and_albedo(folder)
-    return ProcessedFace(
-        record.name,
-        image,
-        albedo,
-        _reflectance(record.reflectance, folder / APPLICATION_FILE),
-        tuple(light.light() for light in record.lights),
-        FaceMesh.of_chart(image) if record.chart_mesh else fitted_mesh(folder, image),
-        record.model,
-        record.casts_shadows,
-        record.view_direction,
-        record.shadow_offset_mm,
-        None if record.environment is None else record.environment.environment(),
-    )
 
 
 def _reflectance(parameters: Mapping[str, Any], file: Path) -> Reflectance:
@@ -235,7 +210,7 @@ def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
         ) from error
     exact = None if image.occluder is None else image.occluder[0]
     if exact is not None and (
-        exact.shape != vertices.shape or np.abs(exact - vertices).max() > _SAME_PLACE_MM
+        exact.shape != vertices.shape or np.abs(exact - vertices).max() > SAME_PLACE_MM
     ):
         raise ApplicationError(
             f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "
@@ -245,9 +220,10 @@ def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
 
 
 def check_face_folder(folder: Path) -> None:
-    """Raise OutputError for the folder of a processed scan, which a new face would overwrite."""
+    """Raise OutputError for a folder with files that a new face would overwrite and no application wrote."""
     if (folder / RESULT_FILE).exists():
         raise OutputError(f"{folder}: is the folder of a processed scan; choose another for the new face")
+    RunFolder(folder, FACE_FILES).check()
 
 
 def write_face(
@@ -261,7 +237,7 @@ def write_face(
     """Write the face that an application made into a folder, whole or not at all; return the folder.
 
     Files: geometry_image.npz, albedo.exr, albedo.png, fitted.glb with the albedo, picture.png under a
-    portrait light, and application.json, which comes last. A shape alone has no file of an albedo.
+    portrait light, and application.json. A shape alone has no file of an albedo.
 
     Parameters
     ----------
@@ -282,61 +258,42 @@ def write_face(
     Raises
     ------
     OutputError
-        When the folder cannot be written, or is that of a processed scan.
+        When the folder cannot be written, is that of a processed scan, or holds a user's own files of these
+        names.
     """
-    target = Path(folder)
+    target, skin, mesh, preview = Path(folder), face.reflectance, face.mesh, None
     check_face_folder(target)
-    with result_folder(target, APPLICATION_FILE) as staging:
-        _write_images(face, staging)
-        written = sorted(path.name for path in staging.iterdir())
-        record = _record(face, application, inputs, options or {}, (*written, APPLICATION_FILE))
-        write_record(staging / APPLICATION_FILE, record)
+    with RunFolder(target, FACE_FILES).publishing() as staging:
+        write_geometry_image(staging.folder / "geometry_image.npz", face.image)
+        parameters = {}
+        if face.has_albedo:
+            write_exr(staging.folder / "albedo.exr", face.albedo_linear)
+            factor = auto_exposure(face.albedo_linear[face.mask])
+            filled = filled_from_nearest(face.albedo_linear, face.mask)
+            preview = encode_srgb_bytes(np.clip(factor * filled, 0, 1))
+            on_white = np.where(face.mask[..., None], preview, np.uint8(255))
+            alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
+            write_png(staging.folder / "albedo.png", np.dstack([on_white, alpha]))
+            parameters = {
+                "brdf": skin.brdf,
+                "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
+                "specular_strength": skin.specular_strength,
+                "specular_exponent": skin.exponent,
+            }
+        write_glb(staging.folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
+        write_png(staging.folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
+        staging.write_record(
+            name=face.name,
+            application=application,
+            inputs=tuple(given.name for given in inputs),
+            options=plain_json(options or {}),
+            model=face.model_name,
+            chart_mesh=mesh.from_chart,
+            casts_shadows=face.casts_shadows,
+            view_direction=face.view_direction,
+            shadow_offset_mm=face.shadow_offset_mm,
+            reflectance=parameters,
+            lights=face.lights,
+            environment=face.environment,
+        )
     return target
-
-
-def _write_images(face: ProcessedFace, folder: Path) -> None:
-    write_geometry_image(folder / "geometry_image.npz", face.image)
-    mesh, preview = face.mesh, None
-    if face.has_albedo:
-        write_exr(folder / "albedo.exr", face.albedo_linear)
-        factor = auto_exposure(face.albedo_linear[face.mask])
-        filled = filled_from_nearest(face.albedo_linear, face.mask)
-        preview = encode_srgb_bytes(np.clip(factor * filled, 0, 1))
-        on_white = np.where(face.mask[..., None], preview, np.uint8(255))
-        alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
-        write_png(folder / "albedo.png", np.dstack([on_white, alpha]))
-    write_glb(folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
-    write_png(folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
-
-
-def _record(
-    face: ProcessedFace,
-    application: str,
-    inputs: Sequence[ProcessedFace],
-    options: Mapping[str, Any],
-    files: tuple[str, ...],
-) -> ApplicationRecord:
-    skin = face.reflectance
-    return ApplicationRecord(
-        scan2albedo_version=VERSION,
-        name=face.name,
-        application=application,
-        inputs=tuple(given.name for given in inputs),
-        options=plain_json(options),
-        model=face.model_name,
-        chart_mesh=face.mesh.from_chart,
-        casts_shadows=face.casts_shadows,
-        view_direction=face.view_direction,
-        shadow_offset_mm=face.shadow_offset_mm,
-        reflectance={}
-        if not face.has_albedo
-        else {
-            "brdf": skin.brdf,
-            "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
-            "specular_strength": skin.specular_strength,
-            "specular_exponent": skin.exponent,
-        },
-        lights=tuple(LightRecord.of(light) for light in face.lights),
-        environment=EnvironmentRecord.of(face.environment),
-        files=files,
-    )

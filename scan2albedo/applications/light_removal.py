@@ -10,18 +10,19 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, uniform_filter
+from skimage.filters.rank import median
 
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.division import Usual, divide_light
 from scan2albedo.albedo.result import shade_image
-from scan2albedo.applications.scan_on_chart import ScanOnChart, scan_on_chart
+from scan2albedo.applications.face_features import FLOOR
 from scan2albedo.applications.shadow_lines import outlines, without_lines
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
@@ -43,13 +44,16 @@ DARKEST = 0.1
 (`tools/bench_unlit.py traced`)."""
 _ROUGHER = 2.0
 """How much farther noise is averaged than on a chart of such texels, each a mean over its footprint."""
-_BLACK = 1e-3
-"""Albedo below which the light is that of the estimate, not the quotient of two colours."""
 _SPOT, _DARK_SPOT = 0.012, 0.7
 """Half side of what is around a spot, as a part of the chart's, and how much darker it is, as a logarithm:
 by eye, on the folded lips of a coarse template."""
-_SHADED_MM = 2.5
-"""Beyond the face light is found on the scan with so much between its vertices."""
+_NEAR_MM, _FAR_MM = 2.5, 5.0
+"""Up to this distance from the fitted surface a vertex of the scan belongs to the face, and beyond the face
+light is found on the scan with so much between its vertices; from the second on a vertex does not belong."""
+_FACING = 0.3
+"""Cosine between a vertex's normal and the fitted surface's from which it belongs to the face; at 0 not."""
+_RIM_MM = 10.0
+"""Over this width at the model's rim the face ends gradually."""
 _TILE, _MARGIN, _GUTTER = 2048, 128, 16
 """Texels of a tile's side, of what is looked at beside it, and of the light's going on beside charts."""
 
@@ -100,116 +104,130 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     occluder = estimate.image.occluder
     if occluder is None or not np.array_equal(occluder[0], fitted.vertices):
         raise ApplicationError(f"{scan.name}: the albedo was estimated of another face than the fitted one")
-    light = _ChartLight.of(estimate)
-    on_chart = scan_on_chart(scan, fitted, estimate.image)
+    image, mask = estimate.image, estimate.image.mask
+    on_chart = scan_on_chart(scan, fitted, image)
     if not on_chart.weight.any():
         raise ApplicationError(
             f"{scan.name}: no part of the scan lies at the fitted face; give the scan it was fitted to"
         )
+    # The light that divided the texture, with all repairs.
+    assert image.texture_linear is not None
+    albedo = estimate.albedo_linear.astype(np.float64)
+    usual = float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else mask]))
+    # The light of black texels is that of the estimate, not the quotient of two colours.
+    black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
+    light = (image.texture_linear + black * estimate.shading) / (albedo + black)
+    log_light = filled_from_nearest(np.log(np.maximum(light, DARKEST * usual)), mask)
+    log_light = _without_dark_spots(log_light)
     if reach == "all":
-        beyond = _light_beyond(scan, fitted, estimate, DARKEST * light.usual)
-        parts = _Parts(scan, light, on_chart, *beyond, OUTSIDE_CONFIDENCE)
+        beyond = _light_beyond(scan, fitted, estimate, DARKEST * usual)
     else:
-        usual = np.full((len(scan.vertices), 3), math.log(light.usual))
-        parts = _Parts(scan, light, on_chart, usual, np.zeros((len(scan.vertices), 2)), 0.0)
+        beyond = np.full((len(scan.vertices), 3), math.log(usual)), np.zeros((len(scan.vertices), 2))
+    outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
+    density, areas = _texels_per_mm(scan, on_chart.weight), image.texel_areas_mm2()
+    texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 1.0
+    finest = max(mask.shape)
+    if density > 0:
+        finest = max(1, round(_ROUGHER * finest * texel_mm * density))
+    found = _Light(scan, on_chart, log_light, usual, *beyond, outside, finest, density)
     notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
     if scan.uv is not None and scan.texture_linear is not None:
-        texture, confidence = _unlit_texture(parts, scan.texture_linear, scan.uv)
+        texture, confidence = _unlit_texture(found, scan.texture_linear, scan.uv)
         return UnlitScan(replace(scan, texture_linear=texture, notes=notes), confidence)
     assert scan.vertex_color_linear is not None
-    divisor, sure = parts.light_at(on_chart.uv, on_chart.weight, parts.log_beyond)
-    colors = (scan.vertex_color_linear * (light.usual / divisor)).astype(np.float32)
+    divisor, sure = found.at(on_chart.uv, on_chart.weight, found.log_beyond)
+    colors = (scan.vertex_color_linear * (usual / divisor)).astype(np.float32)
     return UnlitScan(replace(scan, vertex_color_linear=colors, notes=notes), sure.astype(np.float32))
-
-
-@dataclass(frozen=True)
-class _ChartLight:
-    """The light on the chart: `log_light` (H, W, 3), and the `usual` light.
-
-    A chart of the same face with texels of 1 mm has a side of `side_mm`.
-    """
-
-    log_light: FloatArray
-    usual: float
-    side_mm: float
-
-    @classmethod
-    def of(cls, estimate: AlbedoEstimate) -> _ChartLight:
-        """Take the light that divided the texture, with all repairs."""
-        image, mask = estimate.image, estimate.image.mask
-        assert image.texture_linear is not None
-        albedo = estimate.albedo_linear.astype(np.float64)
-        usual = float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else mask]))
-        black = _BLACK * max(float(np.median(albedo[mask])), 1e-12)
-        light = (image.texture_linear + black * estimate.shading) / (albedo + black)
-        log_light = np.log(np.maximum(light, DARKEST * usual))
-        areas = image.texel_areas_mm2()
-        return cls(
-            log_light=_without_dark_spots(filled_from_nearest(log_light, mask)),
-            usual=usual,
-            side_mm=max(mask.shape) * float(np.sqrt(np.median(areas))) if len(areas) else max(mask.shape),
-        )
 
 
 def _without_dark_spots(log_light: FloatArray) -> FloatArray:
     """Return log light (H, W, 3) without small spots much darker than around: folds of the surface."""
-    import cv2
-
     mean = log_light.mean(-1)
     side = 2 * round(_SPOT * max(mean.shape)) + 1
     low, high = float(mean.min()), float(mean.max())
     steps = np.round((mean - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
-    usual = low + cv2.medianBlur(steps, side).astype(np.float64) * ((high - low) / 255)
-    return log_light + np.maximum(usual - _DARK_SPOT - mean, 0.0)[..., None]
+    around = low + median(steps, np.ones((side, side))) * ((high - low) / 255)
+    return log_light + np.maximum(around - _DARK_SPOT - mean, 0.0)[..., None]
 
 
 @dataclass(frozen=True)
-class _Parts:
-    """What every texel of a scan is divided by: light on the chart, and beyond it (V, 3).
+class ScanOnChart:
+    """`uv` (V, 2), the chart's place nearest to each vertex, and its `weight` (V,) in [0, 1]."""
 
-    `outlines` (V, 2) are those of the latter, see `shadow_lines`.
+    uv: FloatArray
+    weight: FloatArray
+
+
+def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> ScanOnChart:
+    """Return where the vertices of a scan lie on the chart of the geometry image of its fitted face.
+
+    Weight falls to 0 at the model's rim, and where the scan is far from the fitted surface, looks another
+    way, or was left out of the fit (`FittedFace.covered_faces`).
+    """
+
+    def smooth(progress: FloatArray) -> FloatArray:
+        step = np.clip(progress, 0.0, 1.0)
+        return np.asarray(step * step * (3 - 2 * step))
+
+    vertices = transform_points(fitted.model_from_scan, scan.vertices)
+    low, high = fitted.vertices.min(0) - _FAR_MM, fitted.vertices.max(0) + _FAR_MM
+    near = np.flatnonzero(((vertices > low) & (vertices < high)).all(1))
+    uv, weight = np.full((len(vertices), 2), 0.5), np.zeros(len(vertices))
+    if len(near) == 0:
+        return ScanOnChart(uv, weight)
+    hits = surface_query(fitted.vertices, fitted.faces).query(vertices[near])
+    corners = fitted.faces[hits.face]
+    uv[near] = np.einsum("nk,nkc->nc", hits.barycentric, fitted.uv[corners])
+    across = np.einsum("nk,nkc->nc", hits.barycentric, vertex_normals(fitted.vertices, fitted.faces)[corners])
+    cosine = np.einsum("nc,nc->n", across, vertex_normals(vertices, scan.faces)[near])
+    areas = image.texel_areas_mm2()
+    texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 0.0
+    inside = distance_transform_edt(np.pad(image.mask, 1))[1:-1, 1:-1, None]
+    from_rim_mm = texel_mm * bilinear(inside, pixels_from_uv(uv[near], image.shape))[:, 0]
+    weight[near] = smooth((_FAR_MM - hits.distance) / (_FAR_MM - _NEAR_MM))
+    weight[near] *= smooth(cosine / _FACING) * smooth(from_rim_mm / _RIM_MM)
+    if fitted.covered_faces is not None and len(fitted.covered_faces) == len(scan.faces):
+        weight[scan.faces[fitted.covered_faces]] = 0.0
+    return ScanOnChart(uv, weight)
+
+
+@dataclass(frozen=True)
+class _Light:
+    """What every texel of a scan is divided by: light on the chart, and beyond it (V, 3), about `usual`.
+
+    `outlines` (V, 2) are those of the latter, see `shadow_lines`; how surely it is known, `outside`. A chart
+    of the face with texels as large as the scan's are there has a side of `side`.
     """
 
     scan: RawScan
-    light: _ChartLight
     on_chart: ScanOnChart
+    log_light: FloatArray
+    usual: float
     log_beyond: FloatArray
     outlines: FloatArray
     outside: float
+    side: int
+    texels_per_mm: float
 
-    @property
-    def side(self) -> int:
-        """Side of a chart of the face with texels as large as the scan's are there."""
-        if self.texels_per_mm <= 0:
-            return max(self.light.log_light.shape)
-        return max(1, round(_ROUGHER * self.light.side_mm * self.texels_per_mm))
-
-    @cached_property
-    def texels_per_mm(self) -> float:
-        """Of the scan's texture on the face; 0 where none is."""
-        scan, texture = self.scan, self.scan.texture_linear
-        face = (self.on_chart.weight[scan.faces] > 0).all(1)
-        if texture is None or scan.uv is None or not face.any():
-            return 0.0
-        first, second, third = np.moveaxis(
-            pixels_from_uv(scan.uv[face].reshape(-1, 2), texture.shape[:2]).reshape(-1, 3, 2), 1, 0
-        )
-        across, beside = second - first, third - first
-        texels = np.abs(across[:, 0] * beside[:, 1] - across[:, 1] * beside[:, 0]) / 2
-        area_mm2 = face_areas(scan.vertices, scan.faces[face]).sum()
-        return float(np.sqrt(texels.sum() / max(area_mm2, 1e-12)))
-
-    def light_at(
-        self, uv: FloatArray, weight: FloatArray, log_beyond: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def at(self, uv: FloatArray, weight: FloatArray, log_beyond: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the light (N, 3) and how surely it is known (N,) at places (N, 2) of the chart.
 
         These count by `weight` (N,), the light beyond them (N, 3) by the rest.
         """
-        pixels = pixels_from_uv(uv, self.light.log_light.shape[:2])
-        share = weight[:, None]
-        log_light = share * bilinear(self.light.log_light, pixels) + (1 - share) * log_beyond
+        pixels, share = pixels_from_uv(uv, self.log_light.shape[:2]), weight[:, None]
+        log_light = share * bilinear(self.log_light, pixels) + (1 - share) * log_beyond
         return np.exp(log_light), weight + (1 - weight) * self.outside
+
+
+def _texels_per_mm(scan: RawScan, weight: FloatArray) -> float:
+    """Return how fine a scan's texture is where its vertices have a weight (V,); 0 where none is."""
+    face, texture = (weight[scan.faces] > 0).all(1), scan.texture_linear
+    if texture is None or scan.uv is None or not face.any():
+        return 0.0
+    corners = pixels_from_uv(scan.uv[face].reshape(-1, 2), texture.shape[:2]).reshape(-1, 3, 2)
+    across, beside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    texels = np.abs(across[:, 0] * beside[:, 1] - across[:, 1] * beside[:, 0]) / 2
+    return float(np.sqrt(texels.sum() / max(face_areas(scan.vertices, scan.faces[face]).sum(), 1e-12)))
 
 
 def _light_beyond(
@@ -220,7 +238,7 @@ def _light_beyond(
     And (V, 2) where it has `outlines`.
     """
     vertices = transform_points(fitted.model_from_scan, scan.vertices)
-    thin = thinned(vertices, scan.faces, _SHADED_MM)
+    thin = thinned(vertices, scan.faces, _NEAR_MM)
     if len(thin.faces) == 0:
         thin = thinned(vertices, scan.faces, 0.0)
     surface = GeometryImage(
@@ -244,41 +262,36 @@ def _light_beyond(
 
 
 def _unlit_texture(
-    parts: _Parts, texture: NDArray[np.float32], uv: FloatArray
+    light: _Light, texture: NDArray[np.float32], uv: FloatArray
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the texture (H, W, 3) without its light, and the confidence (H, W); where no face is, as is."""
     shape = texture.shape[:2]
     corners = pixels_from_uv(in_first_period(uv, texture.shape).reshape(-1, 2), shape).reshape(-1, 3, 2)
     first, last = np.floor(corners.min(1)), np.ceil(corners.max(1))
     result, confidence = np.array(texture), np.zeros(shape, np.float32)
+    # The tile with most of the face comes first: what is usual there serves for all, so that they join
+    # without a seam.
+    face = corners.mean(1)[(light.on_chart.weight[light.scan.faces] > 0).any(1)]
+    places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
+    count = Counter(map(tuple, places.tolist()))
+    tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
     usual = None
-    for top, left in _tiles(shape, corners.mean(1)[(parts.on_chart.weight[parts.scan.faces] > 0).any(1)]):
+    for top, left in sorted(tiles, key=lambda tile: -count[tile]):
         low = np.array([max(left - _MARGIN, 0), max(top - _MARGIN, 0)])
         high = np.minimum([left + _TILE + _MARGIN, top + _TILE + _MARGIN], [shape[1], shape[0]])
         inside = np.flatnonzero(((last >= low) & (first <= high)).all(1))
         if len(inside) == 0:
             continue
         window = np.s_[low[1] : high[1], low[0] : high[0]]
-        unlit, sure, usual = _unlit_tile(parts, texture[window], corners[inside] - low, inside, usual)
+        unlit, sure, usual = _unlit_tile(light, texture[window], corners[inside] - low, inside, usual)
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
         result[top : top + _TILE, left : left + _TILE] = unlit[own]
         confidence[top : top + _TILE, left : left + _TILE] = sure[own]
     return result, confidence
 
 
-def _tiles(shape: tuple[int, int], face: FloatArray) -> list[tuple[int, int]]:
-    """Return (top, left) of the tiles of a texture, that first which has most of the places `face` (N, 2).
-
-    What is usual there serves for all, so that they join without a seam.
-    """
-    places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
-    count = Counter(map(tuple, places.tolist()))
-    every = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
-    return sorted(every, key=lambda tile: -count[tile])
-
-
 def _unlit_tile(
-    parts: _Parts,
+    light: _Light,
     texture: NDArray[np.float32],
     corners: FloatArray,
     faces: NDArray[np.int64],
@@ -291,16 +304,17 @@ def _unlit_tile(
     index = np.arange(3 * len(corners)).reshape(-1, 3)
     raster = rasterize(corners.reshape(-1, 2), np.zeros(3 * len(corners)), index, texture.shape[:2])
     there = raster.covered
-    vertex = parts.scan.faces[faces[raster.face[there]]]
+    vertex = light.scan.faces[faces[raster.face[there]]]
     barycentric = raster.barycentric[there]
 
     def interpolated(values: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertex]))
 
-    weight = interpolated(parts.on_chart.weight)
-    light, sure = parts.light_at(interpolated(parts.on_chart.uv), weight, interpolated(parts.log_beyond))
-    divisor, known = np.full(texture.shape, parts.light.usual), np.zeros(texture.shape[:2])
-    divisor[there], known[there] = light, sure
+    weight = interpolated(light.on_chart.weight)
+    divisor, known = np.full(texture.shape, light.usual), np.zeros(texture.shape[:2])
+    divisor[there], known[there] = light.at(
+        interpolated(light.on_chart.uv), weight, interpolated(light.log_beyond)
+    )
     usable = known > 0
     albedo = texture / divisor
     if usable.any():
@@ -308,24 +322,19 @@ def _unlit_tile(
         box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         none = np.zeros(there[box].shape)
         filtered = divide_light(
-            texture[box], divisor[box], none, there[box], usable[box], side=parts.side, usual=usual
+            texture[box], divisor[box], none, there[box], usable[box], side=light.side, usual=usual
         )
         albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
         near = np.zeros((*texture.shape[:2], 2))
-        near[there] = interpolated(parts.outlines) * np.stack([1 - weight, np.ones_like(weight)], axis=1)
+        near[there] = interpolated(light.outlines) * np.stack([1 - weight, np.ones_like(weight)], axis=1)
         if near[..., 0].any():
-            albedo[box] = without_lines(albedo[box], near[box], there[box], parts.texels_per_mm)
+            albedo[box] = without_lines(albedo[box], near[box], there[box], light.texels_per_mm)
         usual = filtered.usual
     # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
-    unlit = np.where(there[..., None], albedo, texture / _spread(divisor, there, parts.light.usual))
-    return unlit * parts.light.usual, known, usual
-
-
-def _spread(light: FloatArray, there: BoolArray, usual: float) -> FloatArray:
-    """Return the light (H, W, 3) with the mean of its neighbours beside `there`, `usual` farther off."""
-    import cv2
-
-    window = (2 * _GUTTER + 1,) * 2
-    count = cv2.boxFilter(there.astype(np.float32), -1, window)[..., None]
-    total = cv2.boxFilter((light * there[..., None]).astype(np.float32), -1, window)
-    return np.where(there[..., None], light, np.where(count > 1e-6, total / np.maximum(count, 1e-6), usual))
+    window = 2 * _GUTTER + 1
+    count = uniform_filter(there.astype(np.float32), window, mode="mirror")[..., None]
+    total = uniform_filter(
+        (divisor * there[..., None]).astype(np.float32), (window, window, 1), mode="mirror"
+    )
+    spread = np.where(count > 1e-6, total / np.maximum(count, 1e-6), light.usual)
+    return np.where(there[..., None], albedo, texture / spread) * light.usual, known, usual

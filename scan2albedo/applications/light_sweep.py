@@ -9,13 +9,26 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
-from scan2albedo.applications.pictures import Picture
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
-from scan2albedo.io.atomic import result_folder, write_bytes
+from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
+from scan2albedo.io.result_records import RunRecord
+from scan2albedo.io.run_folder import OwnFiles, RunFolder
+from scan2albedo.rendering.pictures import Picture
+
+
+class SweepRecord(RunRecord):
+    """The content of a sweep's `sweep.json`."""
+
+    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+
+
+FRAMES = OwnFiles("sweep.json", SweepRecord, ("frame_*.png",), command="scan2albedo relight --sweep")
+"""Files of a sweep."""
 
 
 def light_arc(
@@ -114,9 +127,9 @@ def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> l
 
 
 def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> list[Path]:
-    """Write frames as ``frame_000.png`` and so on into a folder, all or none; return the files.
+    """Write frames as ``frame_000.png`` and so on and ``sweep.json`` into a folder, all or none.
 
-    Frames of an earlier sweep in the folder are removed. A film of them:
+    Return the frames' files. Those of an earlier sweep, which its sweep.json lists, are removed. A film:
     ``ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4``.
 
     Parameters
@@ -131,14 +144,14 @@ def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> lis
     Raises
     ------
     OutputError
-        When the folder cannot be written.
+        When the folder cannot be written, or holds a file under one of these names that no sweep wrote.
     """
-    target, names = Path(folder), [f"frame_{k:03d}.png" for k in range(len(frames))]
-    older = [path.name for path in target.glob("frame_[0-9]*.png")]
-    with result_folder(target, obsolete=older) as staging:
+    names = [f"frame_{k:03d}.png" for k in range(len(frames))]
+    with RunFolder(folder, FRAMES).publishing() as staging:
         for name, frame in zip(names, frames, strict=True):
-            write_png(staging / name, frame)
-    return [target / name for name in names]
+            write_png(staging.folder / name, frame)
+        staging.write_record()
+    return [Path(folder) / name for name in names]
 
 
 def write_gif(

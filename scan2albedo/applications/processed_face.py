@@ -19,6 +19,8 @@ from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.lighting.shading import Reflectance
 
 NO_MODEL = "none"
+SAME_PLACE_MM = 0.05
+"""Surfaces farther apart are not of one result, or of one model: GLB files hold metres with 24 bits."""
 
 
 @dataclass(frozen=True)
@@ -150,11 +152,8 @@ class ProcessedFace:
         ----------
         name : str
         image : GeometryImage
-            (H, W) texels, mm.
         mesh : FaceMesh
-            What is drawn.
         model_name : str
-            On whose chart the image lies.
         """
         grey = np.full((*image.shape, 3), 0.5, np.float32)
         return cls(name, image, grey, Reflectance("lambert"), (), mesh, model_name, has_albedo=False)
@@ -217,58 +216,50 @@ def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
     ApplicationError when sizes, models, meshes or charts differ, or a face has a chart of its own; the
     message names both faces and what differs.
     """
-    first = faces[0]
-    for other in faces[1:]:
-        _check_pair(first, other)
+    a = faces[0]
+    for b in faces[1:]:
+        both = f"{a.name} and {b.name}"
+        if a.image.shape != b.image.shape:
+            sizes = " and ".join(f"{f.image.shape[1]} x {f.image.shape[0]}" for f in (a, b))
+            raise ApplicationError(
+                f"{both}: geometry images of {sizes} texels; process both scans with one --size"
+            )
+        if a.model_name != b.model_name:
+            raise ApplicationError(
+                f"{both}: processed with different models, {a.model_name!r} and {b.model_name!r}; "
+                "process both scans with one --model"
+            )
+        if same_mesh(a.mesh, b.mesh):
+            continue
+        if a.model_name == NO_MODEL:
+            raise ApplicationError(
+                f"{both}: processed without a model, so each has its own chart and texels do not correspond; "
+                "process both scans with a model"
+            )
+        overlap = (a.mask & b.mask).sum() / min(a.mask.sum(), b.mask.sum())
+        if not (a.mesh.from_chart and b.mesh.from_chart and overlap >= _LEAST_OVERLAP):
+            raise ApplicationError(
+                f"{both}: their charts differ although both name the model {a.model_name!r}; "
+                "process both scans again with one version of it"
+            )
     mask = np.logical_and.reduce([face.mask for face in faces])
     if all(np.array_equal(face.mask, mask) for face in faces):
         return faces
-    return tuple(_restricted(face, mask) for face in faces)
-
-
-def _check_pair(a: ProcessedFace, b: ProcessedFace) -> None:
-    both = f"{a.name} and {b.name}"
-    if a.image.shape != b.image.shape:
-        raise ApplicationError(
-            f"{both}: geometry images of {_size(a)} and {_size(b)} texels; process both scans with one --size"
+    restricted = []
+    for face in faces:
+        old = face.image
+        image = replace(
+            old,
+            mask=mask,
+            position=np.where(mask[..., None], old.position, 0),
+            normal=np.where(mask[..., None], old.normal, 0),
+            region=None if old.region is None else np.where(mask, old.region, 255),
         )
-    if a.model_name != b.model_name:
-        raise ApplicationError(
-            f"{both}: processed with different models, {a.model_name!r} and {b.model_name!r}; "
-            "process both scans with one --model"
-        )
-    if same_mesh(a.mesh, b.mesh):
-        return
-    if a.model_name == NO_MODEL:
-        raise ApplicationError(
-            f"{both}: processed without a model, so each has its own chart and texels do not correspond; "
-            "process both scans with a model"
-        )
-    overlap = (a.mask & b.mask).sum() / min(a.mask.sum(), b.mask.sum())
-    if not (a.mesh.from_chart and b.mesh.from_chart and overlap >= _LEAST_OVERLAP):
-        raise ApplicationError(
-            f"{both}: their charts differ although both name the model {a.model_name!r}; "
-            "process both scans again with one version of it"
-        )
+        restricted.append(replace(face, image=image, mesh=FaceMesh.of_chart(image)))
+    return tuple(restricted)
 
 
 def same_mesh(a: FaceMesh, b: FaceMesh) -> bool:
     """Return whether two meshes have the same triangles at the same places of the chart."""
     same = len(a.uv) == len(b.uv) and np.array_equal(a.faces, b.faces)
     return bool(same and np.allclose(a.uv, b.uv, rtol=0, atol=_SAME_UV))
-
-
-def _restricted(face: ProcessedFace, mask: np.ndarray) -> ProcessedFace:
-    old = face.image
-    image = replace(
-        old,
-        mask=mask,
-        position=np.where(mask[..., None], old.position, 0),
-        normal=np.where(mask[..., None], old.normal, 0),
-        region=None if old.region is None else np.where(mask, old.region, 255),
-    )
-    return replace(face, image=image, mesh=FaceMesh.of_chart(image))
-
-
-def _size(face: ProcessedFace) -> str:
-    return f"{face.image.shape[1]} x {face.image.shape[0]}"

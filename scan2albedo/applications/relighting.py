@@ -1,4 +1,4 @@
-"""`relight`: a processed face under other light."""
+"""`relight`: a processed face under other light, on its chart and in pictures."""
 
 from __future__ import annotations
 
@@ -9,23 +9,31 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.face_features import feature_texels
-from scan2albedo.applications.face_gaps import without_gaps
-from scan2albedo.applications.pictures import Picture, auto_exposure, checked_exposure, photograph
+from scan2albedo.applications.face_features import BLUR, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace, on_grid
-from scan2albedo.applications.scene_light import SceneLight, shade
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.rasterization import filled_from_nearest
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras
+from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import write_glb
-from scan2albedo.lighting.environment import DistantLights, LightSpread
+from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.rendering.pictures import (
+    Picture,
+    auto_exposure,
+    checked_exposure,
+    portrait_camera,
+    seen_samples,
+)
+from scan2albedo.rendering.scene_light import SceneLight, shade
 
 Gloss = Literal["auto", "found", "none"]
 
@@ -34,21 +42,16 @@ SKIN_GLOSS, SKIN_EXPONENT = 0.25, 12.0
 reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 / (2 m^2) = 12 follows, peaks
 at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
 
-_SKIN_BLUR = 0.01
-"""Of the image's side: over what the likelihood of bare skin is averaged."""
+_ENVIRONMENT_LIGHTS = 128
+"""Distant lights that stand for an environment map."""
+_TESSELLATION = 0.75
+"""Between flat triangles, 0, and the mean of the tangent planes at their corners, 1."""
 
 
 @dataclass(frozen=True)
 class RelightOptions:
     """Settings of `relight`."""
 
-    shadows: bool | None = None
-    """Cast shadows; None casts them when the estimate found that the surface shades itself."""
-    environment_lights: int = 128
-    """Distant lights that stand for an environment map."""
-    environment_spread: LightSpread = "important"
-    """Whether these lights lie where the map is bright, which gives a fifth of the error, or evenly, so that
-    the light of two maps adds up."""
     gloss: Gloss = "auto"
     """"found" is the highlight of the estimate, "none" leaves it off; "auto" gives a face fitted with a model
     skin's usual highlight where the estimate found none."""
@@ -56,9 +59,8 @@ class RelightOptions:
     """Put smooth skin where none was seen and on dark sides before the ears, which are black patches else."""
 
     def __post_init__(self) -> None:
-        for name, known in (("gloss", Gloss), ("environment_spread", LightSpread)):
-            if (value := getattr(self, name)) not in get_args(known):
-                raise ValueError(f"{name} is {value!r}, expected one of {get_args(known)}")
+        if self.gloss not in get_args(Gloss):
+            raise ValueError(f"gloss is {self.gloss!r}, expected one of {get_args(Gloss)}")
 
 
 @dataclass(frozen=True)
@@ -73,26 +75,53 @@ class RelitFace:
     diffuse: NDArray[np.float32]
     specular: NDArray[np.float32]
     """`diffuse`, `specular`: (H, W, 3)."""
-    shadows: bool
-    """Whether shadows were cast."""
     notes: tuple[str, ...] = ()
     """What was assumed or filled, for people."""
 
     def picture(
         self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2
     ) -> Picture:
-        """Return what a camera (3, 4) sees, a portrait from the front when omitted; see `photograph`.
+        """Return what a camera (3, 4) sees, a portrait from the front when omitted.
+
+        Every sample is shaded for its own line of sight; a pixel is the mean of its samples. A face that
+        casts no shadows has attached ones.
 
         Parameters
         ----------
         camera : (3, 4) array_like of float, optional
+            As in `geometry.pinhole`.
         shape : (H, W)
         samples : int
             On each side of a pixel.
+
+        Raises
+        ------
+        ValueError
+            For an invalid camera, a shape below 2 pixels, or no sample.
         """
-        return photograph(
-            self.face, self.light, camera=camera, shape=shape, samples=samples, shadows=self.shadows
-        )
+        if min(shape) < 2 or samples < 1:
+            raise ValueError(
+                f"shape is {shape} and samples {samples}, expected 2 pixels and 1 sample or more"
+            )
+        face, mesh, mask = self.face, self.face.mesh, self.face.mask
+        given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
+        projection = normalized_cameras(given[None])[0]
+        seen = seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
+        normal = seen.interpolated(mesh.normals)
+        toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
+        outside = np.einsum("nc,nc->n", normal, toward) > 0
+        seen, normal, toward = seen.chosen(outside), normalized(normal[outside]), toward[outside]
+        # The triangles of a chart lie below the curved surface, and its finer occluder would shade them.
+        position = seen.raised(mesh.vertices, mesh.normals, _TESSELLATION if mesh.from_chart else 0.0)
+        caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
+        shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm)
+        pixels, gloss = pixels_from_uv(seen.interpolated(mesh.uv), mask.shape), face.image.specular_scale
+        albedo, scale = bilinear(filled_from_nearest(face.albedo_linear, mask), pixels), None
+        if gloss is not None:
+            scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
+        diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
+        made = seen.picture(np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))]))
+        return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
         """Write the face with its relit texture as a GLB that shines by itself, so no viewer lights it again.
@@ -111,7 +140,7 @@ def relight(
     face: ProcessedFace,
     lights: Sequence[PointLight] = (),
     *,
-    environment_linear: ArrayLike | None = None,
+    environment_linear: ArrayLike | DistantLights | None = None,
     environment: EnvironmentLight | None = None,
     ambient: float | None = None,
     options: RelightOptions = RelightOptions(),
@@ -121,7 +150,8 @@ def relight(
         T = A (I_a + sum_k V_k E_k f(n, l_k, v)) + k_s sum_k V_k E_k phong(n, l_k, v)
 
     with the reflectance that the estimate found, or skin's usual highlight beside it, see `RelightOptions`:
-    linear in the light, highlights in the colour of their lamp.
+    linear in the light, highlights in the colour of their lamp. Shadows are cast where the estimate found
+    that the surface shades itself (`ProcessedFace.casts_shadows`).
     ``relight(face, face.lights, environment=face.environment, options=RelightOptions(gloss="found"))`` is the
     light of the scan.
 
@@ -130,10 +160,10 @@ def relight(
     face : ProcessedFace
         From `load_result`.
     lights : sequence of PointLight
-    environment_linear : (H, W, 3) array_like of float, optional
+    environment_linear : (H, W, 3) array_like of float, or DistantLights, optional
         Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x. It shines as
-        a weighted sum of distant lights, each the integral over its cell of the sphere. The result is linear
-        in it where these lights are spread evenly, see `RelightOptions`.
+        128 distant lights that lie where the map is bright. The result is linear in lights that are given in
+        its place, such as ``DistantLights.from_environment(radiance, 64, "even")``.
     environment : EnvironmentLight, optional
         Soft light in spherical harmonics, without highlights. Its `bounce` holds for all light.
     ambient : float, optional
@@ -172,36 +202,41 @@ def relight(
         "relight: environment",
         "give a picture as environment_linear, soft light as an EnvironmentLight",
     )
-    if environment_linear is not None:
-        require_linear("relight: environment_linear", environment_linear)
     alone = environment_linear is None and environment is None
     base = float(alone) if ambient is None else ambient
-    _check_lights(face, lights, base)
-    if environment_linear is not None and np.min(environment_linear, initial=0.0) < 0:
-        raise ApplicationError(
-            f"environment_linear goes down to {np.min(environment_linear):.3g}; radiance is 0 or more"
-        )
-    distant = None
-    if environment_linear is not None:
-        distant = DistantLights.from_environment(
-            environment_linear, options.environment_lights, options.environment_spread
-        )
-    light = SceneLight.of(lights, distant, ambient=base, soft=environment)
-    shadows = face.casts_shadows if options.shadows is None else options.shadows
+    reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
+    for k, lamp in enumerate(lights):
+        if lamp.distance_mm <= reach:
+            raise ApplicationError(
+                f"light {k + 1} of {len(lights)} is {lamp.distance_mm:g} mm from the origin, but "
+                f"{face.name} reaches {reach:.0f} mm; place it outside"
+            )
+    if not 0 <= base < np.inf:
+        raise ApplicationError(f"ambient is {base}; it must be finite and not negative")
+    distant = environment_linear
+    if distant is not None and not isinstance(distant, DistantLights):
+        require_linear("relight: environment_linear", distant)
+        if np.min(distant, initial=0.0) < 0:
+            raise ApplicationError(
+                f"environment_linear goes down to {np.min(distant):.3g}; radiance is 0 or more"
+            )
+        distant = DistantLights.from_environment(distant, _ENVIRONMENT_LIGHTS, "important")
+    light = SceneLight.from_lamps(lights, distant, ambient=base, soft=environment)
     face, notes = as_lit(face, options)
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
-    shadow_map = ShadowMap(
-        RayCaster(*image.occluder_mesh()) if shadows and light.casts else None,
-        image.position[mask],
-        image.normal[mask],
-        face.shadow_offset_mm,
-    )
+    caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows and light.casts else None
+    shadows = ShadowMap(caster, image.position[mask], image.normal[mask], face.shadow_offset_mm)
     scale = None if image.specular_scale is None else image.specular_scale[mask].astype(np.float64)
-    lit = shade(shadow_map, light, face.reflectance, view / np.linalg.norm(view), scale)
-    texture = face.albedo_linear[mask].astype(np.float64) * lit.diffuse + lit.specular
-    pictures = [_chart_image(face, values) for values in (texture, lit.diffuse, lit.specular)]
-    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], shadows, notes)
+    diffuse, specular = shade(shadows, light, face.reflectance, view / np.linalg.norm(view), scale)
+    pictures = []
+    for values in (face.albedo_linear[mask].astype(np.float64) * diffuse + specular, diffuse, specular):
+        if np.abs(values).max() > np.finfo(np.float32).max:
+            raise ApplicationError(
+                f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
+            )
+        pictures.append(on_grid(mask, values).astype(np.float32))
+    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], notes)
 
 
 def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, tuple[str, ...]]:
@@ -220,40 +255,39 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
         skin = replace(skin, specular_strength=0.0)
     elif options.gloss == "auto" and skin.specular_strength == 0 and face.model_name != NO_MODEL:
         skin = replace(skin, specular_strength=SKIN_GLOSS * face.level(), exponent=SKIN_EXPONENT)
-        face = replace(face, image=replace(face.image, specular_scale=_skin_scale(face)))
+        scale, bare = face.image.specular_scale, face.image.skin
+        if bare is not None:
+            # The annotation's scale of highlights, lower where the texture shows hair and not skin.
+            features = feature_texels(face)
+            glossy = [~face.image.seen, *(features[name] for name in ("eyes", "mouth") if name in features)]
+            bare = np.where(np.logical_or.reduce(glossy), 1.0, bare).astype(np.float64)
+            smooth = gaussian_filter(bare, BLUR * max(bare.shape), mode="mirror")
+            scale = np.asarray(smooth if scale is None else smooth * scale, np.float32)
+        face = replace(face, image=replace(face.image, specular_scale=scale))
         notes.append("no highlight was found, so skin's usual one is assumed")
     return replace(face, reflectance=skin), tuple(notes)
 
 
-def _skin_scale(face: ProcessedFace) -> NDArray[np.float32] | None:
-    """Return (H, W) the annotation's scale of highlights, lower where the texture shows hair, no skin."""
-    scale, skin = face.image.specular_scale, face.image.skin
-    if skin is None:
-        return scale
-    import cv2
+def default_camera(
+    face: ProcessedFace,
+    shape: tuple[int, int] = (512, 512),
+    *,
+    azimuth_rad: float = 0.0,
+    elevation_rad: float = 0.0,
+) -> FloatArray:
+    """Return the (3, 4) camera of a portrait that holds all of the face, see `rendering.portrait_camera`.
 
-    features = feature_texels(face)
-    glossy = [~face.image.seen, *(features[name] for name in ("eyes", "mouth") if name in features)]
-    bare = np.where(np.logical_or.reduce(glossy), 1.0, skin).astype(np.float64)
-    smooth = cv2.GaussianBlur(bare, (0, 0), _SKIN_BLUR * max(skin.shape))
-    return np.asarray(smooth if scale is None else smooth * scale, np.float32)
+    Parameters
+    ----------
+    face : ProcessedFace
+    shape : (H, W)
+        Of the picture.
+    azimuth_rad, elevation_rad : float
+        Of the camera seen from the face: from +z toward +x, and toward +y, not right above.
 
-
-def _chart_image(face: ProcessedFace, values: FloatArray) -> NDArray[np.float32]:
-    if np.abs(values).max() > np.finfo(np.float32).max:
-        raise ApplicationError(
-            f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
-        )
-    return on_grid(face.mask, values).astype(np.float32)
-
-
-def _check_lights(face: ProcessedFace, lights: Sequence[PointLight], ambient: float) -> None:
-    reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
-    for k, light in enumerate(lights):
-        if light.distance_mm <= reach:
-            raise ApplicationError(
-                f"light {k + 1} of {len(lights)} is {light.distance_mm:g} mm from the origin, but "
-                f"{face.name} reaches {reach:.0f} mm; place it outside"
-            )
-    if not 0 <= ambient < np.inf:
-        raise ApplicationError(f"ambient is {ambient}; it must be finite and not negative")
+    Raises
+    ------
+    ValueError
+        For an azimuth that is not finite, an elevation beyond 89 degrees, or a shape below 2 pixels.
+    """
+    return portrait_camera(face.mesh.vertices, shape, azimuth_rad, elevation_rad)

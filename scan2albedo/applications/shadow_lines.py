@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.spatial import cKDTree
 
 from scan2albedo.applications.template_baking import filled_smoothly
@@ -66,38 +67,31 @@ def without_lines(
 
     Only texels that are `there` (H, W) count.
     """
-    import cv2
-
     near, step = np.moveaxis(outlines, -1, 0)
-    sigma = _DETAIL_MM * texels_per_mm
     known = there & (near <= 0)
     log_albedo = np.log(np.maximum(albedo, _DARK)).astype(np.float32)
     if not known.any() or not (there & (near > 0)).any():
         return albedo.astype(np.float32)
-    filled = filled_smoothly(log_albedo, known)
-    weight = cv2.GaussianBlur(there.astype(np.float32), (0, 0), sigma)[..., None]
-    mean = cv2.GaussianBlur(log_albedo * there[..., None], (0, 0), sigma) / np.maximum(weight, 1e-6)
-    base = cv2.GaussianBlur(filled, (0, 0), sigma)
+
+    def blurred(values: NDArray[np.float32]) -> NDArray[np.float32]:
+        sigma = _DETAIL_MM * texels_per_mm
+        return gaussian_filter(values, (sigma, sigma, 0), mode="mirror")
+
+    inside = there[..., None].astype(np.float32)
+    mean = blurred(log_albedo * inside) / np.maximum(blurred(inside), 1e-6)
+    base = blurred(filled_smoothly(log_albedo, known))
     detail = log_albedo - mean
     usual = _COARSEST * float(np.median(np.abs(detail[known])))
-    share = (near * there * _alike_around(mean.max(-1), known, texels_per_mm))[..., None]
-    limit = step[..., None].astype(np.float32)
+    # How alike what is known is around each texel: not hair, or hair and skin.
+    side, value = 2 * max(1, round(_AROUND_MM * texels_per_mm)) + 1, mean.max(-1)
+    part, first, second = (
+        uniform_filter(field, side, mode="mirror")
+        for field in (known * 1.0, known * value.astype(np.float64), known * value.astype(np.float64) ** 2)
+    )
+    around = first / np.maximum(part, 1e-6)
+    deviation = np.sqrt(np.maximum(second / np.maximum(part, 1e-6) - around**2, 0.0))
+    alike = np.where(part > _LEAST_KNOWN, np.clip((_UNLIKE - deviation) / (_UNLIKE - _ALIKE), 0.0, 1.0), 0.0)
+    share = (near * there * alike)[..., None]
+    limit = step[..., None]
     wanted = mean + (base - mean).clip(-limit, limit) + detail.clip(-usual, usual)
     return np.exp((1 - share) * log_albedo + share * wanted).astype(np.float32)
-
-
-def _alike_around(
-    log_value: NDArray[np.float32], known: BoolArray, texels_per_mm: float
-) -> NDArray[np.float32]:
-    """Return (H, W) in [0, 1] how alike what is `known` is around each texel: not hair, or hair and skin."""
-    import cv2
-
-    window = (2 * max(1, round(_AROUND_MM * texels_per_mm)) + 1,) * 2
-    weight = known.astype(np.float32)
-    part, first, second = (
-        cv2.boxFilter(field, -1, window) for field in (weight, weight * log_value, weight * log_value**2)
-    )
-    mean = first / np.maximum(part, 1e-6)
-    deviation = np.sqrt(np.maximum(second / np.maximum(part, 1e-6) - mean**2, 0.0))
-    alike = np.clip((_UNLIKE - deviation) / (_UNLIKE - _ALIKE), 0.0, 1.0)
-    return np.where(part > _LEAST_KNOWN, alike, 0.0).astype(np.float32)

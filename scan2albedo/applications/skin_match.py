@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
 
+from scan2albedo.applications.face_features import SKIN, blurred_inside
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.errors import needs_extra
 
-_SKIN, _LEAST_TEXELS = 0.5, 100
-"""Likelihood from which texels count as skin, and how many both faces must have."""
-_LOCAL, _SMOOTH, _FARTHEST = 0.04, 0.02, 0.03
+_LEAST_TEXELS = 100
+"""Of skin that both faces must have."""
+_LOCAL, _SMOOTH, _FARTHEST, _AGREE = 0.04, 0.02, 0.03, 0.004
 """Of the image's side: over what the albedo's mean is taken away before features are matched, over what the
-displacement is averaged, and how far a feature is followed."""
-_AGREE = 0.004
-"""Of the image's side: a displacement there and back that ends farther away is not believed."""
-_PADDED = 4
-"""Texels around a field that is looked up between texels: cubic interpolation needs two."""
-_CONTRASTS = 3.0
-_LEAST_CONTRAST = 0.25
+displacement is averaged, how far a feature is followed, and how far from its start it may end there and
+back."""
+_CONTRASTS, _LEAST_CONTRAST = 3.0, 0.25
 """Departure of log V, in its deviations: what is clipped, and below which there is no feature to follow."""
 
 
@@ -28,7 +27,7 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
     are skin in both faces; seen ones where skin is not known. The factors are 1 for black albedos.
     """
     both = source.image.seen & target.image.seen
-    skin = [face.image.skin > _SKIN for face in (source, target) if face.image.skin is not None]
+    skin = [face.image.skin > SKIN for face in (source, target) if face.image.skin is not None]
     bare = np.logical_and.reduce([both, *skin])
     for texels in (bare, both):
         if texels.sum() >= _LEAST_TEXELS:
@@ -40,24 +39,20 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
     return np.ones(3)
 
 
-def level_gain(source: ProcessedFace, target: ProcessedFace) -> float:
-    """Return the factor that gives the source's albedo the target's level; 1 for black ones."""
-    levels = source.level(), target.level()
-    return levels[1] / levels[0] if min(levels) > 0 else 1.0
-
-
 def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W, 2) by how many texels (across, down) the features of albedo `b` lie beside those of `a`.
 
     Two fits put one nostril on texels that differ a little, and a mean of both shows it twice. Dense optical
     flow between the local contrasts of log V [1]_, where it agrees there and back and something is to be
     seen, averaged over the neighbourhood; 0 elsewhere. Albedos are (H, W, 3), 0 outside `mask`.
+    MissingDependencyError without OpenCV.
 
     References
     ----------
     .. [1] T. Kroeger et al., "Fast optical flow using dense inverse search", ECCV 2016.
     """
-    import cv2
+    with needs_extra("blend"):
+        import cv2
 
     side = max(mask.shape)
     contrasts = [local_contrast(field, mask) for field in (a, b)]
@@ -71,31 +66,24 @@ def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     near = np.linalg.norm(there, axis=-1) < _FARTHEST * side
     shown = np.minimum(np.abs(contrasts[0]), np.abs(warped(contrasts[1], there)))
     weight = mask * agrees * near * np.clip(shown / _LEAST_CONTRAST - 1, 0, 1)
-    sigma = _SMOOTH * side
-    total = cv2.GaussianBlur(weight[..., None] * there, (0, 0), sigma)
-    share = cv2.GaussianBlur(weight.astype(np.float64), (0, 0), sigma)
-    return np.asarray(total / np.maximum(share, 0.1)[..., None], np.float64)
+    sigma = (_SMOOTH * side, _SMOOTH * side, 0)
+    total, share = (
+        gaussian_filter(field, sigma, mode="mirror")
+        for field in (weight[..., None] * there, weight[..., None])
+    )
+    return np.asarray(total / np.maximum(share, 0.1), np.float64)
 
 
 def warped(field: FloatArray, flow: FloatArray) -> FloatArray:
-    """Return the field (H, W, ...), 0 or more, looked up `flow` (H, W, 2) texels beside each texel."""
-    import cv2
-
-    row, column = np.indices(flow.shape[:2]) + _PADDED
-    across, down = (np.asarray(at, np.float32) for at in (column + flow[..., 0], row + flow[..., 1]))
-    padded = cv2.copyMakeBorder(field, _PADDED, _PADDED, _PADDED, _PADDED, cv2.BORDER_REPLICATE)
-    moved = cv2.remap(padded, across, down, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(np.clip(moved, field.min(), field.max()))
+    """Return the field (H, W) or (H, W, C) looked up `flow` (H, W, 2) texels beside each texel."""
+    at = np.indices(flow.shape[:2]) + np.moveaxis(flow[..., ::-1], -1, 0)
+    channels = np.moveaxis(np.atleast_3d(field), -1, 0)
+    moved = np.stack([map_coordinates(channel, at, order=3, mode="nearest") for channel in channels], -1)
+    return np.clip(moved, field.min(), field.max()).reshape(field.shape)
 
 
 def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W) log V less its local mean, in its robust deviation; 0 outside the mask."""
-    import cv2
-
     value = np.log(np.maximum(albedo.max(-1), 1e-4 * max(float(albedo.max()), 1e-12)))
-    inside, sigma = mask.astype(np.float64), _LOCAL * max(mask.shape)
-    mean = cv2.GaussianBlur(value * inside, (0, 0), sigma) / np.maximum(
-        cv2.GaussianBlur(inside, (0, 0), sigma), 1e-6
-    )
-    rest = np.where(mask, value - mean, 0.0)
+    rest = np.where(mask, value - blurred_inside(value, mask, _LOCAL * max(mask.shape)), 0.0)
     return np.asarray(rest / max(float(np.std(rest[mask])), 1e-6))

@@ -5,26 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
-from scan2albedo.applications.face_features import taken_features, without_catchlights
-from scan2albedo.applications.face_gaps import dark_sides
+from scan2albedo.applications.face_features import FLOOR, dark_sides, taken_features, without_catchlights
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.skin_match import level_gain, skin_gains
+from scan2albedo.applications.skin_match import skin_gains
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedFaceModel
 
 _MARGIN = 2
-"""Texels beside badly seen ones that are not trusted either."""
-_FLOOR = 1e-5
-"""Albedo below this part of the level counts as this in logarithms."""
+"""Texels beside badly seen ones that are not trusted either, and over which a feature at the border fades."""
 _REACH, _UNLIKE = 0.05, 0.25
 """Over which part of the image's side the faces' difference is averaged, and from which departure (of a
 logarithm) on a texel is a feature of one face only."""
 _ROUNDS = 5
-_FADE = 2.0
-"""Texels over which a feature at the border fades out."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +68,13 @@ def swap_texture(
         require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
     require_type(options, SwapOptions, "swap_texture: options", "make them with SwapOptions()")
     shape, skin = on_common_chart(a, b)
-    gains = _gains(skin, shape, options)
+    levels = skin.level(), shape.level()
+    if not options.match_level:
+        gains = np.ones(3)
+    elif options.match_color:
+        gains = skin_gains(skin, shape)
+    else:
+        gains = np.full(3, levels[1] / levels[0] if min(levels) > 0 else 1.0)
     albedo = gains * continued_skin(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     image = replace(
@@ -102,22 +104,11 @@ def continued_skin(
     return continued(without_catchlights(face, model), known, detail, guide)
 
 
-def _gains(source: ProcessedFace, target: ProcessedFace, options: SwapOptions) -> FloatArray:
-    if not options.match_level:
-        return np.ones(3)
-    if options.match_color:
-        return skin_gains(source, target)
-    return np.full(3, level_gain(source, target))
-
-
 def trusted(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> BoolArray:
     """Return (H, W) texels that were seen, without those close to one that was not, and without hair or black
     at the sides."""
-    import cv2
-
-    unseen = (face.mask & ~face.image.seen).astype(np.uint8)
-    near = cv2.dilate(unseen, np.ones((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.uint8))
-    return np.asarray(face.mask & (near == 0) & ~dark_sides(face, model))
+    near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")
+    return np.asarray(face.mask & ~near & ~dark_sides(face, model))
 
 
 def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:
@@ -132,41 +123,26 @@ def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide:
     missing = other.mask & ~known
     if not missing.any() or not known.any() or np.allclose(albedo, other.albedo_linear, rtol=1e-6, atol=0):
         return albedo
-    floor = _FLOOR * max(other.level(), 1e-12)
+    floor = FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))
     log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
     across, down = forward_differences(log_other)
     across[~(guide[:, 1:] & guide[:, :-1])] = 0
     down[~(guide[1:] & guide[:-1])] = 0
-    feature = _features(field - log_other, known & guide)
-    filled = integrate_gradients(field - feature, missing, known, across, down)
-    return np.where(missing[..., None], np.exp(_faded(filled, field, feature, known)), albedo)
-
-
-def _features(difference: FloatArray, both: BoolArray) -> FloatArray:
-    """Return (H, W, 3) the faces' difference less its robust local mean; 0 outside `both`.
-
-    The mean is that of a box taken twice, reweighted by Geman and McClure's 1 / (1 + (r / s)^2)^2.
-    """
-    import cv2
-
-    side = 2 * round(_REACH * max(both.shape)) + 1
-    values = np.where(both[..., None], difference, 0.0)
-    weight, departure = both.astype(np.float64), np.zeros_like(values)
+    # The faces' difference less its local mean, that of a box taken twice, reweighted by Geman and McClure's
+    # 1 / (1 + (r / s)^2)^2.
+    both, side = known & guide, 2 * round(_REACH * max(known.shape)) + 1
+    values = np.where(both[..., None], field - log_other, 0.0)
+    weight, feature = both.astype(np.float64), np.zeros_like(values)
     for _ in range(_ROUNDS):
-        weighted = np.dstack([weight[..., None] * values, weight])
-        total = np.asarray(cv2.blur(cv2.blur(weighted, (side, side)), (side, side)), np.float64)
-        departure = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
-        away = np.abs(departure).max(-1) / _UNLIKE
-        weight = both / (1 + away**2) ** 2
-    return departure
-
-
-def _faded(filled: FloatArray, field: FloatArray, feature: FloatArray, known: BoolArray) -> FloatArray:
-    """Return `filled` plus the feature of the nearest known texel, fading with distance."""
-    from scipy.ndimage import distance_transform_edt
-
+        total = np.dstack([weight[..., None] * values, weight])
+        for _ in range(2):
+            total = uniform_filter(total, (side, side, 1), mode="mirror")
+        feature = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
+        weight = both / (1 + (np.abs(feature).max(-1) / _UNLIKE) ** 2) ** 2
+    filled = integrate_gradients(field - feature, missing, known, across, down)
     distance, (row, column) = distance_transform_edt(~known, return_indices=True)
     border = field[row, column]
-    raised = filled + feature[row, column] * np.exp(-((distance / _FADE) ** 2))[..., None]
-    return np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))
+    raised = filled + feature[row, column] * np.exp(-((distance / _MARGIN) ** 2))[..., None]
+    faded = np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))
+    return np.where(missing[..., None], np.exp(faded), albedo)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -48,9 +49,9 @@ def swap(
 
     _check_new_folder(out, [a, b])
     first, second = load_result(a), load_result(b)
-    chosen = {"match_level": not keep_level, "match_color": not (keep_level or keep_color)}
-    made = swap_texture(first, second, options=SwapOptions(**chosen), model=chosen_model(model))
-    _write_face(made, out, "swap", [first, second], chosen, json_summary)
+    options = SwapOptions(match_level=not keep_level, match_color=not (keep_level or keep_color))
+    made = swap_texture(first, second, options=options, model=chosen_model(model))
+    _write_face(made, out, "swap", [first, second], asdict(options), json_summary)
 
 
 def blend(
@@ -98,9 +99,8 @@ def transfer_expression(
     )
     from scan2albedo.face_model import chosen_model
 
-    chosen: dict[str, Any] = {"strength": strength, "correspondence": correspondence}
     try:
-        options = applications.TransferOptions(**chosen)
+        options = applications.TransferOptions(strength=strength, correspondence=correspondence)  # type: ignore[arg-type]
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
     _check_new_folder(out, [neutral_a, expression_a, neutral_b])
@@ -116,7 +116,7 @@ def transfer_expression(
         )
     made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
     refined = level_to_refine(faces[0].mesh, options, template) is not None
-    chosen["correspondence"] = "refined" if refined else "as-fitted"
+    chosen = {"strength": strength, "correspondence": "refined" if refined else "as-fitted"}
     _write_face(made, out, "transfer-expression", faces, chosen, json_summary)
 
 

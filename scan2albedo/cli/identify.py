@@ -68,16 +68,18 @@ def identify(
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
+    from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.recognition import (
         TemplateOptions,
         identify_results,
         read_labelled_templates,
         write_labelled_templates,
     )
-    from scan2albedo.runs.recognition.files import identification_record, write_identification
+    from scan2albedo.runs.recognition.files import FILES, identification_record, write_identification
 
     with removed_if_empty(out), ProgressLines("identify") as progress:
         if out is not None:
+            RunFolder(out, FILES).check()
             check_writable(out)
         known = read_labelled_templates(
             gallery,

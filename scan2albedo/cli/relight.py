@@ -99,13 +99,17 @@ def relight(
     if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
         raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
     from scan2albedo import applications
+    from scan2albedo.applications.light_sweep import FRAMES
     from scan2albedo.io.images import read_image_linear
+    from scan2albedo.io.run_folder import RunFolder
 
     try:
         options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)  # type: ignore[arg-type]
     except ValueError as error:
         raise typer.BadParameter(f"--gloss: {error}") from None
     stop_cleanly_on_interrupt(None)
+    if sweep is not None and not extension:
+        RunFolder(out, FRAMES).check()
     face = applications.load_result(result)
     azimuth, elevation = (math.radians(angle) for angle in camera_at)
     try:
@@ -141,10 +145,10 @@ def _check_output(extension: str, sweep: int | None, texture: bool) -> None:
 
 def _refuse_result_files(result: Path, out: Path) -> None:
     """Refuse to overwrite files of the result itself."""
-    from scan2albedo.applications.files import FILES
+    from scan2albedo.applications.files import FACE_FILES
     from scan2albedo.pipeline.result import FILES as SCAN_FILES
 
-    ours = out.name in FILES or SCAN_FILES.holds(out.name)
+    ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
     inside = out.resolve().parent == result.resolve() and ours
     if inside or out.resolve() == result.resolve():
         raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")

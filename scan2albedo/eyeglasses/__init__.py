@@ -1,9 +1,8 @@
 """Eyeglasses, after the supplement of Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023.
 
 S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning) and
-`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`, with S11 and S12 in
-`refraction`, tint and reflection in `lens_shading`; section 6.3, other light, in `lens_rendering`. Files
-that people exchange: `frame_files`, `view_files`.
+`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files that people
+exchange: `frame_files`, `view_files`.
 """
 
 from scan2albedo.eyeglasses.canonical.canonicalization import (
@@ -23,18 +22,11 @@ from scan2albedo.eyeglasses.frame_files import (
     write_start,
 )
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
-from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, lens_mesh
+from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, LensPictureOptions, insert_lenses
-from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim
-from scan2albedo.eyeglasses.lenses.lens_scene import Surface
-from scan2albedo.eyeglasses.lenses.lens_shading import (
-    LensMaterial,
-    blend_lens,
-    environment_radiance,
-    light_by_environment,
-    mirror_on_sphere,
-)
-from scan2albedo.eyeglasses.lenses.refraction import RefractedRays, ThinLens, refract
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial, RefractedRays, ThinLens, refract
+from scan2albedo.eyeglasses.lenses.rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lenses.scenes import Surface
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
 from scan2albedo.eyeglasses.on_face.start_poses import TriangulatedPoints, triangulate
@@ -81,17 +73,12 @@ __all__ = [
     "ThinLens",
     "TriangulatedPoints",
     "ViewLabels",
-    "blend_lens",
     "bounded_biharmonic_weights",
     "canonicalize",
     "distant_directions",
-    "environment_radiance",
     "environment_weights",
     "find_lens_rim",
     "insert_lenses",
-    "lens_mesh",
-    "light_by_environment",
-    "mirror_on_sphere",
     "read_cameras",
     "read_canonical",
     "read_keypoints",

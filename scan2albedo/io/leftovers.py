@@ -68,10 +68,9 @@ def remove_leftovers(*folders: Path) -> int:
     for folder in folders:
         with suppress(OSError):
             settle(folder)
-            for entry in os.scandir(folder):
-                found = _PATTERN.fullmatch(entry.name)
-                if found and not entry.is_symlink() and not _at_work(Path(entry.path)):
-                    _remove(Path(entry.path))
+            for path in folder.iterdir():
+                if is_hidden_path(path) and not path.is_symlink() and not _at_work(path):
+                    _remove(path)
                     removed += 1
     return removed
 

@@ -117,19 +117,19 @@ def _link_others(
     old: Path, new: Path, dropped: Collection[str], linked: dict[str, int], prefix: str = ""
 ) -> None:
     """Give `new` what is in `old` alone and not dropped, with its mode and owner; note the inodes."""
-    for entry in os.scandir(old):
-        name, place = prefix + entry.name, new / entry.name
-        if entry.is_dir(follow_symlinks=False):
-            if not os.access(entry, os.W_OK | os.X_OK):
-                raise PermissionError(None, f"{entry.path} cannot be removed")
+    for path in old.iterdir():
+        name, place = prefix + path.name, new / path.name
+        if path.is_dir() and not path.is_symlink():
+            if not os.access(path, os.W_OK | os.X_OK):
+                raise PermissionError(None, f"{path} cannot be removed")
             place.mkdir(exist_ok=True)
-            _link_others(Path(entry.path), place, dropped, linked, f"{name}/")
+            _link_others(path, place, dropped, linked, f"{name}/")
         elif name not in dropped and not os.path.lexists(place):
-            if entry.is_symlink():
-                os.symlink(os.readlink(entry), place)
+            if path.is_symlink():
+                os.symlink(os.readlink(path), place)
             else:
-                os.link(entry, place)
-            linked[name] = entry.inode()
+                os.link(path, place)
+            linked[name] = path.lstat().st_ino
     there, made = old.stat(), new.stat()
     if (there.st_uid, there.st_gid) != (made.st_uid, made.st_gid):
         os.chown(new, there.st_uid, there.st_gid)

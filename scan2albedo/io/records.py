@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from dataclasses import is_dataclass, replace
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -66,9 +68,13 @@ def _printable_texts(value: Any) -> Any:
         return printable(value)
     if isinstance(value, dict):
         return {_printable_texts(key): _printable_texts(item) for key, item in value.items()}
+    if is_dataclass(value) and not isinstance(value, type):
+        texts = {name: printable(text) for name, text in vars(value).items() if isinstance(text, str)}
+        return replace(value, **texts) if texts else value
     return type(value)(map(_printable_texts, value)) if type(value) in (list, tuple) else value
 
 
+@cache
 def installed_versions() -> dict[str, str]:
     """Return the versions of Python and of the numerical libraries that are installed."""
     import platform

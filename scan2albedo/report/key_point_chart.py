@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, KEY_POINT_PLACES
-from scan2albedo.report.rendering import View, render_mesh
+from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.synthetic import GlassesShape, eyeglasses
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
-from scan2albedo.report.rendering import View, heat_colors, render_mesh
+from scan2albedo.rendering.views import View, heat_colors, render_mesh
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh_filling import filled_over_mesh
-from scan2albedo.geometry.pinhole import project
-from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
+from scan2albedo.rendering.pictures import seen_samples
+from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel
-from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
 if TYPE_CHECKING:
     from scan2albedo.reflectance import MeshReflectance, ReflectanceFit
@@ -109,13 +108,11 @@ def draw_in_camera(
     camera: FloatArray, shape: tuple[int, int], vertices: FloatArray, faces: IntArray, color: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return colours (V, 3) as a camera (3, 4) sees them (H, W, 3), and where they are all known (H, W)."""
-    pixels, depth = project(camera, vertices)
-    known = np.isfinite(color).all(1)
-    ahead = np.asarray(np.isfinite(pixels).all(1))
-    kept = faces[np.flatnonzero(np.take(ahead, faces).all(1))]
-    raster = rasterize(np.where(ahead[:, None], pixels, 0.0), -depth, kept, shape)
-    shown = raster.covered & (interpolate(raster, kept, known.astype(float)) > 1 - 1e-9)
-    return np.where(shown[..., None], interpolate(raster, kept, np.nan_to_num(color)), 0.0), shown
+    seen = seen_samples(vertices, faces, camera, shape)
+    known = seen.interpolated(np.isfinite(color).all(1).astype(float)) > 1 - 1e-9
+    colors = np.where(known[:, None], seen.interpolated(np.nan_to_num(color)), 0.0)
+    made = seen.picture(np.column_stack([colors, known]))
+    return made[..., :3], made[..., 3] > 0
 
 
 def _colored(mesh: MeshReflectance, color: FloatArray, view: View) -> NDArray[np.uint8]:

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.applications import RelightOptions, relight
-from scan2albedo.applications.face_features import feature_texels
-from scan2albedo.applications.face_gaps import dark_sides, without_gaps
+from scan2albedo.applications.face_features import dark_sides, feature_texels, without_gaps
 from scan2albedo.synthetic import light_at
 
 

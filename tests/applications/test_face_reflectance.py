@@ -80,8 +80,10 @@ def test_the_albedo_of_an_estimate_is_the_true_one_up_to_its_scale(scene, true_a
 
 def sent_and_expected(face, light, reflectance):
     """(N, 3) what vertices send under one light, as a reflectance has it and as the relit face has it."""
-    options = RelightOptions(shadows=False, gloss="found", fill_gaps=False)
-    picture = relight(face, [light], ambient=0.0, options=options).texture_linear
+    options = RelightOptions(gloss="found", fill_gaps=False)
+    picture = relight(
+        replace(face, casts_shadows=False), [light], ambient=0.0, options=options
+    ).texture_linear
     expected, known = sampled_at_vertices(picture.astype(float), face)
     normals, _ = sampled_at_vertices(face.image.normal, face)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

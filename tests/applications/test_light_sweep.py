@@ -37,11 +37,14 @@ def test_files(pictures, tmp_path):
     with Image.open(tmp_path / "sweep.gif") as gif:
         assert gif.n_frames == 4
         assert gif.info["loop"] == 0
-    for name in ("frame_007.png", "frame_notes.txt"):
-        (tmp_path / "frames" / name).touch()
+    (tmp_path / "frames" / "frame_notes.txt").touch()
     write_frames(tmp_path / "frames", frames[:2])
     names = sorted(f.name for f in (tmp_path / "frames").iterdir())
-    assert names == ["frame_000.png", "frame_001.png", "frame_notes.txt"]
+    assert names == ["frame_000.png", "frame_001.png", "frame_notes.txt", "sweep.json"]
+    (tmp_path / "frames" / "frame_007.png").touch()
+    with pytest.raises(OutputError, match=r"holds frame_007\.png, which no run of scan2albedo relight"):
+        write_frames(tmp_path / "frames", frames[:2])
+    assert len(list((tmp_path / "frames").iterdir())) == 5
     with pytest.raises(OutputError, match="cannot write"):
         write_gif(tmp_path / "none" / "sweep.gif", frames)
     with pytest.raises(ValueError, match="a frame at least"):

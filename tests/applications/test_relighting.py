@@ -11,6 +11,7 @@ from scan2albedo.applications.relighting import RelightOptions
 from scan2albedo.core import EnvironmentLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.pinhole import project
+from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance, shade_points
 from scan2albedo.synthetic import hemisphere, light_at
 from scan2albedo.synthetic.renderer import RayScene, render
@@ -76,11 +77,11 @@ def test_colours_of_lamps_and_of_soft_light_add_up(person):
 
 def test_a_large_lamp_softens_its_shadows_and_keeps_its_light(person):
     face, point = person(0), light_at(50, 20)
-    large, without = replace(point, radius_deg=15), RelightOptions(shadows=False)
+    large, without = replace(point, radius_deg=15), replace(face, casts_shadows=False)
     mask = face.mask
     hard, soft = (relight(face, [lamp], ambient=0).diffuse[mask] for lamp in (point, large))
-    full = relight(face, [large], ambient=0, options=without).diffuse[mask]
-    np.testing.assert_array_equal(full, relight(face, [point], ambient=0, options=without).diffuse[mask])
+    full = relight(without, [large], ambient=0).diffuse[mask]
+    np.testing.assert_array_equal(full, relight(without, [point], ambient=0).diffuse[mask])
     assert soft.mean() == pytest.approx(hard.mean(), rel=0.05)
     between = (soft > 0.02 * full) & (soft < 0.98 * full)
     assert not ((hard > 0.02 * full) & (hard < 0.98 * full)).any()
@@ -129,18 +130,17 @@ def test_linear_in_the_light(person):
 def test_linear_in_the_environment(person):
     face, rng = person(0), np.random.default_rng(0)
     maps = rng.random((2, 8, 16, 3))
-    options = RelightOptions(environment_lights=16, environment_spread="even")
-    parts = [relight(face, environment_linear=m, options=options).texture_linear for m in maps]
-    together = relight(face, environment_linear=maps[0] + 3 * maps[1], options=options).texture_linear
+    both = [*maps, maps[0] + 3 * maps[1]]
+    even = [DistantLights.from_environment(m, 16, "even") for m in both]
+    *parts, together = (relight(face, environment_linear=lights).texture_linear for lights in even)
     np.testing.assert_allclose(together, parts[0] + 3 * parts[1], rtol=1e-5, atol=1e-6)
 
 
 def test_an_even_environment_shows_a_matte_ball_by_what_its_sky_covers():
     ball = hemisphere(size=48, texture="plain")
     face = ProcessedFace.of("ball", ball.image, ball.albedo_linear)
-    even = relight(
-        face, environment_linear=np.ones((16, 32, 3)), options=RelightOptions(environment_lights=400)
-    )
+    sky = DistantLights.from_environment(np.ones((16, 32, 3)), 400, "important")
+    even = relight(face, environment_linear=sky)
     # Every texel of a convex ball sees its whole hemisphere of sky.
     np.testing.assert_allclose(even.diffuse[ball.image.mask], 1.0, atol=0.03)
 
@@ -165,22 +165,18 @@ def test_few_lights_where_a_map_is_bright_are_its_light():
     sky[10, 40] = 500.0
 
     def lit(spread, count):
-        options = RelightOptions(environment_lights=count, environment_spread=spread)
-        return relight(face, environment_linear=sky, options=options).texture_linear
+        lights = DistantLights.from_environment(sky, count, spread)
+        return relight(face, environment_linear=lights).texture_linear
 
     truth = lit("even", 1500)
     off = {spread: relative_rmse(lit(spread, 64), truth) for spread in ("even", "important")}
     assert off["important"] < 0.02
     assert off["important"] < off["even"] / 3
-    with pytest.raises(ValueError, match="environment_spread"):
-        RelightOptions(environment_spread="bright")
 
 
 def test_shadows_only_take_light_away(person):
     face, light = person(0), [light_at(70, 10)]
-    cast, bare = (
-        relight(face, light, options=RelightOptions(shadows=on)).texture_linear for on in (True, False)
-    )
+    cast, bare = (relight(replace(face, casts_shadows=on), light).texture_linear for on in (True, False))
     assert (cast <= bare + 1e-6).all()
     assert (cast < 0.9 * bare)[face.mask].mean() > 0.02
 
@@ -227,7 +223,7 @@ def test_a_coarse_chart_is_not_shaded_by_the_finer_surface_it_stands_for(azimuth
     image = replace(scene.image, occluder=(ball.vertices, ball.faces))
     face = ProcessedFace.of("ball", image, np.ones((24, 24, 3)))
     cast, attached = (
-        relight(face, [light_at(azimuth)], options=RelightOptions(shadows=shadows))
+        relight(replace(face, casts_shadows=shadows), [light_at(azimuth)])
         .picture(shape=(64, 64), samples=1)
         .linear
         for shadows in (True, False)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import scan2albedo as s2a
-from scan2albedo.applications.template_baking import template_texture
-from scan2albedo.applications.template_normals import FineShape, tangent_normals
+from scan2albedo.applications.template_baking import FineShape, tangent_normals, template_texture
 from scan2albedo.core import RawScan, Trace
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.loop_subdivision import SurfacePoints

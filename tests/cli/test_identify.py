@@ -61,7 +61,7 @@ def test_files_and_json_tell_the_same(folder, tmp_path):
     done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
     out = tmp_path / "out"
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == {*FILES.names, FILES.record}
     record = json.loads((out / "identification.json").read_text())
     assert json.loads(done.stdout) == record
     Draft202012Validator(IdentificationRecord.model_json_schema(mode="serialization")).validate(record)
@@ -86,7 +86,11 @@ def test_without_named_probes_there_is_no_rate_and_no_curve_of_an_older_run(fold
     done = run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path)
     assert done.exit_code == 0, done.output
     assert "rank 1" not in done.stderr
-    assert {path.name for path in tmp_path.iterdir()} == FILES - {"cmc.png", "roc.png"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "identification.csv",
+        "similarities.npz",
+        FILES.record,
+    }
     assert json.loads((tmp_path / "identification.json").read_text())["rates"] is None
 
 
@@ -108,6 +112,14 @@ def test_a_gallery_is_kept_and_used_again(folder, tmp_path):
     again = run(folder, "--probes", folder / "probes.csv", gallery=tmp_path / "gallery.npz", size=())
     assert again.exit_code == 0, again.output
     assert again.stdout == plain.stdout
+
+
+def test_a_file_of_the_users_is_refused_before_the_work(folder, tmp_path):
+    (tmp_path / "cmc.png").write_text("mine")
+    done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path)
+    assert isinstance(done.exception, OutputError)
+    assert "holds cmc.png, which no run of scan2albedo identify wrote" in str(done.exception)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
 
 
 def test_a_write_that_fails_leaves_the_old_files(folder, tmp_path, monkeypatch):

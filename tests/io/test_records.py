@@ -8,14 +8,12 @@ import pytest
 from pydantic import ValidationError
 
 from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
 from scan2albedo.io.result_records import (
-    EnvironmentRecord,
     InputRecord,
-    LightRecord,
-    PlanRecord,
     RegistrationRecord,
     ResultRecord,
 )
@@ -33,15 +31,13 @@ def result():
         input=InputRecord(
             file="james.obj", sha256="a" * 64, vertices=6393, faces=12228, texture_size=(2400, 1600)
         ),
-        plan=(
-            PlanRecord(stage="albedo.shadows", ran=True, reason="cast shadows", evidence="3.1 % of texels"),
-        ),
+        plan=(PlanStep(stage="albedo.shadows", ran=True, reason="cast shadows", evidence="3.1 % of texels"),),
         metrics={"fit": {"mean_mm": np.float32(0.25), "worst_mm": np.nan, "flips": np.int64(0)}},
         lights=(
-            LightRecord.of(PointLight(math.pi / 6, -math.pi / 4)),
-            LightRecord.of(PointLight(0, 0, 900.0, 2, (1.5, 1.0, 0.5), 8.0)),
+            PointLight(math.pi / 6, -math.pi / 4),
+            PointLight(0, 0, 900.0, 2, (1.5, 1.0, 0.5), 8.0),
         ),
-        environment=EnvironmentRecord.of(EnvironmentLight(np.eye(9, 3), fill=0.25)),
+        environment=EnvironmentLight(np.eye(9, 3), fill=0.25),
         parameters={"light_distance_mm": math.inf, "sh_coefficients": np.eye(3), "brdf": "oren-nayar"},
         timings_s={"fit": np.float64(1.5)},
         notes=("unit: mm",),
@@ -62,20 +58,33 @@ def registration():
 
 def test_lights_survive_and_older_records_hold_white_points():
     lamp = PointLight(0.5, -0.25, 900.0, 2, (1.5, 1.0, 0.5), 8.0)
-    assert LightRecord.of(lamp).light() == lamp
     soft = EnvironmentLight(np.arange(27.0).reshape(9, 3), occluded=False, fill=0.25, bounce=0.3)
-    back = EnvironmentRecord.of(soft).environment()
+    written = result().model_copy(update={"lights": (lamp,), "environment": soft}).model_dump_json()
+    read = ResultRecord.model_validate_json(written)
+    back = read.environment
+    assert read.lights == (lamp,)
     assert np.array_equal(back.coefficients, soft.coefficients)
     assert (back.occluded, back.fill, back.bounce) == (False, 0.25, 0.3)
-    older = LightRecord(azimuth_deg=0, elevation_deg=0, distance_mm=None, intensity=1)
-    assert older.light() == PointLight(0, 0)
-    assert EnvironmentRecord.of(None) is None
+    tree = json.loads(written)
+    tree["lights"] = [{"azimuth_deg": 0, "elevation_deg": 0, "distance_mm": None, "intensity": 1}]
+    tree["plan"] = [{"stage": "fit", "ran": False, "reason": "why"}]
+    older = ResultRecord.model_validate(tree)
+    assert older.lights == (PointLight(0, 0),)
+    assert older.plan == (PlanStep("fit", False, "why"),)
+    assert older.plan[0].level == "left out"
+    for change in (
+        {"lights": [{**tree["lights"][0], "intensity": -1}]},
+        {"plan": [{**tree["plan"][0], "x": 1}]},
+    ):
+        with pytest.raises(ValidationError):
+            ResultRecord.model_validate(tree | change)
 
 
 @pytest.mark.parametrize("record", [result(), registration()], ids=["result", "registration"])
 def test_what_is_written_is_read_back_and_fits_its_schema(tmp_path, record):
     write_record(tmp_path / "a.json", record)
-    assert read_record(tmp_path / "a.json", type(record)) == record
+    read = read_record(tmp_path / "a.json", type(record))
+    assert read.model_dump_json() == record.model_dump_json()
     name = type(record).__name__.removesuffix("Record").lower()
     schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text())
     jsonschema.Draft202012Validator.check_schema(schema)

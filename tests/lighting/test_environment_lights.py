@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.lenses.lens_shading import environment_radiance
+from scan2albedo.eyeglasses.lenses.scenes import radiance_at
 from scan2albedo.lighting.environment import (
     DistantLights,
     distant_directions,
@@ -49,7 +49,7 @@ def test_a_lamp_in_the_map_is_the_light_in_its_direction():
     row = int(np.arccos(toward[1]) / np.pi * 64)
     column = int((np.arctan2(toward[0], toward[2]) / (2 * np.pi) + 0.5) * 128)
     image[row, column] = [100, 50, 0]
-    assert environment_radiance(image, toward[None])[0, 0] > 20
+    assert radiance_at(image, toward[None])[0, 0] > 20
     directions = distant_directions(50)
     weights = environment_weights(image, directions)
     assert np.flatnonzero(weights.any(1)).tolist() == [int((directions @ toward).argmax())]

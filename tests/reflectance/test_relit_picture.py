@@ -5,7 +5,7 @@ import trimesh
 
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.reflectance import VertexReflectance
-from scan2albedo.reflectance.relit_picture import RelitFace
+from scan2albedo.reflectance.relit_picture import relit_picture
 
 SHAPE = (61, 61)
 CAMERA = look_at([0, 0, 500], [0, 0, 0], focal_px=250, shape=SHAPE)
@@ -29,11 +29,13 @@ def matt(count, albedo=0.5, known=None):
 
 def test_a_plate_in_front_of_a_light():
     vertices, faces = plate()
-    face = RelitFace(vertices, faces, np.tile([0.0, 0, 1], (len(vertices), 1)), matt(len(vertices)))
-    made, known = face.picture(CAMERA, SHAPE, np.array([0.0, 0, 1e6]))
+    face = (vertices, faces, np.tile([0.0, 0, 1], (len(vertices), 1)), matt(len(vertices)))
+    made, known = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 1e6]))
     assert known[10:-10, 10:-10].all()
     assert np.allclose(made[30, 30], 0.5 / np.pi)
-    near, _ = face.picture(CAMERA, SHAPE, np.array([0.0, 0, 500]), reference_distance_mm=1000)
+    near, _ = relit_picture(
+        *face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 500]), reference_distance_mm=1000
+    )
     assert np.allclose(near[30, 30], 4 * 0.5 / np.pi, rtol=1e-3)
 
 
@@ -43,8 +45,8 @@ def test_the_edge_of_a_shadow_is_straight_and_soft_whatever_the_mesh():
     small, other = plate(side=2, half=21.0, height=40.0)
     vertices = np.concatenate([ground, small])
     normals = np.tile([0.0, 0, 1], (len(vertices), 1))
-    face = RelitFace(vertices, np.concatenate([faces, other + len(ground)]), normals, matt(len(vertices)))
-    made, _ = face.picture(CAMERA, SHAPE, np.array([1000.0, 0, 1000]))
+    face = (vertices, np.concatenate([faces, other + len(ground)]), normals, matt(len(vertices)))
+    made, _ = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([1000.0, 0, 1000]))
     part = made[10:31, 3:18, 0] / made[10, 3:18, 0]  # left of the plate, from the lit ground to its shadow
     assert part[-1].max() < 0.01
     edge_mm = 21 * 1000 / 960
@@ -57,9 +59,9 @@ def test_the_edge_of_a_shadow_is_straight_and_soft_whatever_the_mesh():
 def test_a_coarse_ball_does_not_shadow_itself():
     ball = trimesh.creation.icosphere(subdivisions=2, radius=50)
     normals = ball.vertices / 50
-    face = RelitFace(np.array(ball.vertices), np.array(ball.faces), normals, matt(len(normals)))
+    face = (np.array(ball.vertices), np.array(ball.faces), normals, matt(len(normals)))
     light = np.array([800.0, 0, 500])
-    made, _ = face.picture(CAMERA, SHAPE, light)
+    made, _ = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=light)
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     x, y = (columns - 30) * 2.0, (30 - rows) * 2.0
     inside = x**2 + y**2 < 40**2
@@ -76,8 +78,8 @@ def test_unknown_vertices_are_drawn_and_marked():
     known = np.ones(len(vertices), bool)
     known[40] = False
     one = VertexReflectance(np.where(known[:, None], [0.5] * 3, np.nan), np.zeros((len(known), 3)), known)
-    face = RelitFace(vertices, faces, np.tile([0.0, 0, 1], (len(vertices), 1)), one)
-    made, certain = face.picture(CAMERA, SHAPE, np.array([0.0, 0, 1e6]))
+    face = (vertices, faces, np.tile([0.0, 0, 1], (len(vertices), 1)), one)
+    made, certain = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 1e6]))
     assert np.allclose(made[30, 30], 0.5 / np.pi)
     assert not certain[30, 30]
     assert certain[12, 12]
@@ -85,7 +87,7 @@ def test_unknown_vertices_are_drawn_and_marked():
 
 def test_the_back_of_a_surface_is_not_drawn():
     vertices, faces = plate()
-    face = RelitFace(vertices, faces[:, ::-1], np.tile([0.0, 0, -1], (len(vertices), 1)), matt(len(vertices)))
-    made, known = face.picture(CAMERA, SHAPE, np.array([0.0, 0, 1e6]))
+    face = (vertices, faces[:, ::-1], np.tile([0.0, 0, -1], (len(vertices), 1)), matt(len(vertices)))
+    made, known = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 1e6]))
     assert (made == 0).all()
     assert not known.any()

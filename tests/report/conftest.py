@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from scan2albedo.core.plan import PlanStep
 from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.images import write_exr
 from scan2albedo.io.records import write_record
-from scan2albedo.io.result_records import InputRecord, LightRecord, PlanRecord, ResultRecord
+from scan2albedo.io.result_records import InputRecord, ResultRecord
 from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
 MATERIAL = Material(0.3, 0.15, 20.0)
@@ -34,8 +35,8 @@ def _record(name, **changes):
         "options": {"model": "none", "size": 32, "unit": "auto", "skip": []},
         "input": InputRecord(sha256="0" * 64, vertices=10, faces=20, texture_size=(64, 32)),
         "plan": (
-            PlanRecord(stage="fit", ran=False, reason="no model was asked for"),
-            PlanRecord(stage="albedo.shadows", ran=True, reason="it shades itself", evidence="at most 28 %"),
+            PlanStep(stage="fit", ran=False, reason="no model was asked for"),
+            PlanStep(stage="albedo.shadows", ran=True, reason="it shades itself", evidence="at most 28 %"),
         ),
         "metrics": {
             "seconds": 12.5,
@@ -51,7 +52,7 @@ def _record(name, **changes):
                 },
             },
         },
-        "lights": tuple(LightRecord.of(light) for light in LIGHTS),
+        "lights": LIGHTS,
         "parameters": {
             "ambient": 1.0,
             "brdf": "oren-nayar",

@@ -18,7 +18,6 @@ from scan2albedo.core import EnvironmentLight, PointLight
 from scan2albedo.io.geometry_image_files import read_image_and_albedo, write_geometry_image
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr
-from scan2albedo.io.result_records import EnvironmentRecord
 
 pytestmark = [
     pytest.mark.slow,
@@ -88,8 +87,10 @@ def test_the_picture_is_the_librarys(opened, face_folder, case):
     camera = default_camera(
         face, (SIZE, SIZE), azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation)
     )
-    options = RelightOptions(shadows=shadows, gloss="found", fill_gaps=False)
-    picture = relight(face, lights, options=options).picture(camera, shape=(SIZE, SIZE))
+    options = RelightOptions(gloss="found", fill_gaps=False)
+    picture = relight(replace(face, casts_shadows=shadows), lights, options=options).picture(
+        camera, shape=(SIZE, SIZE)
+    )
     state = {
         "mode": "relit", "ambient": 1, "exposure": -1, "shadows": shadows,
         "view": {"azimuth": azimuth, "elevation": elevation, "zoom": 1},
@@ -209,7 +210,7 @@ def test_soft_light_is_shown_with_what_the_face_hides_of_it(browser, write_scan,
     coefficients = np.zeros((9, 3))
     coefficients[0], coefficients[1, 0], coefficients[3, 2] = (0.8, 1.0, 1.2), 0.3, 0.3
     soft = EnvironmentLight(coefficients)
-    folder = write_scan(tmp_path / "soft", size=128, lights=(), environment=EnvironmentRecord.of(soft))
+    folder = write_scan(tmp_path / "soft", size=128, lights=(), environment=soft)
     browser.look(1400, 1000)
     browser.open(report.write_report(folder).path)
     browser.wait(f"{FIRST}.painter")

@@ -12,7 +12,6 @@ import scan2albedo as s2a
 from scan2albedo import report
 from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
-from scan2albedo.io.result_records import EnvironmentRecord, LightRecord
 from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.report.html.page import _environment, data_json
@@ -43,6 +42,17 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
         "0" * 64,
     ):
         assert told in words
+
+
+def test_a_report_of_somebody_else_is_never_replaced(one_scan):
+    path = report.write_report(one_scan).path
+    assert report.write_report(one_scan).path == path  # our own is
+    path.write_text("<title>mine</title>")
+    with pytest.raises(OutputError, match=r"holds report\.html, which no run of scan2albedo report wrote"):
+        report.write_report(one_scan)
+    assert path.read_text() == "<title>mine</title>"
+    report.write_report(one_scan, path)  # asked for by name
+    assert path.read_text() != "<title>mine</title>"
 
 
 def test_the_viewer_gets_lights_reflectance_and_textures(one_scan, tmp_path):
@@ -138,9 +148,7 @@ def test_harmonic_light_is_carried_over(write_scan, tmp_path):
 def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     lamp = s2a.PointLight(0.5, 0.2, intensity=2.0, color_linear=(1.5, 1.0, 0.5), radius_deg=12.0)
     soft = s2a.EnvironmentLight(np.eye(9, 3) + 0.1, fill=0.2)
-    folder = write_scan(
-        tmp_path / "warm", lights=(LightRecord.of(lamp),), environment=EnvironmentRecord.of(soft)
-    )
+    folder = write_scan(tmp_path / "warm", lights=(lamp,), environment=soft)
     page = written(folder, tmp_path / "page.html")
     face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
     assert face["lights"][0]["color"] == [1.5, 1.0, 0.5]

@@ -68,9 +68,7 @@ def on_real_shaped_head(data: Path) -> LitGlasses:
     )
 
 
-def _picture(
-    scene: LitGlasses, environment: FloatArray, lights: DistantLights, pixels: int, shadows: str
-) -> LensPicture:
+def _picture(scene: LitGlasses, environment: FloatArray, lights: DistantLights, pixels: int) -> LensPicture:
     target = scene.eyes + [0.0, -18.0, -10.0]
     camera = look_at(target + [60.0, 20.0, 560.0], target, focal_px=4.0 * pixels, shape=(pixels, pixels))
     return insert_lenses(
@@ -82,7 +80,7 @@ def _picture(
         shape=(pixels, pixels),
         environment_linear=environment,
         lights=lights,
-        options=LensPictureOptions(shadows=shadows, supersampling=1),  # type: ignore[arg-type]
+        options=LensPictureOptions(supersampling=1),
     )
 
 
@@ -96,7 +94,7 @@ def reference(scene: LitGlasses, environment: FloatArray, pixels: int) -> FloatA
         # The environment is seen once.
         around = environment if start == 0 else nothing
         some = DistantLights(toward[part], strength[part])
-        total += _picture(scene, around, some, pixels, "every pixel").image_linear
+        total += _picture(scene, around, some, pixels).image_linear
     return total
 
 
@@ -106,7 +104,7 @@ def bench_lenses(data: Path, pixels: int, pictures: Path | None) -> None:
         print(f"nothing is drawn: the head is in {data}, which is not there")
         return
     scene = on_real_shaped_head(data)
-    _picture(scene, np.ones((2, 4, 3)), DistantLights([[0, 0, 1.0]], [1.0]), 32, "shared")
+    _picture(scene, np.ones((2, 4, 3)), DistantLights([[0, 0, 1.0]], [1.0]), 32)
     print(f"{'light':8}{'lights':>20}{'rms error %':>13}{'worst of 100 %':>15}{'CPU s':>8}")
     for name, make in ENVIRONMENTS.items():
         environment = make()
@@ -115,7 +113,7 @@ def bench_lenses(data: Path, pixels: int, pictures: Path | None) -> None:
         for kind, count in _FEW_LIGHTS:
             cpu = time.process_time()
             lights = DistantLights.from_environment(environment, count, kind)
-            made = _picture(scene, environment, lights, pixels, "shared").image_linear
+            made = _picture(scene, environment, lights, pixels).image_linear
             cpu = time.process_time() - cpu
             rms, worst = errors(made, truth)
             shown[f"{kind}_{count}"] = made

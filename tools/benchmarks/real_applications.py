@@ -16,7 +16,6 @@ from benchmarks.environments import ENVIRONMENTS, errors, reference_lights
 from benchmarks.scan_files import face_data
 from scan2albedo.applications import (
     ProcessedFace,
-    RelightOptions,
     blend_faces,
     default_camera,
     load_result,
@@ -24,16 +23,13 @@ from scan2albedo.applications import (
     swap_texture,
 )
 from scan2albedo.applications.files import PORTRAIT_LIGHT
-from scan2albedo.applications.pictures import photograph
-from scan2albedo.applications.relighting import as_lit
-from scan2albedo.applications.scene_light import SceneLight
 from scan2albedo.applications.skin_match import displacement, local_contrast, warped
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG
 from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.lighting.environment import LightSpread
+from scan2albedo.lighting.environment import DistantLights, LightSpread
 from scan2albedo.pipeline.result import write_result
 
 SCANS = {
@@ -243,13 +239,13 @@ def bench_environment(results: Path, out: Path, names: Sequence[str] = ("james",
     for name, face in real_faces(results, names).items():
         for place, make in ENVIRONMENTS.items():
             environment = make()
-            many = SceneLight.of([], reference_lights(environment), ambient=0)
-            truth = photograph(as_lit(face, RelightOptions())[0], many, shape=shape, samples=1)
+            many = relight(face, environment_linear=reference_lights(environment))
+            truth = many.picture(shape=shape, samples=1)
             exposure, row = truth.auto_exposure(), []
             for spread, count in _FEW_LIGHTS:
                 cpu = time.process_time()
-                options = RelightOptions(environment_lights=count, environment_spread=spread)
-                relit = relight(face, environment_linear=environment, options=options)
+                lights = DistantLights.from_environment(environment, count, spread)
+                relit = relight(face, environment_linear=lights)
                 made = relit.picture(shape=shape, samples=1)
                 cpu = time.process_time() - cpu
                 parts = [

@@ -11,7 +11,6 @@ import numpy as np
 
 from scan2albedo.applications import (
     ProcessedFace,
-    RelightOptions,
     TransferOptions,
     blend_faces,
     default_camera,
@@ -20,6 +19,7 @@ from scan2albedo.applications import (
     transfer_expression,
 )
 from scan2albedo.core import PointLight
+from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import Material, face, light_at
 from stability_cases.case import Cases, assert_finite, naming
@@ -160,7 +160,7 @@ def _sun() -> str:
     sky = np.zeros((16, 32, 3))
     sky[7, 16] = 1e6
     one = _person()
-    relit = relight(one, environment_linear=sky, options=RelightOptions(environment_lights=64))
+    relit = relight(one, environment_linear=DistantLights.from_environment(sky, 64))
     assert_finite(relit.texture_linear)
     front = one.image.normal[..., 2] > 0.8
     assert (relit.diffuse[one.mask & front] > 0).mean() > 0.9
@@ -307,7 +307,7 @@ def _cancelled() -> str:
     )
     made = blend_faces(one, turned, 0.5)
     assert_finite(made.image.normal, made.albedo_linear)
-    relit = relight(made, [light_at(0)], options=RelightOptions(shadows=False))
+    relit = relight(replace(made, casts_shadows=False), [light_at(0)])
     assert_finite(relit.texture_linear)
     return "a point: finite, ambient light alone"
 

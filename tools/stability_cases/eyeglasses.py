@@ -20,12 +20,12 @@ from scan2albedo.eyeglasses import (
     canonicalize,
     find_lens_rim,
     insert_lenses,
-    lens_mesh,
     refract,
     register_on_face,
     skin,
     triangulate,
 )
+from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic import GlassesBend, GlassesShape, WearerOptions, eyeglasses, wearer

@@ -8,14 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.lenses.lens_rims import LensRim, find_lens_rim, is_covered, pane_faces
-from scan2albedo.eyeglasses.lenses.lens_scene import Surface
-from scan2albedo.eyeglasses.lenses.lens_shading import LensMaterial
-from scan2albedo.eyeglasses.lenses.refraction import ThinLens
-from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens
+from scan2albedo.eyeglasses.lenses.rims import (
+    LensPlane,
+    LensRim,
+    find_lens_rim,
+    fit_normal,
+    is_covered,
+    pane_faces,
+)
+from scan2albedo.eyeglasses.lenses.scenes import Surface
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
 
@@ -75,9 +80,22 @@ def insert_lens(
     guess = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
     try:
         normal = _viewers_side(fit_normal(marks, vertices), guess, keypoints)
-        rim = _settled(find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal))
-        _check_size(rim)
-        fan, triangles = lens_mesh(rim.center, _seated(rim, seat_mm), rim.normal)
+        rim = find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal)
+        # The rim's own plane and the centroid in it take the place of what they were guessed to be.
+        middle = rim.points.mean(0)
+        axis = np.linalg.svd(rim.points - middle, full_matrices=False)[2][2]
+        axis = axis * np.sign(axis @ rim.normal)
+        rim = replace(rim, normal=axis, center=_centroid(LensPlane.at(middle, axis), rim.points))
+        radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
+        if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
+            raise EyeglassesError(
+                f"its mean radius is {radius:.3g} mm, which no lens has; give everything in millimetres, "
+                "for the power in dioptres depends on it"
+            )
+        plane = LensPlane.at(rim.center, rim.normal)
+        outward = plane.directions(plane.angles(rim.points))
+        seated = rim.points + seat_mm * rim.measured[:, None] * outward
+        fan, triangles = lens_mesh(rim.center, seated, rim.normal)
     except EyeglassesError as error:
         raise EyeglassesError(f"the {SIDES[side]} lens: {error}") from error
     at = rim.center if center is None else center - ((center - rim.center) @ rim.normal) * rim.normal
@@ -130,14 +148,6 @@ def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray)
     return -normal if (behind.mean(0) - center) @ normal > 0 else normal
 
 
-def _settled(rim: LensRim) -> LensRim:
-    """Return the rim with the normal of its own plane, and the centroid in that plane as its centre."""
-    middle = rim.points.mean(0)
-    axis = np.linalg.svd(rim.points - middle, full_matrices=False)[2][2]
-    axis = axis * np.sign(axis @ rim.normal)
-    return replace(rim, normal=axis, center=_centroid(LensPlane.at(middle, axis), rim.points))
-
-
 def _centroid(plane: LensPlane, outline: FloatArray) -> FloatArray:
     """Return the area's centroid (3,) of an outline (R, 3) seen along the plane's normal."""
     offset = outline - plane.center
@@ -145,22 +155,6 @@ def _centroid(plane: LensPlane, outline: FloatArray) -> FloatArray:
     twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
     cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
     return np.asarray(plane.center + cx * plane.across + cy * plane.up)
-
-
-def _check_size(rim: LensRim) -> None:
-    radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
-    if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
-        raise EyeglassesError(
-            f"its mean radius is {radius:.3g} mm, which no lens has; give everything in millimetres, "
-            "for the power in dioptres depends on it"
-        )
-
-
-def _seated(rim: LensRim, seat_mm: float) -> FloatArray:
-    """Return the outline (R, 3), moved outward where a rim was met."""
-    plane = LensPlane.at(rim.center, rim.normal)
-    outward = plane.directions(plane.angles(rim.points))
-    return np.asarray(rim.points + seat_mm * rim.measured[:, None] * outward)
 
 
 def lens_mesh(
@@ -171,20 +165,9 @@ def lens_mesh(
     Normals point to the side from which the rim runs counterclockwise, the viewer's for
     `LensRim.points`; with `normal` the fan is turned so that they point along it.
 
-    Parameters
-    ----------
-    center : (3,) array_like of float
-        Becomes vertex 0.
-    rim : (R, 3) array_like of float
-        Points in order around the lens, R >= 3.
-    normal : (3,) array_like of float, optional
-
-    Raises
-    ------
-    EyeglassesError
-        When the rim does not go around the centre once, so that the fan would fold.
-    ValueError
-        When an array has the wrong shape or is not finite.
+    `center` (3,) becomes vertex 0; `rim` (R, 3), R >= 3, runs in order around the lens. EyeglassesError when
+    it does not go around the centre once, so that the fan would fold; ValueError when an array has the wrong
+    shape or is not finite.
 
     Examples
     --------
@@ -214,17 +197,10 @@ def lens_mesh(
     return vertices, faces
 
 
-@dataclass(frozen=True)
-class BareFrame:
-    """A frame without glass where lenses go."""
-
-    surface: Surface
-    notes: tuple[str, ...]
-    """What was left out, and what still covers a lens."""
-
-
-def without_glass(frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray) -> BareFrame:
-    """Take the parts out of a frame that lie across a lens, which `find_lens_rim` ignores too.
+def without_glass(
+    frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray
+) -> tuple[Surface, tuple[str, ...]]:
+    """Return a frame without the parts that lie across a lens, and notes.
 
     Glass of one piece with the rim stays, and a note says so.
     """
@@ -244,15 +220,8 @@ def without_glass(frame: Surface, lenses: Sequence[InsertedLens], keypoints: Flo
                 f"the {lens.name}: the frame covers it, it seems by glass of one piece with the rim, which "
                 "may have been taken for the rim; cut it out of the mesh"
             )
-    return BareFrame(_with_faces(frame, kept), tuple(notes))
-
-
-def _with_faces(surface: Surface, kept: BoolArray) -> Surface:
     if kept.all():
-        return surface
-    uv = None if surface.uv is None else np.asarray(surface.uv)
-    return replace(
-        surface,
-        faces=np.asarray(surface.faces)[kept],
-        uv=uv[kept] if uv is not None and uv.ndim == 3 else uv,
-    )
+        return frame, tuple(notes)
+    uv = None if frame.uv is None else np.asarray(frame.uv)
+    uv = uv[kept] if uv is not None and uv.ndim == 3 else uv
+    return replace(frame, faces=faces[kept], uv=uv), tuple(notes)

@@ -3,34 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, get_args
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, InsertedLens, insert_lens, without_glass
-from scan2albedo.eyeglasses.lenses.lens_rendering import (
-    LensRelighting,
-    LensRenderer,
-    PixelRegion,
-    Rendering,
-    checked_image,
-    pasted,
-    without_dark,
+from scan2albedo.eyeglasses.lenses.lens_paths import trace_lenses
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial
+from scan2albedo.eyeglasses.lenses.scene_colors import LitScene, PhotographedScene, SceneColors
+from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
+from scan2albedo.geometry.blocks import blocks
+from scan2albedo.geometry.pinhole import (
+    camera_centers,
+    normalized_cameras,
+    pixel_directions,
+    pixel_grid,
+    project,
 )
-from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
-from scan2albedo.eyeglasses.lenses.lens_shading import LensMaterial
-from scan2albedo.eyeglasses.lenses.lit_scene import LitScene
-from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
-from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneColors
-from scan2albedo.geometry.pinhole import normalized_cameras
-from scan2albedo.lighting.environment import DistantLights, LightSpread
-
-_NO_ENVIRONMENT = "no environment is given: lenses mirror surfaces only, and black"
+from scan2albedo.lighting.environment import DistantLights
 
 Lenses = LensMaterial | tuple[LensMaterial | None, LensMaterial | None]
 
@@ -39,8 +34,10 @@ _FRINGE_PX = 1
 from: they may hold some of both."""
 _SEAT_MM = 0.3
 """How far lenses reach into their rims: outlines are exact to 0.2 mm, and no light shall pass between."""
-_SHADOW_OFFSET_MM = 0.2
-"""Shadow rays start this far off the surface."""
+_BAND = 2**15
+"""Rays that are followed at once: a bound on memory."""
+_JUMP_PX = 8.0
+"""Step in depth between neighbouring pixels, in sizes of a pixel there, that is an edge."""
 
 
 @dataclass(frozen=True)
@@ -50,35 +47,13 @@ class LensPictureOptions:
     supersampling: int = 3
     """n x n rays for pixels on edges; one for all others."""
     light_count: int = 256
-    """Distant lights that stand for an environment; time grows with them, and edges of shadows get softer."""
-    light_spread: LightSpread = "important"
-    """Whether these lights lie where the environment is bright, so that a quarter of them gives half the
-    error, or evenly, so that pictures under two environments add up, as `relightable` ones must."""
-    background: Literal["environment", "black"] = "environment"
-    """What rays see that miss all surfaces. In a photograph it is always the photograph's own background."""
-    hidden: Literal["nearest", "albedo"] = "nearest"
-    """Colour of points that the photograph does not show: of the nearest point of the same surface that it
-    shows, or the surface's albedo in the photograph's brightness."""
-    shadows: Literal["shared", "every pixel"] = "shared"
-    """Whether a pixel takes over what four neighbours on the same smooth surface agree on, which may lose
-    shadows less than two pixels wide, or shoots rays of its own."""
-    relightable: bool = False
-    """Whether the picture keeps what `LensPicture.under` needs: some 150 bytes a pixel, and one a light.
-    Lights are then spread evenly."""
+    """Distant lights that stand for an environment, where it is bright; time grows with them, and edges of
+    shadows get softer."""
 
     def __post_init__(self) -> None:
         for name in ("supersampling", "light_count"):
             if (count := getattr(self, name)) < 1:
                 raise ValueError(f"{name} must be 1 or more, got {count}")
-        choices = {
-            "hidden": ("nearest", "albedo"),
-            "shadows": ("shared", "every pixel"),
-            "background": ("environment", "black"),
-            "light_spread": get_args(LightSpread),
-        }
-        for name, known in choices.items():
-            if (value := getattr(self, name)) not in known:
-                raise ValueError(f"{name} must be {known[0]!r} or {known[1]!r}, got {value!r}")
 
 
 @dataclass(frozen=True)
@@ -97,36 +72,6 @@ class LensPicture:
     """With their rims and meshes."""
     notes: tuple[str, ...]
     """What was left out or filled in, a sentence each."""
-    relighting: LensRelighting | None = field(default=None, repr=False)
-    """What `under` needs; there with `LensPictureOptions.relightable`."""
-
-    def under(
-        self, environment_linear: ArrayLike | None = None, *, irradiance_linear: ArrayLike | None = None
-    ) -> LensPicture:
-        """Return the picture in another light, as the sum over lights k of w_k I_k (Li et al., section 6.3).
-
-        It is what `insert_lenses` gives for the same lights, evenly spread, without a new ray. Raises
-        EyeglassesError when the picture was not made with `LensPictureOptions(relightable=True)`, or the
-        environment is not finite; ValueError when neither light is given, or shapes do not fit.
-
-        Parameters
-        ----------
-        environment_linear : (H, W, 3) array_like of float, optional
-            Lights the scene, unless the irradiance is given, stands behind it, and is what lenses mirror; of
-            a photograph only the mirror images change. Black when omitted.
-        irradiance_linear : (K, 3) or (K,) array_like of float, optional
-            Of the distant lights the picture was made with, in their order.
-        """
-        if self.relighting is None:
-            raise EyeglassesError(
-                "this picture has kept one light only; make it with LensPictureOptions(relightable=True)"
-            )
-        around = None if environment_linear is None else checked_image("environment", environment_linear)
-        strength = None if irradiance_linear is None else np.asarray(irradiance_linear, np.float64)
-        colors = self.relighting.colors(self.relighting.light(around, strength))
-        kept = tuple(note for note in self.notes if note != _NO_ENVIRONMENT)
-        notes = kept + _mirror_notes(self.lenses, around)
-        return replace(self, image_linear=colors.shaded, without_lenses_linear=colors.bare, notes=notes)
 
 
 def insert_lenses(
@@ -195,21 +140,16 @@ def insert_lenses(
 
     Notes
     -----
-    - Linear in the light: under lights that are given or spread evenly, pictures under two environments add
-      up to the picture under their sum. A painted tint is a matte surface in the same light; in a photograph
-      it is taken as it is.
+    - Linear in the light: under lights that are given, pictures under two environments add up to the picture
+      under their sum, and `DistantLights.from_environment(map, count, "even")` are the same for all maps. A
+      painted tint is a matte surface in the same light; in a photograph it is taken as it is.
     - In drawn scenes surfaces and lenses cast shadows (a lens according to its shares, without bending
       light); in photographs none do, whose shadows stay.
     - What lenses mirror is seen past all lenses. Light does not bounce otherwise.
     - A photograph's background counts as far away.
-    - Shadows shared between pixels (`LensPictureOptions.shadows`) take some 40 % of the shadow rays; colours
-      are off by 1e-5 of the mean under 64 lights, by a shadow's edge in 1 of 4000 pixels under one; where a
-      pixel is 0.5 to 1 mm wide, by 0.3 to 0.7 % rms.
     - An environment's lights have no size: many of them, where it is bright, make shadows soft. 256 are 1 %
       rms off a reference of 8,192 directions, 64 are 2.5 %, 64 evenly spread ones 11 to 12 %.
-    - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights. 1024 x
-      1024 pixels, a head of 300,000 faces: 1.9 s of CPU time under 8 lights, 3.7 s under 64, then 0.2 s in
-      any other light (`LensPicture.under`).
+    - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights.
 
     Examples
     --------
@@ -231,165 +171,215 @@ def insert_lenses(
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     photograph = None if picture_linear is None else checked_image("picture_linear", picture_linear)
-    size = _picture_size(shape, photograph)
-    around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
-    lights = _chosen_lights(photograph, around, lights, options)
-    toward = np.zeros((0, 3)) if lights is None else np.asarray(lights.directions)
-    irradiance = np.zeros((0, 3)) if lights is None else np.asarray(lights.irradiance_linear)
-    placed = _placed(frame, keypoints, lenses, lens_centers)
-    bare = without_glass(frame, placed, np.asarray(keypoints, np.float64))
-    scene = LensScene(bare.surface, surfaces)
-    region = PixelRegion.of_lenses(placed, matrix, size)
-    colors: SceneColors
-    if photograph is None:
-        colors = _lit_scene(scene, placed, toward, options)
-        empty, window = np.zeros((*size, 3)), PixelRegion(0, 0, size[1], size[0])
-    else:
-        colors = _photographed_scene(scene, photograph, matrix, region, options)
-        # Outside the region a photograph stays as it is.
-        empty, window = photograph, region
-    renderer, light = LensRenderer(scene, placed, colors, matrix, region), Illumination(irradiance, around)
-    rendering = renderer.picture(window, options.supersampling, light, keep=options.relightable)
-    notes = bare.notes + _notes(placed, rendering) + _mirror_notes(placed, around)
-    return _lens_picture(rendering, window, empty, toward, placed, notes)
-
-
-def _picture_size(shape: tuple[int, int] | None, photograph: FloatArray | None) -> tuple[int, int]:
     if (shape is None) == (photograph is None):
         raise ValueError("give either shape, to draw the scene, or picture_linear, a photograph of it")
     height, width = photograph.shape[:2] if photograph is not None else shape or (0, 0)
     if height < 1 or width < 1:
         raise ValueError(f"a picture needs pixels, got a shape of ({height}, {width})")
-    return int(height), int(width)
-
-
-def _chosen_lights(
-    photograph: FloatArray | None,
-    around: FloatArray | None,
-    lights: DistantLights | None,
-    options: LensPictureOptions,
-) -> DistantLights | None:
-    """Return the lights to draw under, given or standing for the environment; None for a photograph."""
-    if photograph is not None:
-        if lights is not None:
-            raise ValueError("a photograph has its own light; leave lights out, or give shape instead")
-        return None
-    if lights is None and around is not None:
-        lights = _lights_of(around, options)
-    if lights is None:
+    around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
+    if photograph is not None and lights is not None:
+        raise ValueError("a photograph has its own light; leave lights out, or give shape instead")
+    if photograph is None and lights is None and around is None:
         raise ValueError("a scene without light is black; give environment_linear or lights")
-    return lights if options.relightable else without_dark(lights)
-
-
-def _lights_of(environment: FloatArray, options: LensPictureOptions) -> DistantLights:
-    """Return the lights that stand for an environment (H, W, 3)."""
-    spread: LightSpread = "even" if options.relightable else options.light_spread
-    return DistantLights.from_environment(environment, options.light_count, spread)
-
-
-def _placed(
-    frame: Surface,
-    keypoints: ArrayLike,
-    lenses: Lenses,
-    centers: ArrayLike | None,
-) -> tuple[InsertedLens, ...]:
-    """Return the lenses in their rims."""
     marks = checked_keypoints("keypoints", keypoints)
     materials = (lenses, lenses) if isinstance(lenses, LensMaterial) else tuple(lenses)
     if len(materials) != 2:
         raise ValueError(f"lenses must be one material or (left, right), got {len(materials)}")
-    middles = None if centers is None else np.asarray(centers, np.float64)
+    middles = None if lens_centers is None else np.asarray(lens_centers, np.float64)
     if middles is not None and middles.shape != (2, 3):
         raise ValueError(f"lens_centers must have shape (2, 3), got {middles.shape}")
-    return tuple(
+    mesh = np.asarray(frame.vertices), np.asarray(frame.faces)
+    placed = tuple(
         insert_lens(
-            np.asarray(frame.vertices),
-            np.asarray(frame.faces),
-            marks,
-            side,
-            material,
-            center=None if middles is None else middles[side],
-            seat_mm=_SEAT_MM,
+            *mesh, marks, side, material, center=None if middles is None else middles[side], seat_mm=_SEAT_MM
         )
         for side, material in enumerate(materials)
         if material is not None
     )
+    bare, notes = without_glass(frame, placed, marks)
+    scene = LensScene(bare, surfaces)
+    region = _pixels_of_lenses(placed, matrix, (height, width))
+    colors: SceneColors
+    if photograph is None:
+        if lights is None:
+            assert around is not None
+            lights = DistantLights.from_environment(around, options.light_count, "important")
+        colors, window = LitScene(scene, placed, lights, around), np.array([[0, 0], [width, height]])
+        empty = np.zeros((height, width, 3))
+    else:
+        # Outside the lenses a photograph stays as it is.
+        empty, window = photograph, region
+        part = _slices(region)
+        colors = PhotographedScene(
+            scene, photograph, matrix, fringe_px=_FRINGE_PX, region=part, environment=around
+        )
+    made = _View(scene, placed, colors, matrix, region).pixels(window, options.supersampling)
 
+    def pasted(into: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
+        whole = into.copy()
+        whole[_slices(window)] = values.reshape(whole[_slices(window)].shape)
+        return whole
 
-def _lit_scene(
-    scene: LensScene, lenses: tuple[InsertedLens, ...], toward: FloatArray, options: LensPictureOptions
-) -> LitScene:
-    return LitScene(
-        scene,
-        lenses,
-        toward,
-        background=options.background == "environment",
-        offset_mm=_SHADOW_OFFSET_MM,
-        every_pixel=options.shadows == "every pixel",
-    )
-
-
-def _photographed_scene(
-    scene: LensScene,
-    photograph: FloatArray,
-    camera: FloatArray,
-    region: PixelRegion,
-    options: LensPictureOptions,
-) -> PhotographedScene:
-    return PhotographedScene(
-        scene,
-        photograph,
-        camera,
-        nearest=options.hidden == "nearest",
-        fringe_px=_FRINGE_PX,
-        region=region.slices,
-    )
-
-
-def _lens_picture(
-    rendering: Rendering,
-    window: PixelRegion,
-    empty: FloatArray,
-    toward: FloatArray,
-    lenses: tuple[InsertedLens, ...],
-    notes: tuple[str, ...],
-) -> LensPicture:
-    """Return the picture with the pixels of the window; outside it is `empty` (H, W, 3)."""
-    size, traced = empty.shape[:2], rendering.traced
+    unknown = pasted(np.zeros((height, width), bool), made.unknown)
+    seen = pasted(np.full((height, width), -1, np.int8), made.lens)
     return LensPicture(
-        pasted(empty, window, rendering.colors.shaded),
-        pasted(empty, window, rendering.colors.bare),
-        pasted(np.full(size, -1, np.int8), window, rendering.lens),
-        pasted(np.zeros(size, bool), window, rendering.unknown),
-        lenses,
-        notes,
-        None if traced is None else LensRelighting(traced, window, empty, toward),
+        pasted(empty, made.shaded),
+        pasted(empty, made.bare),
+        seen,
+        unknown,
+        placed,
+        notes + _notes(placed, seen, unknown, made.glancing, around is None),
     )
 
 
-def _mirror_notes(lenses: tuple[InsertedLens, ...], environment: FloatArray | None) -> tuple[str, ...]:
-    mirrors = any(lens.material.beta > 0 or lens.material.fresnel for lens in lenses)
-    return (_NO_ENVIRONMENT,) if environment is None and mirrors else ()
+def checked_image(name: str, values: ArrayLike) -> FloatArray:
+    """Return a finite image (H, W, 3). Raises EyeglassesError if not finite, ValueError for its shape."""
+    image = np.asarray(values, np.float64)
+    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
+        raise ValueError(f"{name} must have shape (H, W, 3), got {image.shape}")
+    if not np.isfinite(image).all():
+        raise EyeglassesError(f"{name} holds numbers that are not finite; repair it first")
+    return image
 
 
-def _notes(lenses: tuple[InsertedLens, ...], rendering: Rendering) -> tuple[str, ...]:
+def _slices(window: IntArray) -> tuple[slice, slice]:
+    """Return the rows and columns of a window: its first pixel and that behind its last, (column, row)."""
+    (left, top), (right, bottom) = window.tolist()
+    return slice(top, bottom), slice(left, right)
+
+
+def _pixels_of_lenses(lenses: Sequence[InsertedLens], camera: FloatArray, shape: tuple[int, int]) -> IntArray:
+    """Return the window of the pixels that may see a lens, with one to spare around them."""
+    nothing, size = np.zeros((2, 2), np.int64), np.array(shape[::-1])
+    if not lenses:
+        return nothing
+    pixels, depth = project(camera, np.concatenate([lens.vertices for lens in lenses]))
+    if (depth <= 0).all():
+        return nothing
+    if (depth <= 0).any():
+        return np.stack([np.zeros(2, np.int64), size])
+    low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
+    return np.clip(np.stack([low, high]), 0, size).astype(np.int64)
+
+
+@dataclass(frozen=True)
+class _SeenRays:
+    """What N rays through pixels see: colours without lenses and with them, where these are guesses.
+
+    `lens` (N,) is the side of the first lens, -1 for none, `surface` (N,) the number of the surface at the
+    end, and `distance` (N,) mm how far it is; `glancing` rays left out a lens.
+    """
+
+    bare: FloatArray
+    shaded: FloatArray
+    unknown: BoolArray
+    lens: IntArray
+    surface: IntArray
+    distance: FloatArray
+    glancing: int
+
+
+@dataclass(frozen=True)
+class _View:
+    """A normalised camera (3, 4) before a scene with lenses, which only pixels of a window may see."""
+
+    scene: LensScene
+    lenses: Sequence[InsertedLens]
+    colors: SceneColors
+    camera: FloatArray
+    region: IntArray
+
+    def pixels(self, window: IntArray, supersampling: int) -> _SeenRays:
+        """Return the pixels of a window; colours of those on edges are means of n x n rays."""
+        left, top = window[0].tolist()
+        width, height = (window[1] - window[0]).tolist()
+        pixels = pixel_grid((height, width)) + [left, top]
+        once = self._rays(pixels)
+        # Edges: pixels whose ray differs from a neighbour's in lens, surface or distance.
+        kind = (once.lens + (once.surface + 1) * 4).reshape(height, width)
+        focal = np.sqrt(np.abs(np.linalg.det(self.camera[:, :3])))
+        distance = np.where(np.isfinite(once.distance), once.distance, 0.0).reshape(height, width)
+        edges = np.zeros((height, width), bool)
+        for axis in (0, 1):
+            across, kinds, mark = (np.moveaxis(a, axis, 0) for a in (distance, kind, edges))
+            pixel_mm = np.minimum(across[1:], across[:-1]) / focal
+            step = (kinds[1:] != kinds[:-1]) | (np.abs(across[1:] - across[:-1]) > _JUMP_PX * pixel_mm)
+            mark[1:] |= step
+            mark[:-1] |= step
+        edge = np.flatnonzero(edges)
+        if supersampling > 1 and len(edge):
+            steps = (np.arange(supersampling) + 0.5) / supersampling - 0.5
+            offsets = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+            fine = self._rays((pixels[edge, None] + offsets).reshape(-1, 2))
+            parts, through = (c.reshape(len(edge), -1, 3) for c in (fine.bare, fine.shaded))
+            # Means of equal numbers may differ from them in the last digit; differences of 0 stay 0.
+            once.bare[edge] = parts[:, 0] + (parts - parts[:, :1]).mean(1)
+            once.shaded[edge] = once.bare[edge] + (through - parts).mean(1)
+            once.unknown[edge] = fine.unknown.reshape(len(edge), -1).any(1)
+        return once
+
+    def _rays(self, pixels: FloatArray) -> _SeenRays:
+        """Return one ray through each of the pixels (N, 2)."""
+        parts = [self._band(pixels[part]) for part in blocks(len(pixels), _BAND) or [slice(0)]]
+        names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
+        joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
+        return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
+
+    def _band(self, pixels: FloatArray) -> _SeenRays:
+        scene, center = self.scene, camera_centers(self.camera[None])[0]
+        straight = scene.rays(center, pixel_directions(self.camera, pixels))
+        low, high = self.region - 0.5
+        near = np.flatnonzero(((pixels >= low) & (pixels < high)).all(1))
+        paths = trace_lenses(scene, self.lenses, straight.chosen(near))
+        colors = self.colors.straight(pixels, straight)
+        shaded, unknown = colors.shaded.copy(), colors.unknown.copy()
+        behind, bent = shaded[near], np.flatnonzero(paths.bent)
+        seen = self.colors.seen(paths.rays.chosen(bent))
+        behind[bent] = seen.shaded
+        unknown[near[bent]] |= seen.unknown
+        shaded[near] = paths.share * behind
+        for crossings in paths.crossings:
+            ray, tint = near[crossings.ray], np.asarray(crossings.lens.material.tint_linear)
+            if crossings.tint_share.any() and tint.any():
+                normal = np.asarray(crossings.lens.optics.normal)
+                toward_viewer = -np.sign(crossings.direction @ normal)[:, None] * normal
+                plate = self.colors.matte(crossings.position, toward_viewer, tint)
+                shaded[ray] += crossings.tint_share * plate
+            which = np.flatnonzero(crossings.mirror_share.any(1))
+            if len(which):
+                mirrored = self.colors.mirrored(
+                    scene.rays(crossings.position[which], crossings.mirrored[which])
+                )
+                shaded[ray[which]] += crossings.mirror_share[which] * mirrored.shaded
+                unknown[ray[which]] |= mirrored.unknown
+        lens, face, distance = np.full(len(pixels), -1), straight.hits.face.copy(), straight.hits.distance
+        lens[near], face[near] = paths.first, paths.rays.hits.face
+        distance = distance.copy()
+        distance[near] = np.linalg.norm(paths.rays.ends - center, axis=1)
+        surface = np.where(face >= 0, scene.surface_of_face[face], -1)
+        return _SeenRays(colors.bare.copy(), shaded, unknown, lens, surface, distance, paths.glancing)
+
+
+def _notes(
+    lenses: tuple[InsertedLens, ...], seen: NDArray[np.int8], unknown: BoolArray, glancing: int, dark: bool
+) -> tuple[str, ...]:
     notes = []
     for lens in lenses:
         rim = lens.rim
         if rim.gaps != "none":
             source = "its key points" if rim.gaps == "subdivided" else "the rim on both sides"
-            filled = int((~rim.measured).sum())
-            share = f"{filled} of {len(rim.points)} points"
+            share = f"{int((~rim.measured).sum())} of {len(rim.points)} points"
             notes.append(f"the {lens.name}: {share} of its rim come from {source}")
-        if not (rendering.lens == lens.side).any():
+        if not (seen == lens.side).any():
             notes.append(f"the {lens.name}: no pixel sees it")
-    if rendering.glancing:
-        notes.append(f"{rendering.glancing} rays run along a lens and pass it as if it were not there")
-    if rendering.unknown.any():
+    if glancing:
+        notes.append(f"{glancing} rays run along a lens and pass it as if it were not there")
+    if unknown.any():
         notes.append(
-            f"{int(rendering.unknown.sum())} pixels show in a lens what the photograph hides; "
-            "their colours are guesses"
+            f"{int(unknown.sum())} pixels show in a lens what the photograph hides; their colours are guesses"
         )
     if not lenses:
         notes.append(f"no lens is given, neither {SIDES[0]} nor {SIDES[1]}")
+    if dark and any(lens.material.beta > 0 or lens.material.fresnel for lens in lenses):
+        notes.append("no environment is given: lenses mirror surfaces only, and black")
     return tuple(notes)

@@ -13,9 +13,8 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, insert_lens
-from scan2albedo.eyeglasses.lenses.lens_rims import is_covered, pane_faces
-from scan2albedo.eyeglasses.lenses.lens_shading import LensMaterial
-from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial
+from scan2albedo.eyeglasses.lenses.rims import LensPlane, fit_normal, is_covered, pane_faces
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.outline import FrameMesh, hidden_by
 from scan2albedo.geometry.pinhole import project

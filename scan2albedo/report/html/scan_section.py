@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -191,7 +192,8 @@ def _headline(record: ResultRecord, total: float) -> tuple[str, ...]:
     if residual is not None:
         parts.append(f"fit {number_text(residual)} mm mean")
     if record.lights:
-        where = angles_text((light.azimuth_deg, light.elevation_deg) for light in record.lights)
+        degrees = (np.degrees((light.azimuth_rad, light.elevation_rad)) for light in record.lights)
+        where = angles_text((float(azimuth), float(elevation)) for azimuth, elevation in degrees)
         parts.append(f"{len(record.lights)} light{'s' if len(record.lights) > 1 else ''} at {where}")
     elif record.parameters.get("brdf") == "spherical-harmonics":
         parts.append("light as spherical harmonics")
@@ -293,10 +295,10 @@ def light_rows(record: ResultRecord) -> tuple[LightRow, ...]:
     return tuple(
         LightRow(
             k + 1,
-            angle_text(light.azimuth_deg, 1),
-            angle_text(light.elevation_deg, 1),
+            angle_text(math.degrees(light.azimuth_rad), 1),
+            angle_text(math.degrees(light.elevation_rad), 1),
             _UNKNOWN if direction is None else f"± {number_text(direction, 2)}°",
-            "distant" if light.distance_mm is None else f"{light.distance_mm:.0f} mm",
+            "distant" if light.distance_mm == math.inf else f"{light.distance_mm:.0f} mm",
             number_text(light.intensity),
             _UNKNOWN if intensity is None else f"± {number_text(100 * intensity, 2)} %",
             _hex_color(light.color_linear),

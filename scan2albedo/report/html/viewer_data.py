@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from scan2albedo.applications.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
 from scan2albedo.core.arrays import FloatArray
@@ -19,6 +19,7 @@ from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RegistrationRecord, ResultRecord
 from scan2albedo.lighting.environment_light import environment_light_on, open_shading
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
+from scan2albedo.rendering.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.report.html.encoding import (
     TextureStyle,
     Topologies,
@@ -164,9 +165,9 @@ def _soft_light(face: ProcessedFace, environment: EnvironmentLight, mesh: ViewMe
 
 def _light(light: Any) -> dict[str, Any]:
     return {
-        "azimuth": light.azimuth_deg,
-        "elevation": light.elevation_deg,
-        "distance": light.distance_mm,
+        "azimuth": math.degrees(light.azimuth_rad),
+        "elevation": math.degrees(light.elevation_rad),
+        "distance": light.distance_mm if math.isfinite(light.distance_mm) else None,
         "intensity": light.intensity,
         "color": list(light.color_linear),
     }
@@ -175,7 +176,7 @@ def _light(light: Any) -> dict[str, Any]:
 def _harmonics(record: ResultRecord) -> list[float] | None:
     """Return soft light as 9 rows of 3 coefficients of the shading of an open surface, row by row."""
     if record.environment is not None:
-        shading = open_shading(record.environment.environment())
+        shading = open_shading(record.environment)
         return np.asarray(shading).ravel().tolist()
     rows = record.parameters.get("sh_coefficients")
     if record.parameters.get("brdf") != "spherical-harmonics" or rows is None:

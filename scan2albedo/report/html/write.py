@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from scan2albedo.errors import Scan2AlbedoError, one_line
+from scan2albedo.errors import OutputError, Scan2AlbedoError, one_line
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord
@@ -87,12 +89,22 @@ def write_report(
     Scan2AlbedoError
         When the folder holds no result, or that of a single scan cannot be read; the message names the file.
     OutputError
-        When the page cannot be written.
+        When the page cannot be written, or ``out/report.html`` is no such page.
     """
     folder = Path(out)
     target = folder / REPORT_FILE if path is None else Path(path)
     if not folder.is_dir():
         raise Scan2AlbedoError(f"{folder}: no such folder; give OUT of process or batch, or OUT/<scan name>")
+    if path is None and os.path.lexists(target):
+        own = False
+        with suppress(OSError), target.open("rb") as page:
+            title = next((line for line in page if b"</title>" in line), b"")
+            own = not target.is_symlink() and title.rstrip().endswith("· scan2albedo</title>".encode())
+        if not own:
+            raise OutputError(
+                f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or "
+                "give -o with another name"
+            )
     say = on_progress or (lambda line: None)
     if (folder / CATALOGUE_FILE).is_file():
         return _write_batch(folder, rows_of_catalogue(folder / CATALOGUE_FILE), target, options, say)

@@ -27,7 +27,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import without_glass, worn_axes
-from scan2albedo.eyeglasses.lenses.lens_rendering import checked_image
+from scan2albedo.eyeglasses.lenses.lens_picture import checked_image
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.io.glb import GlbPart, write_parts_glb
@@ -262,7 +262,7 @@ def render_lenses(
         views.append(LensView(camera, picture, time.perf_counter() - begun))
         if on_view is not None:
             on_view(views[-1])
-    bare = without_glass(frame, views[0].picture.lenses, marks).surface
+    bare = without_glass(frame, views[0].picture.lenses, marks)[0]
     return RenderedLenses(tuple(views), bare, kind, pictures_linear is not None, options, exposure)
 
 

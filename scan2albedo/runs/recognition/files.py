@@ -12,16 +12,15 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo.core.version import VERSION
-from scan2albedo.io.atomic import result_folder, write_text
+from scan2albedo.io.atomic import write_text
 from scan2albedo.io.npz import write_npz
-from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, listed_files, write_record
+from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
+from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
 from scan2albedo.recognition.templates import Kind
 
 IDENTIFICATION_FILE = "identification.json"
 Interval = tuple[Number, Number]
-FILES = frozenset({"identification.csv", "similarities.npz", "cmc.png", "roc.png", IDENTIFICATION_FILE})
-"""Every file an identification may have."""
 
 
 class ProbeRecord(Record):
@@ -72,6 +71,15 @@ class IdentificationRecord(Record):
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 
+FILES = OwnFiles(
+    IDENTIFICATION_FILE,
+    IdentificationRecord,
+    ("identification.csv", "similarities.npz", "cmc.png", "roc.png"),
+    command="scan2albedo identify",
+)
+"""Every file an identification may have."""
+
+
 def identification_record(found: ResultIdentification) -> IdentificationRecord:
     """Return the record of an identification without files."""
     return _record(found, _rates(*_curves(found)))
@@ -110,12 +118,11 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
     """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
 
     Return the record. The curves are those of the probes whose person is known; without such probes there are
-    none. OutputError when the folder cannot be written.
+    none. OutputError when the folder cannot be written, or holds a file of somebody else under such a name.
     """
-    target, (cmc, roc) = Path(folder), _curves(found)
-    older = set(listed_files(target / IDENTIFICATION_FILE, IdentificationRecord)) & FILES
-    with result_folder(target, IDENTIFICATION_FILE, obsolete=older) as staging:
-        write_text(staging / "identification.csv", _table(found))
+    cmc, roc = _curves(found)
+    with RunFolder(folder, FILES).publishing() as staging:
+        write_text(staging.folder / "identification.csv", _table(found))
         similarities = {
             "similarities": found.matches.similarities,
             **{f"{kind}_similarities": values for kind, values in found.by_kind.items()},
@@ -123,12 +130,9 @@ def write_identification(found: ResultIdentification, folder: str | Path) -> Ide
             "probes": np.array(found.probes.labels),
             "probe_persons": np.array([person or "" for person in found.probes.persons]),
         }
-        write_npz(staging / "similarities.npz", similarities, what="similarities")
-        _write_figures(cmc, roc, " and ".join(found.by_kind), staging)
-        written = sorted(path.name for path in staging.iterdir())
-        record = _record(found, _rates(cmc, roc), (*written, IDENTIFICATION_FILE))
-        write_record(staging / IDENTIFICATION_FILE, record)
-    return record
+        write_npz(staging.folder / "similarities.npz", similarities, what="similarities")
+        _write_figures(cmc, roc, " and ".join(found.by_kind), staging.folder)
+        return staging.write_record(**dict(_record(found, _rates(cmc, roc))))
 
 
 def _rates(cmc: CmcCurve | None, roc: RocCurve | None) -> RatesRecord | None:

@@ -33,7 +33,7 @@ from scan2albedo.reflectance import (
     write_reflectance,
 )
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
-from scan2albedo.reflectance.relit_picture import RelitFace
+from scan2albedo.reflectance.relit_picture import relit_picture
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import (
@@ -218,12 +218,15 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     normals = tilted_normals(vertex_normals(capture.vertices, capture.faces), fit.tilt)
     one = fit.reflectance
     shown = VertexReflectance(one.diffuse_linear, one.weights, fit.drawn)
-    face = RelitFace(capture.vertices, capture.faces, normals, shown)
     linear = done.olat.linear[pair].astype(np.float64)
-    made, known = face.picture(
-        rig.cameras[pair],
-        linear.shape[:2],
-        rig.light_positions[pair],
+    made, known = relit_picture(
+        capture.vertices,
+        capture.faces,
+        normals,
+        shown,
+        camera=rig.cameras[pair],
+        shape=linear.shape[:2],
+        light=rig.light_positions[pair],
         reference_distance_mm=capture.reference_distance_mm,
     )
     return linear, capture.content.flash_strength * made, known

@@ -25,9 +25,9 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
 from scan2albedo.reflectance.sample_statistics import reliability
 from scan2albedo.reflectance.shape_model import LANDMARKS
+from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
-from scan2albedo.report.rendering import View, render_mesh
 from scan2albedo.runs.reflectance.output import folder_of_results
 
 MODEL_FILE, MEAN_FILE = "reflectance_model.npz", "mean.npz"

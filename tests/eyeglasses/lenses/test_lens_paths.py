@@ -7,10 +7,9 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import LensMaterial
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, insert_lens, lens_mesh
 from scan2albedo.eyeglasses.lenses.lens_paths import trace_lenses
-from scan2albedo.eyeglasses.lenses.lens_rims import LensRim
-from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
-from scan2albedo.eyeglasses.lenses.lens_shading import blend_lens
-from scan2albedo.eyeglasses.lenses.refraction import ThinLens, refract
+from scan2albedo.eyeglasses.lenses.optics import ThinLens, mirror_on_sphere, refract
+from scan2albedo.eyeglasses.lenses.rims import LensRim
+from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
 
@@ -37,8 +36,7 @@ def wall(z=-30.0, half=500.0):
 def trace(scene, lenses, through, camera=CAMERA):
     directions = through - camera
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    origins = np.broadcast_to(camera, directions.shape)
-    return trace_lenses(scene, lenses, camera, directions, scene.caster.first_hit(origins, directions))
+    return trace_lenses(scene, lenses, scene.rays(camera, directions))
 
 
 def disc(count=200, radius=29.0, seed=0):
@@ -48,7 +46,7 @@ def disc(count=200, radius=29.0, seed=0):
 
 
 def ends(paths):
-    return paths.origins + paths.hits.distance[:, None] * paths.directions
+    return paths.rays.ends
 
 
 @pytest.mark.parametrize("dioptres", [-20.0, -8, -0.25, 0, 2, 8, 20])
@@ -57,7 +55,7 @@ def test_a_flat_lens_refracts(dioptres):
     through = disc()
     paths = trace(wall(), [lens], through)
     expected = refract(lens.optics, CAMERA, through)
-    np.testing.assert_allclose(paths.directions, expected.directions, atol=1e-6)
+    np.testing.assert_allclose(paths.rays.directions, expected.directions, atol=1e-6)
     assert (paths.first == 1).all()
     assert paths.bent.all() == (dioptres != 0)
     assert np.abs(ends(paths)[:, 2] + 30).max() < 1e-9
@@ -76,8 +74,8 @@ def test_lenses_in_a_row_are_the_lens_of_gullstrand():
     paths = trace(wall(z=-700), lenses, disc(radius=20), camera=far)
     power = first + second - gap * first * second
     back_focus = -1000 * gap - 1000 * (1 - gap * first) / power
-    at = (back_focus - paths.origins[:, 2]) / paths.directions[:, 2]
-    meet = paths.origins + at[:, None] * paths.directions
+    at = (back_focus - paths.rays.origins[:, 2]) / paths.rays.directions[:, 2]
+    meet = paths.rays.origins + at[:, None] * paths.rays.directions
     assert (paths.first == 1).all()
     assert np.abs(meet[:, :2]).max() < 0.01
 
@@ -98,7 +96,7 @@ def test_a_ray_passes_every_lens_once_and_shares_multiply():
     tint = np.asarray(a.tint_linear)
     one = trace(wall(), lenses[:1], disc(50, radius=20))
     got = one.share * behind + one.crossings[0].tint_share * tint + one.crossings[0].mirror_share * mirrored
-    np.testing.assert_allclose(got, np.tile(blend_lens(behind, tint, mirrored, 0.3, 0.1), (50, 1)))
+    np.testing.assert_allclose(got, np.tile(0.6 * behind + 0.3 * tint + 0.1 * mirrored, (50, 1)))
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(0.0, 0.04), (0.6, 0.4), (0.0, 1.0), (0.5, 0.0)])
@@ -112,6 +110,27 @@ def test_fresnel_keeps_the_light_together_and_grows_towards_the_edge(alpha, beta
     np.testing.assert_allclose(total, 1, rtol=1e-12)
     assert (crossing.mirror_share >= beta).all()
     assert beta == 1 or crossing.mirror_share.min() > beta + 0.15 * (1 - beta)
+
+
+def test_the_sphere_mirrors_as_spheres_do():
+    def unit(count):
+        v = rng.normal(size=(count, 3))
+        return v / np.linalg.norm(v, axis=1)[:, None]
+
+    rng, axis = np.random.default_rng(0), np.array([0.0, 0, 1])
+    center, radius = np.array([30.0, 0, 5]), 80.0
+    middle = center - radius * axis
+    outward = unit(500)
+    outward = outward[outward[:, 2] > 0.9]
+    incoming = unit(len(outward)) - 2 * outward
+    # Points in the lens's plane stand for those of the sphere along its radius.
+    points = middle + outward * (radius / outward[:, 2])[:, None]
+    got = mirror_on_sphere(points, incoming, center, axis, radius)
+    heading = incoming / np.linalg.norm(incoming, axis=1)[:, None]
+    np.testing.assert_allclose((got * outward).sum(1), -(heading * outward).sum(1), atol=1e-12)
+    np.testing.assert_allclose(np.cross(got - heading, outward), 0, atol=1e-12)
+    flat = mirror_on_sphere(points, incoming, center, 2 * axis, np.inf)
+    np.testing.assert_allclose(flat, heading * [1, 1, -1], atol=1e-15)
 
 
 def test_what_lies_before_the_lens_hides_it():
@@ -140,9 +159,9 @@ def test_no_camera_gives_nan(camera, dioptres):
     lens = round_lens(0, LensMaterial(dioptres=dioptres, beta=0.1, fresnel=True), 0.0, bulge=2.5)
     paths = trace(wall(), [lens], disc(500), camera=np.array(camera))
     assert len(paths.crossings) == 1
-    for values in (paths.origins, paths.directions, paths.share, paths.crossings[0].mirrored):
+    for values in (paths.rays.origins, paths.rays.directions, paths.share, paths.crossings[0].mirrored):
         assert np.isfinite(values).all()
-    np.testing.assert_allclose(np.linalg.norm(paths.directions, axis=1), 1, rtol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(paths.rays.directions, axis=1), 1, rtol=1e-9)
 
 
 def test_rays_bend_where_they_meet_a_lens_that_is_not_flat():
@@ -152,8 +171,8 @@ def test_rays_bend_where_they_meet_a_lens_that_is_not_flat():
         paths = trace(wall(), [lens], disc(100), camera=np.array(camera))
         met = paths.bent
         assert met.sum() > 50
-        assert np.abs(paths.origins[met, 2]).max() > 1
-        for start, direction in zip(paths.origins[met], paths.directions[met], strict=True):
+        assert np.abs(paths.rays.origins[met, 2]).max() > 1
+        for start, direction in zip(paths.rays.origins[met], paths.rays.directions[met], strict=True):
             thin = ThinLens([0, 0, start[2]], [0, 0, 1], 10)
             expected = refract(thin, camera, start[None]).directions[0]
             np.testing.assert_allclose(direction, expected, atol=1e-9)

@@ -5,8 +5,7 @@ import pytest
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
-from scan2albedo.eyeglasses.lenses.lens_rims import find_lens_rim
-from scan2albedo.eyeglasses.lenses.rim_outline import LensPlane, fit_normal, subdivide_rim
+from scan2albedo.eyeglasses.lenses.rims import LensPlane, find_lens_rim, fit_normal, subdivide_rim
 from scan2albedo.geometry.mesh import face_cross_products, face_normals
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.synthetic import GlassesBend, eyeglasses
@@ -46,14 +45,6 @@ def test_the_rim_is_the_true_inner_outline(welded, bend):
             assert distances(truth, rim.points).max() <= BAR_MM
             assert rim.normal[2] > 0.9
             assert rim.measured.mean() > 0.85
-
-
-@pytest.mark.parametrize("count", [32, 64, 512])
-def test_few_and_many_points_lie_on_the_same_rim(count):
-    glasses = eyeglasses(1)
-    rim = find(glasses, count=count)
-    assert len(rim.points) == count
-    assert distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM
 
 
 def test_a_given_normal_will_do_and_need_not_be_exact():
@@ -148,11 +139,11 @@ def test_subdivision_alone_stays_within_the_tube():
 def test_a_lens_fills_its_rim_and_faces_the_viewer():
     glasses = eyeglasses(8, bend=BENT)
     for side in range(2):
-        rim = find(glasses, side, count=64)
+        rim = find(glasses, side)
         for points in (rim.points, rim.points[::-1]):
             vertices, faces = lens_mesh(rim.center, points, rim.normal)
-            assert vertices.shape == (65, 3)
-            assert faces.shape == (64, 3)
+            assert vertices.shape == (129, 3)
+            assert faces.shape == (128, 3)
             assert (face_normals(vertices, faces) @ rim.normal > 0.8).all()
         area = np.linalg.norm(face_cross_products(vertices, faces), axis=1).sum() / 2
         outline = glasses.lens_outlines[side] - rim.center
@@ -174,8 +165,6 @@ def test_what_cannot_be_done_is_said():
         find(glasses, faces=np.zeros((0, 3), int))
     with pytest.raises(EyeglassesError, match=r"vertices\[0\] is not finite"):
         find_lens_rim(np.full((3, 3), np.nan), [[0, 1, 2]], [0, 0, 0], rim_points=marks)
-    with pytest.raises(ValueError, match="count"):
-        find(glasses, count=16)
     with pytest.raises(EyeglassesError, match="fold"):
         lens_mesh([5.0, 0, 0], [[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
 

@@ -1,18 +1,17 @@
 """Surfaces under distant lights: closed forms, shadows where the geometry says, colours of meshes."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from brdf_reference import oren_nayar, phong
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
-from scan2albedo.eyeglasses.lenses.light_kernels import AWAY, shade
-from scan2albedo.eyeglasses.lenses.lit_scene import LitScene
-from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, SceneRays
+from scan2albedo.eyeglasses.lenses.inserted_lenses import insert_lens
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial
+from scan2albedo.eyeglasses.lenses.scene_colors import LitScene
+from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface, radiance_at
 from scan2albedo.geometry.rasterization import bilinear
-from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.environment import DistantLights, distant_directions
+from scan2albedo.synthetic import eyeglasses
 
 
 def square(half, z, **finish):
@@ -24,57 +23,45 @@ def look_down(scene, xy, z=100.0):
     """Rays along -z at points (N, 2)."""
     origins = np.column_stack([xy, np.full(len(xy), z)])
     directions = np.tile([0.0, 0, -1], (len(xy), 1))
-    return SceneRays(origins, directions, scene.caster.first_hit(origins, directions))
+    return scene.rays(origins, directions)
 
 
-@dataclass(frozen=True)
-class Lit:
-    """A scene in a light: colours of rays at once."""
-
-    scene: LitScene
-    light: Illumination
-
-    def bare(self, rays):
-        return self.scene.straight(np.zeros((len(rays.origins), 2)), rays).colors(self.light).bare
-
-    def seen(self, rays):
-        return self.scene.seen(rays).colors(self.light).shaded
-
-    def mirrored(self, rays):
-        return self.scene.mirrored(rays).colors(self.light).shaded
+def lit(scene, lights, environment=None):
+    return LitScene(scene, (), lights, environment)
 
 
-def lit(scene, lights, *, environment=None, background=False):
-    toward = np.asarray(lights.directions)
-    drawn = LitScene(scene, (), toward, background=background, offset_mm=0.1, every_pixel=True)
-    return Lit(drawn, Illumination(np.asarray(lights.irradiance_linear), environment))
-
-
-def test_the_kernel_does_what_the_reference_says():
-    rng = np.random.default_rng(0)
-    normal, viewer = rng.normal(size=(2, 500, 3))
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    viewer /= np.linalg.norm(viewer, axis=1)[:, None]
-    toward = np.array([[0.48, 0.6, 0.64], [0, -1, 0]])
-    light = np.array([[1.0, 2, 3], [0.5, 0.1, 0]])
-    albedo, surface = rng.random((500, 3)), rng.integers(0, 3, 500)
-    finish = np.array([[0.0, 0.0, 5.0], [0.4, 0.3, 20.0], [0.0, 1.0, 1.0]])
-    passed = np.array([[1.0, 1, 1], [0.5, 0.2, 0]])
-    paths = rng.integers(0, 3, (500, 2)).astype(np.uint8)
-    expected_bare, expected = np.zeros((2, 500, 3))
-    for k in range(2):
-        n_l, n_v, l_v = normal @ toward[k], (normal * viewer).sum(1), viewer @ toward[k]
-        paths[n_l <= 0, k] = AWAY
-        for number, (sigma, specular, exponent) in enumerate(finish):
-            own = (surface == number) & (paths[:, k] > 0) & (n_l > 0)
-            matte = albedo[own] / np.pi * oren_nayar(n_l, n_v, l_v, sigma)[own, None]
-            glossy = specular * phong(n_l, n_v, l_v, exponent)[own, None]
-            expected_bare[own] += light[k] * (matte + glossy)
-            expected[own] += light[k] * passed[paths[own, k] - 1] * (matte + glossy)
-    bare, shaded = np.ones((2, 500, 3))
-    shade(normal, viewer, albedo, surface, finish, paths, passed, toward, light, bare, shaded)
-    np.testing.assert_allclose(bare, expected_bare, rtol=1e-12, atol=1e-15)
-    np.testing.assert_allclose(shaded, expected, rtol=1e-12, atol=1e-15)
+def test_a_scene_does_what_the_reference_says():
+    """Rough and glossy surfaces, seen from many sides, with a lens in the way of some of the light."""
+    glasses, rng = eyeglasses(1), np.random.default_rng(0)
+    finish = {"roughness_rad": 0.4, "specular": 0.3, "shininess": 20.0, "albedo_linear": (0.2, 0.5, 0.8)}
+    scene = LensScene(Surface(glasses.vertices, glasses.faces), [square(80, -30, **finish)])
+    dyed = LensMaterial(tint_linear=(1, 0.5, 0.2), alpha=0.9, tinting="filter")
+    lenses = [insert_lens(glasses.vertices, glasses.faces, glasses.keypoints, side, dyed) for side in (0, 1)]
+    toward = distant_directions(30)
+    light = rng.random((30, 3))
+    targets = np.column_stack([rng.uniform(-70, 70, (400, 2)), np.full(400, -30.0)])
+    origin = np.array([150.0, 100, 300])
+    directions = (targets - origin) / np.linalg.norm(targets - origin, axis=1)[:, None]
+    rays = scene.rays(origin, directions)
+    on = scene.surface_of_face[rays.hits.face] == 1
+    colors = LitScene(scene, lenses, DistantLights(toward, light), None).seen(rays)
+    normal, expected_bare, expected, ways = np.array([0, 0, 1.0]), 0.0, 0.0, set()
+    for k in range(30):
+        n_l, n_v, l_v = toward[k] @ normal, -directions @ normal, -directions @ toward[k]
+        if n_l <= 0:
+            continue
+        open_ = ~scene.caster.occluded(rays.ends + 0.2 * normal, toward[k])
+        matte = np.array([0.2, 0.5, 0.8]) / np.pi * oren_nayar(n_l, n_v, l_v, 0.4)[:, None]
+        sent = light[k] * open_[:, None] * (matte + 0.3 * phong(n_l, n_v, l_v, 20.0)[:, None])
+        through = np.stack([lens.caster.occluded(rays.ends, toward[k]) for lens in lenses], 1)
+        expected_bare = expected_bare + sent
+        expected = expected + sent * (dyed.transmission ** through.sum(1)[:, None])
+        ways |= set((open_ + through.sum(1) * open_).tolist())
+    assert on.sum() > 200
+    assert ways >= {0, 1, 2}
+    np.testing.assert_allclose(colors.bare[on], expected_bare[on], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(colors.shaded[on], expected[on], rtol=1e-9, atol=1e-12)
+    assert not colors.unknown.any()
 
 
 def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
@@ -84,9 +71,9 @@ def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
     for faces in ([[0, 1, 2], [0, 2, 3]], [[0, 2, 1], [0, 2, 3]]):
         plate = Surface(square(10, 0).vertices, faces, albedo_linear=[0.5, 0.5, 1])
         scene = LensScene(plate, ())
-        seen = lit(scene, lights).seen(look_down(scene, xy))
+        seen = lit(scene, lights).seen(look_down(scene, xy)).bare
         np.testing.assert_allclose(seen, np.tile([0.4 / np.pi, 0.8 / np.pi, 2.4 / np.pi], (2, 1)), rtol=1e-12)
-    behind = lit(scene, DistantLights(-toward, [1.0])).seen(look_down(scene, xy))
+    behind = lit(scene, DistantLights(-toward, [1.0])).seen(look_down(scene, xy)).bare
     assert not behind.any()
 
 
@@ -99,11 +86,12 @@ def test_shadows_fall_where_the_geometry_says():
     at = xy + 30 * toward[:2] / toward[2]
     from_edge = 10 - np.abs(at).max(1)
     below = look_down(scene, xy, z=20.0)
-    dark = colors.bare(below)[:, 0] == 0
+    seen = colors.seen(below).bare
+    dark = seen[:, 0] == 0
     clear = np.abs(from_edge) > 0.2
     assert (dark == (from_edge > 0))[clear].all()
     assert dark.sum() > 50
-    np.testing.assert_allclose(colors.bare(below)[~dark], 0.5 * 0.8, rtol=1e-12)
+    np.testing.assert_allclose(seen[~dark], 0.5 * 0.8, rtol=1e-12)
 
 
 def test_rays_past_everything_see_the_background_and_mirrors_the_environment():
@@ -111,13 +99,19 @@ def test_rays_past_everything_see_the_background_and_mirrors_the_environment():
     room = np.full((4, 8, 3), 5.0)
     lights = DistantLights([[0, 0, 1]], [1.0])
     past = look_down(scene, np.array([[50.0, 0]]))
-    seen = lit(scene, lights, environment=room, background=True)
-    assert seen.bare(past).tolist() == seen.seen(past).tolist() == seen.mirrored(past).tolist() == [[5] * 3]
-    black = lit(scene, lights, environment=room)
-    assert not black.bare(past).any()
-    assert not black.seen(past).any()
-    assert black.mirrored(past).tolist() == [[5, 5, 5]]
-    assert not lit(scene, lights, background=True).mirrored(past).any()
+    seen = lit(scene, lights, room)
+    assert seen.seen(past).bare.tolist() == seen.mirrored(past).shaded.tolist() == [[5] * 3]
+    assert not lit(scene, lights).mirrored(past).shaded.any()
+
+
+def test_the_environment_lies_where_its_axes_say():
+    height, width = 180, 360
+    row, column = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
+    azimuth, polar = (column / width - 0.5) * 2 * np.pi, row / height * np.pi
+    sphere = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
+    directions = np.concatenate([distant_directions(300), np.eye(3), -np.eye(3)])
+    np.testing.assert_allclose(radiance_at(sphere, 7 * directions), directions, atol=0.01)
+    assert not radiance_at(None, directions).any()
 
 
 def test_colours_come_from_vertices_or_textures():
@@ -131,13 +125,11 @@ def test_colours_come_from_vertices_or_textures():
     for surface in (by_vertex, by_corner):
         scene = LensScene(square(1, -50), [surface])
         rays = look_down(scene, xy)
-        points = scene.points(rays.origins, rays.directions, rays.hits)
-        assert (points.surface == 1).all()
-        np.testing.assert_allclose(scene.albedo(points), bilinear(image, texel), atol=1e-12)
+        assert (scene.surface_of_face[rays.hits.face] == 1).all()
+        np.testing.assert_allclose(scene.albedo(rays), bilinear(image, texel), atol=1e-12)
     scene = LensScene(painted, ())
     rays = look_down(scene, np.array([[-10.0, -10], [10, -10]]) * 0.999999)
-    albedo = scene.albedo(scene.points(rays.origins, rays.directions, rays.hits))
-    np.testing.assert_allclose(albedo, np.eye(3)[:2], atol=1e-5)
+    np.testing.assert_allclose(scene.albedo(rays), np.eye(3)[:2], atol=1e-5)
 
 
 def test_normals_are_smooth_where_the_winding_is_one():
@@ -150,10 +142,9 @@ def test_normals_are_smooth_where_the_winding_is_one():
     for winding in (faces, faces[:, ::-1]):
         scene = LensScene(Surface(arc, winding), ())
         rays = look_down(scene, np.array([[5.0, 1], [-20, 3], [12, -4]]))
-        points = scene.points(rays.origins, rays.directions, rays.hits)
-        radial = points.position * [1, 0, 1]
+        radial = rays.ends * [1, 0, 1]
         radial /= np.linalg.norm(radial, axis=1)[:, None]
-        assert ((points.normal * radial).sum(1) > 0.9999).all()
+        assert ((scene.normals(rays) * radial).sum(1) > 0.9999).all()
 
 
 def test_what_is_no_surface_is_refused():

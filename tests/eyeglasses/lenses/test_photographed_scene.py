@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.lenses.lens_scene import LensScene, Surface
-from scan2albedo.eyeglasses.lenses.photographed_scene import PhotographedScene
-from scan2albedo.eyeglasses.lenses.traced_rays import SceneRays
+from scan2albedo.eyeglasses.lenses.scene_colors import PhotographedScene
+from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import bilinear
 
@@ -35,10 +34,9 @@ def photograph():
     return np.repeat(np.tile(np.arange(160.0) / 160, (120, 1))[..., None], 3, 2)
 
 
-def scene_of(nearest=True, fringe_px=1):
+def scene_of(fringe_px=1):
     scene = LensScene(frame(), [two_sheets()])
-    options = {"nearest": nearest, "fringe_px": fringe_px, "region": WHOLE}
-    return scene, PhotographedScene(scene, photograph(), CAMERA, **options)
+    return scene, PhotographedScene(scene, photograph(), CAMERA, fringe_px=fringe_px, region=WHOLE)
 
 
 def toward(scene, points, origin=(55.0, 0, 40)):
@@ -46,7 +44,7 @@ def toward(scene, points, origin=(55.0, 0, 40)):
     origins = np.tile(origin, (len(points), 1))
     directions = points - origins
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    return SceneRays(origins, directions, scene.caster.first_hit(origins, directions))
+    return scene.rays(origins, directions)
 
 
 def test_points_that_the_camera_saw_have_their_pixels_colour():
@@ -55,7 +53,7 @@ def test_points_that_the_camera_saw_have_their_pixels_colour():
     seen = photographed.seen(toward(scene, points))
     assert not seen.unknown.any()
     pixels, _ = project(CAMERA, points)
-    np.testing.assert_allclose(seen.linear, bilinear(photograph(), pixels), atol=1e-9)
+    np.testing.assert_allclose(seen.bare, bilinear(photograph(), pixels), atol=1e-9)
 
 
 def test_what_stands_behind_the_same_surface_is_hidden():
@@ -67,7 +65,7 @@ def test_what_stands_behind_the_same_surface_is_hidden():
     assert seen.unknown.all()
     # The nearest point of the wall in view lies just beside the strip.
     edge = project(CAMERA, np.array([[10 * 630 / 590, 0, -30]]))[0][0, 0]
-    np.testing.assert_allclose(np.abs(seen.linear[:, 0] * 160 - 79.5), edge - 79.5, atol=1.1)
+    np.testing.assert_allclose(np.abs(seen.bare[:, 0] * 160 - 79.5), edge - 79.5, atol=1.1)
 
 
 @pytest.mark.parametrize("fringe_px", [0, 1, 4])
@@ -81,27 +79,16 @@ def test_the_frame_hides_what_is_behind_it_and_its_fringe(fringe_px):
     assert seen.unknown.tolist() == [True, fringe_px == 4, False]
 
 
-def test_the_albedo_takes_the_photographs_brightness():
-    scene, photographed = scene_of(nearest=False)
-    rays = toward(scene, np.array([[0.0, 0, -30]]), origin=(0.0, 0, -10))
-    seen = photographed.seen(rays)
-    assert seen.unknown.all()
-    shown = photograph()[photographed._labels == 1]
-    wall = 0.2 * np.median(shown) / 0.2
-    np.testing.assert_allclose(seen.linear, wall, rtol=0.05)
-
-
 def test_points_outside_the_picture_or_behind_the_camera_are_unknown():
     big = Surface(sheet((-900, 900), (-900, 900), -30.0), [[0, 1, 2], [0, 2, 3]])
     back = Surface(sheet((-900, 900), (-900, 900), 900.0), [[0, 1, 2], [0, 2, 3]], (0.3, 0.3, 0.3))
     scene = LensScene(frame(), [big, back])
-    options = {"fringe_px": 1, "region": WHOLE}
-    photographed = PhotographedScene(scene, photograph(), CAMERA, nearest=True, **options)
+    photographed = PhotographedScene(scene, photograph(), CAMERA, fringe_px=1, region=WHOLE)
     rays = toward(scene, np.array([[500.0, 0, -30], [0, 0, 900], [10, 0, -30]]))
     seen = photographed.seen(rays)
     assert seen.unknown.tolist() == [True, True, False]
     # Of a surface that the photograph does not show at all there is only the albedo.
-    np.testing.assert_allclose(seen.linear[1], 0.3)
+    np.testing.assert_allclose(seen.bare[1], 0.3)
     np.testing.assert_array_equal(photographed.mirrored(rays).unknown, seen.unknown)
 
 
@@ -111,9 +98,9 @@ def test_a_background_that_is_hidden_comes_from_beside_the_lens():
     origin = np.array([[70.0, 0, -50]])
     direction = np.array([[-0.05, 0, -1.0]])
     direction /= np.linalg.norm(direction)
-    rays = SceneRays(origin, direction, scene.caster.first_hit(origin, direction))
+    rays = scene.rays(origin, direction)
     assert rays.hits.face.tolist() == [-1]
     seen = photographed.seen(rays)
     assert seen.unknown.all()
     at = project(CAMERA, origin)[0][0, 0]
-    np.testing.assert_allclose(seen.linear[0, 0] * 160, at, atol=1.5)
+    np.testing.assert_allclose(seen.bare[0, 0] * 160, at, atol=1.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.lenses.refraction import ThinLens, refract
+from scan2albedo.eyeglasses.lenses.optics import ThinLens, refract
 from scan2albedo.geometry.rigid import random_rotation
 
 FLAT = ThinLens(np.zeros(3), np.array([0.0, 0, 1]), 0.0)

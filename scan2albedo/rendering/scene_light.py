@@ -1,9 +1,9 @@
-"""`SceneLight`: ambient light and coloured lamps that together light a face."""
+"""Light of a scene, and what each point of a surface that shadows itself gets of it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.environment_light import environment_light_on
-from scan2albedo.lighting.shading import Reflectance, lamp_factors
+from scan2albedo.lighting.shading import LampFactors, Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 _LAMP_POINTS = 96
@@ -40,12 +40,12 @@ class SceneLight:
     soft: EnvironmentLight | None = None
 
     @classmethod
-    def of(
+    def from_lamps(
         cls,
         lights: Sequence[PointLight],
-        environment: DistantLights | None = None,
+        distant: DistantLights | None = None,
         *,
-        ambient: float,
+        ambient: float = 0.0,
         soft: EnvironmentLight | None = None,
     ) -> SceneLight:
         """Return lamps and the distant lights that stand for an environment map.
@@ -55,19 +55,16 @@ class SceneLight:
         from everywhere a matte surface that nothing hides shows its albedo, as under ambient light 1.
         """
         directions = [light.direction for light in lights]
-        distances = [light.distance_mm for light in lights]
-        radii = [light.radius_deg for light in lights]
         intensity = [light.intensity * np.array(light.color_linear) for light in lights]
-        if environment is not None:
-            toward = np.asarray(environment.directions)
-            directions += list(toward)
-            distances += [math.inf] * len(toward)
-            radii += [0.0] * len(toward)
-            intensity += list(np.asarray(environment.irradiance_linear) / np.pi)
+        far = 0
+        if distant is not None:
+            directions += list(np.asarray(distant.directions))
+            intensity += list(np.asarray(distant.irradiance_linear) / np.pi)
+            far = len(directions) - len(lights)
         return cls(
             np.reshape(directions, (-1, 3)).astype(np.float64),
-            np.array(distances, np.float64),
-            np.array(radii, np.float64),
+            np.array([light.distance_mm for light in lights] + [math.inf] * far, np.float64),
+            np.array([light.radius_deg for light in lights] + [0.0] * far, np.float64),
             np.reshape(intensity, (-1, 3)).astype(np.float64),
             np.full(3, float(ambient)),
             soft,
@@ -79,12 +76,23 @@ class SceneLight:
         return len(self.intensity) > 0 or (self.soft is not None and self.soft.occluded)
 
 
-@dataclass(frozen=True)
-class Shaded:
-    """`diffuse` (N, 3) multiplies the albedo; `specular` (N, 3) is added to it."""
+def each_lamp(
+    shadows: ShadowMap, light: SceneLight, reflectance: Reflectance, view: ArrayLike
+) -> Iterator[tuple[int, LampFactors]]:
+    """Yield the number of each lamp that shines, and what its intensity counts by on the points of `shadows`.
 
-    diffuse: FloatArray
-    specular: FloatArray
+    `view`, (3,) or (N, 3), unit, points toward the viewer.
+    """
+    toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
+    for k in np.flatnonzero(light.intensity.any(1)):
+        direction, distance = light.directions[k], float(light.distances_mm[k])
+        visible = shadows.reached(direction, distance, float(light.radii_deg[k]), _LAMP_POINTS)
+        yield (
+            int(k),
+            lamp_factors(
+                shadows.position, shadows.normal, visible, direction, 1 / distance, toward_viewer, reflectance
+            ),
+        )
 
 
 def shade(
@@ -93,8 +101,8 @@ def shade(
     reflectance: Reflectance,
     view: ArrayLike,
     specular_scale: FloatArray | None = None,
-) -> Shaded:
-    """Return the light on the N points of `shadows`: T = A diffuse + specular.
+) -> tuple[FloatArray, FloatArray]:
+    """Return diffuse and specular light (N, 3) on the points of `shadows`: T = A diffuse + specular.
 
         diffuse = ambient + soft + sum_k V_k E_k f(n, l_k, v),  specular = k_s sum_k V_k E_k phong(n, l_k, v)
 
@@ -103,21 +111,12 @@ def shade(
     ray and a reflectance are computed for each lamp and point that faces it. Soft light brings along what the
     surface throws onto itself of all light.
     """
-    position, normal = shadows.position, shadows.normal
-    toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
-    diffuse, specular = np.zeros((2, len(normal), 3))
-    for direction, distance, radius, intensity in zip(
-        light.directions, light.distances_mm, light.radii_deg, light.intensity, strict=True
-    ):
-        if not intensity.any():
-            continue
-        visible = shadows.reached(direction, float(distance), float(radius), _LAMP_POINTS)
-        factors = lamp_factors(position, normal, visible, direction, 1 / distance, toward_viewer, reflectance)
-        diffuse += factors.diffuse[:, None] * intensity
+    diffuse, specular = np.zeros((2, len(shadows.normal), 3))
+    for k, factors in each_lamp(shadows, light, reflectance, view):
+        diffuse += factors.diffuse[:, None] * light.intensity[k]
         if reflectance.specular_strength > 0:
-            specular += factors.highlight[:, None] * intensity
+            specular += factors.highlight[:, None] * light.intensity[k]
     if light.soft is not None:
         diffuse = environment_light_on(light.soft, shadows, diffuse)
-    diffuse += light.ambient
-    scale = np.ones(len(normal)) if specular_scale is None else specular_scale
-    return Shaded(diffuse, reflectance.specular_strength * scale[:, None] * specular)
+    scale = 1.0 if specular_scale is None else specular_scale[:, None]
+    return diffuse + light.ambient, reflectance.specular_strength * scale * specular

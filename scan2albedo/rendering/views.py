@@ -1,4 +1,4 @@
-"""Quick shaded pictures of meshes, for overviews."""
+"""Quick orthographic pictures of meshes, for overviews."""
 
 from __future__ import annotations
 
@@ -50,6 +50,11 @@ class View:
         scale = (size - 1) / (2 * half)
         return np.stack([(seen[:, 0] + half) * scale, (half - seen[:, 1]) * scale], 1)
 
+    def raster(self, vertices: ArrayLike, faces: ArrayLike, size: int) -> Raster:
+        """Return which face covers each of `size` x `size` pixels, the nearest one, and where."""
+        nearness = self.project(vertices)[:, 2]
+        return rasterize(self.pixels(vertices, size), nearness, faces, (size, size))
+
 
 def render_mesh(
     vertices: ArrayLike,
@@ -72,32 +77,24 @@ def render_mesh(
     """
     xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
     view = view if view is not None else View.around(xyz, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
-    seen = view.project(xyz)
-    raster = rasterize(view.pixels(xyz, size), seen[:, 2], index, (size, size))
+    raster = view.raster(xyz, index, size)
     if texture_srgb is not None:
-        picture = _textured(raster, np.asarray(texture_srgb[0], float), texture_srgb[1])
+        corners, image = np.asarray(texture_srgb[0], float), texture_srgb[1]
+        uv = np.einsum("nk,nkc->nc", raster.barycentric[raster.covered], corners[raster.face[raster.covered]])
+        pixels = np.round(pixels_from_uv(uv, image.shape[:2])).astype(np.int64)
+        column, row = np.clip(pixels, 0, [image.shape[1] - 1, image.shape[0] - 1]).T
+        picture = np.zeros((size, size, 3))
+        picture[raster.covered] = image[row, column] / 255.0
     else:
-        color = (
-            np.full((len(xyz), 3), 0.8) if vertex_color_srgb is None else np.asarray(vertex_color_srgb, float)
-        )
+        grey = np.full((len(xyz), 3), 0.8)
+        color = grey if vertex_color_srgb is None else np.asarray(vertex_color_srgb, float)
         picture = interpolate(raster, index, color)
     if shaded:
-        normals = normalized(interpolate(raster, index, vertex_normals(seen, index)))
+        normals = normalized(interpolate(raster, index, vertex_normals(view.project(xyz), index)))
         light = normalized(np.array([0.35, 0.45, 0.82]))
         picture *= (0.25 + 0.75 * np.abs(normals @ light))[..., None]
     picture[~raster.covered] = 1.0
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
-
-
-def _textured(raster: Raster, uv: FloatArray, image: NDArray[np.uint8]) -> FloatArray:
-    """Look the texture up at each covered pixel (nearest texel); zeros elsewhere."""
-    inside = raster.covered
-    coordinates = np.einsum("nk,nkc->nc", raster.barycentric[inside], uv[raster.face[inside]])
-    pixels = np.round(pixels_from_uv(coordinates, image.shape[:2])).astype(np.int64)
-    column, row = (np.clip(pixels[:, k], 0, image.shape[1 - k] - 1) for k in (0, 1))
-    picture = np.zeros((*raster.face.shape, 3))
-    picture[inside] = image[row, column] / 255.0
-    return picture
 
 
 def heat_colors(values: ArrayLike, low: float, high: float, colormap: str = "viridis") -> FloatArray:

@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 
 from scan2albedo import RawScan
+from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel, _input_panel, overview_figure, preview_srgb
-from scan2albedo.report.rendering import View, heat_colors, render_mesh
 
 
 def test_a_sphere_covers_the_disc_it_should():

@@ -1,0 +1,195 @@
+"""What one lens does to a ray: refraction by its power, mirroring by its front, tint and reflection."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.geometry.mesh import normalized
+
+_GRAZING = 1e-9
+"""Sine of the angle to the lens plane below which a camera or a ray counts as lying in it."""
+
+
+@dataclass(frozen=True)
+class ThinLens:
+    """An ideal thin lens: optical centre, axis and power."""
+
+    center: ArrayLike
+    """(3,) mm."""
+    normal: ArrayLike
+    """(3,) along the optical axis, of any length and either sign: a thin lens has no front."""
+    dioptres: float
+    """1/m. Positive gathers light and enlarges what is behind it (for the farsighted), negative scatters it
+    and makes things smaller (for the shortsighted); 0 is window glass."""
+
+
+@dataclass(frozen=True)
+class RefractedRays:
+    """Rays on the far side of a lens."""
+
+    origins: FloatArray
+    """(N, 3) mm, in the lens plane."""
+    directions: FloatArray
+    """(N, 3) unit vectors away from the camera."""
+
+
+def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRays:
+    """Return the rays from `camera` through `points` bent at the plane of a thin lens.
+
+    With p where a ray meets the plane through o, u > 0 the camera's distance from it and P = -D / 1000,
+
+        d' ~ (p - o) (1 + u P) - (c - o).
+
+    This is the ray to the conjugate image of c (Hecht, "Optics", 5th ed., section 5.2.3; equations S11 and
+    S12 of Li et al.) times 1 + u P: it holds for P = 0, where it is the ray itself, for 1 + u P = 0, where
+    all rays become parallel, and beyond, where the image lies in front.
+
+    Parameters
+    ----------
+    lens : ThinLens
+    camera : (3,) or (N, 3) array_like of float
+        Centre of projection, or one origin a ray; mm.
+    points : (N, 3) array_like of float
+        Where each ray is heading, mm: any point on it but its origin, such as a hit on a lens mesh, which
+        need not be flat.
+
+    Raises
+    ------
+    EyeglassesError
+        When numbers are not finite, the normal is zero, a camera lies in the lens plane, or a ray runs
+        along the plane or away from it.
+    ValueError
+        When an array has the wrong shape.
+
+    Notes
+    -----
+    MEGANE's supplement works with f = 1 / P, infinite for plane glass and positive for what shrinks;
+    the sign of the dioptres here is the optician's.
+
+    Examples
+    --------
+    >>> lens = ThinLens(center=[0.0, 0.0, 0.0], normal=[0.0, 0.0, 1.0], dioptres=2.0)
+    >>> rays = refract(lens, [0.0, 0.0, 500.0], [[20.0, 0.0, 0.0]])
+    >>> rays.directions.round(9) + 0.0
+    array([[ 0.,  0., -1.]])
+    """
+    center, normal = np.asarray(lens.center, np.float64), np.asarray(lens.normal, np.float64)
+    for name, values in (("center", center), ("normal", normal)):
+        if values.shape != (3,):
+            raise ValueError(f"the lens's {name} must have shape (3,), got {values.shape}")
+    if not (np.isfinite(center).all() and np.isfinite(normal).all() and np.isfinite(lens.dioptres)):
+        raise EyeglassesError(f"the lens holds numbers that are not finite: {lens}; plane glass has 0 D")
+    if not normal.any():
+        raise EyeglassesError("the lens's normal is zero; give the direction of its optical axis")
+    normal = normal / np.linalg.norm(normal)
+    origins, through = np.asarray(camera, np.float64), np.asarray(points, np.float64)
+    if through.ndim != 2 or through.shape[1] != 3:
+        raise ValueError(f"points must have shape (N, 3), got {through.shape}")
+    if origins.shape not in ((3,), through.shape):
+        raise ValueError(f"camera must have shape (3,) or {through.shape}, got {origins.shape}")
+    for name, values in (("camera", origins), ("points", through)):
+        if not np.isfinite(values).all():
+            raise EyeglassesError(f"{name} holds numbers that are not finite; leave such rays out")
+    from_center = np.broadcast_to(origins - center, through.shape)
+    height = from_center @ normal
+    flat = np.abs(height) <= _GRAZING * np.linalg.norm(from_center, axis=1)
+    if flat.any():
+        raise EyeglassesError(
+            "the camera lies in the plane of the lens, which shows it nothing; move the camera, or leave "
+            f"this lens out of the picture ({int(flat.sum())} of {len(flat)} rays)"
+        )
+    heading = normalized(through - origins)
+    approach = -np.sign(height) * (heading @ normal)
+    astray = np.flatnonzero(approach <= _GRAZING)
+    if len(astray):
+        raise EyeglassesError(
+            f"{len(astray)} of {len(through)} rays (the first: {astray[0]}) never reach the lens plane from "
+            "the camera's side; refract only rays that hit the lens"
+        )
+    u = np.abs(height)
+    offset = from_center + heading * (u / approach)[:, None]
+    bent = offset * (1 - u * float(lens.dioptres) / 1000)[:, None] - from_center
+    return RefractedRays(center + offset, normalized(bent))
+
+
+def mirror_on_sphere(
+    points: FloatArray, directions: FloatArray, center: ArrayLike, normal: ArrayLike, radius_mm: float
+) -> FloatArray:
+    """Return unit directions (N, 3) of rays mirrored by a lens's front, a sphere that touches its plane.
+
+    Rays go along `directions` (N, 3) of any length and meet the lens at `points` (N, 3) mm; `center` and
+    `normal` (3,) are the lens's, toward the viewer, where the front bulges; its radius is infinite for a
+    flat one.
+    """
+    axis = normalized(np.asarray(normal, np.float64))
+    # Divided by the radius, so that a flat front is no special case.
+    outward = normalized(axis + (points - np.asarray(center, np.float64)) / radius_mm)
+    heading = normalized(directions)
+    return heading - 2 * np.einsum("ni,ni->n", heading, outward)[:, None] * outward
+
+
+@dataclass(frozen=True)
+class LensMaterial:
+    """A lens's power, tint and reflection; the default is clear window glass.
+
+    The colour seen is (1 - alpha - beta) behind + alpha tint + beta reflected, as in Li et al. (supplement,
+    equations S11 to S15). Raises EyeglassesError when a number is out of range or not finite.
+
+    Examples
+    --------
+    >>> shortsighted = LensMaterial(dioptres=-4.0, beta=0.04, fresnel=True)
+    >>> sunglasses = LensMaterial(tint_linear=(0.1, 0.07, 0.03), alpha=0.85, tinting="filter")
+    """
+
+    dioptres: float = 0.0
+    """1/m, the optician's sign: negative for the shortsighted, 0 is plane."""
+    tint_linear: ArrayLike = (0.0, 0.0, 0.0)
+    """(3,) linear colour of the glass."""
+    alpha: float = 0.0
+    """Share of the tint."""
+    beta: float = 0.0
+    """Share of the reflection; with `fresnel`, at right angles. alpha + beta is at most 1."""
+    front_radius_mm: float = 130.0
+    """Of the sphere that mirrors; 130 mm is a usual front of 4 D, infinity a flat one."""
+    fresnel: bool = False
+    """Whether the reflection grows towards glancing angles (Schlick), at the cost of all other shares."""
+    tinting: Literal["paint", "filter"] = "paint"
+    """`paint` adds the tint as a matte colour, the paper's way; `filter` multiplies the scene behind
+    by it, as dyed glass does."""
+
+    def __post_init__(self) -> None:
+        tint = np.asarray(self.tint_linear, np.float64)
+        if tint.shape != (3,):
+            raise ValueError(f"tint_linear must have shape (3,), got {tint.shape}")
+        if not (np.isfinite(tint).all() and (tint >= 0).all() and np.isfinite(self.dioptres)):
+            raise EyeglassesError(f"a lens needs finite dioptres and a finite tint of 0 or more, got {self}")
+        if self.tinting == "filter" and tint.max() > 1:
+            raise EyeglassesError(f"a filter passes at most all light: tint_linear is up to {tint.max():g}")
+        if self.tinting not in ("paint", "filter"):
+            raise ValueError(f"tinting must be 'paint' or 'filter', got {self.tinting!r}")
+        if not self.front_radius_mm > 0:
+            raise EyeglassesError(f"a lens's front needs a positive radius, got {self.front_radius_mm} mm")
+        for name in ("alpha", "beta"):
+            if not (share := getattr(self, name)) >= 0:
+                raise EyeglassesError(f"{name} must be 0 or more, got {share}")
+        if not self.alpha + self.beta <= 1 + _GRAZING:
+            raise EyeglassesError(
+                f"alpha + beta must be at most 1, got {self.alpha + self.beta:.6g}: lower one of them"
+            )
+
+    @property
+    def clear(self) -> bool:
+        """Whether no light is lost on the way through."""
+        return self.alpha == 0 and self.beta == 0 and not self.fresnel
+
+    @property
+    def transmission(self) -> FloatArray:
+        """(3,) share of light that passes at right angles: 1 - alpha - beta, and alpha tint of a filter."""
+        passed = np.full(3, max(1 - self.alpha - self.beta, 0.0))
+        return passed + self.alpha * np.asarray(self.tint_linear) if self.tinting == "filter" else passed

@@ -1,0 +1,161 @@
+"""Surfaces that lenses show and mirror: one ray caster over all of them, and what a ray finds on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.checks import checked_mesh
+from scan2albedo.geometry.mesh import face_cross_products, normalized, vertex_normals
+from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
+from scan2albedo.geometry.rays import RayCaster, RayHits
+
+_SMOOTH = 0.3
+"""Cosine to its face below which a smoothed normal is replaced by the face's: its neighbours are wound in two
+ways."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A mesh with its colour, in mm in the world's frame.
+
+    Raises EyeglassesError when there are no faces or numbers are not finite; ValueError when an array has the
+    wrong shape, or the texture comes without `uv`.
+    """
+
+    vertices: ArrayLike
+    """(V, 3)."""
+    faces: ArrayLike
+    """(F, 3) of any winding; both sides are seen."""
+    albedo_linear: ArrayLike = (0.5, 0.5, 0.5)
+    """(3,) or (V, 3); ignored where there is a texture."""
+    uv: ArrayLike | None = None
+    """(V, 2) of vertices or (F, 3, 2) of each face's corners; v = 0 is the bottom row."""
+    texture_linear: ArrayLike | None = None
+    """(H, W, 3) albedo; needs `uv`."""
+    roughness_rad: float = 0.0
+    """Oren and Nayar's sigma; 0 is Lambert."""
+    specular: float = 0.0
+    shininess: float = 32.0
+    """`specular` and `shininess` are strength and exponent of Phong's highlight, as in `lighting.kernels`."""
+
+    def __post_init__(self) -> None:
+        xyz, index = checked_mesh(self.vertices, self.faces, "a surface")
+        albedo = np.asarray(self.albedo_linear, np.float64)
+        albedo = _checked("albedo_linear", albedo, (3,) if albedo.ndim == 1 else (len(xyz), 3))
+        fields = {"vertices": xyz, "faces": index, "albedo_linear": albedo}
+        if self.texture_linear is not None:
+            if self.uv is None:
+                raise ValueError("a texture needs uv")
+            # Pictures of floats stay in 32 bits: twice as much is a lot for a large one.
+            texture = np.asarray(self.texture_linear)
+            texture = texture if texture.dtype == np.float32 else texture.astype(np.float64)
+            fields["texture_linear"] = _checked("texture_linear", texture, (None, None, 3))
+            uv = np.asarray(self.uv, np.float64)
+            fields["uv"] = _checked("uv", uv, (len(xyz), 2) if uv.ndim == 2 else (len(index), 3, 2))
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+
+def _checked(name: str, array: FloatArray, shape: tuple[int | None, ...]) -> FloatArray:
+    fits = array.ndim == len(shape) and all(
+        n is None or n == m for n, m in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = str(shape).replace("None", "N")
+        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise EyeglassesError(f"a surface's {name} hold numbers that are not finite; repair the input first")
+    return array
+
+
+@dataclass(frozen=True)
+class SceneRays:
+    """N rays and where they end in the scene."""
+
+    origins: FloatArray
+    """(N, 3) mm."""
+    directions: FloatArray
+    """(N, 3) unit."""
+    hits: RayHits
+
+    def chosen(self, which: IntArray | BoolArray) -> SceneRays:
+        """Return copies of some of the rays."""
+        hits = RayHits(self.hits.face[which], self.hits.barycentric[which], self.hits.distance[which])
+        return SceneRays(self.origins[which], self.directions[which], hits)
+
+    @property
+    def ends(self) -> FloatArray:
+        """(N, 3) where they meet a surface; not finite for the others."""
+        return self.origins + self.directions * self.hits.distance[:, None]
+
+
+class LensScene:
+    """The frame and the surfaces around it as one mesh; `surface_of_face` (F,) is 0 for the frame."""
+
+    def __init__(self, frame: Surface, surfaces: Sequence[Surface]) -> None:
+        self.surfaces = (frame, *surfaces)
+        meshes = [(np.asarray(s.vertices), np.asarray(s.faces)) for s in self.surfaces]
+        starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
+        self.vertices = np.concatenate([vertices for vertices, _ in meshes])
+        self.faces = np.concatenate([faces + at for (_, faces), at in zip(meshes, starts[:-1], strict=True)])
+        counts = [len(faces) for _, faces in meshes]
+        self._face_starts = np.cumsum([0, *counts])
+        self.surface_of_face = np.repeat(np.arange(len(meshes)), counts)
+        self.caster = RayCaster(self.vertices, self.faces)
+        self._normals = vertex_normals(self.vertices, self.faces)
+
+    def rays(self, origins: FloatArray, directions: FloatArray) -> SceneRays:
+        """Return rays from origins, (3,) or (N, 3), along unit directions (N, 3)."""
+        start = np.broadcast_to(origins, directions.shape)
+        return SceneRays(start, directions, self.caster.first_hit(start, directions))
+
+    def normals(self, rays: SceneRays) -> FloatArray:
+        """Return (N, 3) unit normals, smooth, on the side of the viewer, where rays that all hit end."""
+        corners = self.faces[rays.hits.face]
+        flat = face_cross_products(self.vertices, corners)
+        smooth = np.einsum("nk,nkc->nc", rays.hits.barycentric, self._normals[corners])
+        agreement = np.einsum("nc,nc->n", flat, smooth)
+        size = np.linalg.norm(flat, axis=1) * np.linalg.norm(smooth, axis=1)
+        believed = np.abs(agreement) > _SMOOTH * size
+        normal = normalized(np.where(believed[:, None], np.sign(agreement)[:, None] * smooth, flat))
+        away = np.einsum("nc,nc->n", flat, rays.directions) > 0
+        return np.where(away[:, None], -normal, normal)
+
+    def albedo(self, rays: SceneRays) -> FloatArray:
+        """Return (N, 3) linear albedo where rays that all hit end."""
+        albedo = np.empty((len(rays.origins), 3))
+        for number, surface in enumerate(self.surfaces):
+            own = np.flatnonzero(self.surface_of_face[rays.hits.face] == number)
+            weight, face = rays.hits.barycentric[own], rays.hits.face[own] - self._face_starts[number]
+            corners = np.asarray(surface.faces)[face]
+            if surface.texture_linear is not None:
+                uv, texture = np.asarray(surface.uv), np.asarray(surface.texture_linear)
+                at = np.einsum("nk,nkc->nc", weight, uv[face] if uv.ndim == 3 else uv[corners])
+                albedo[own] = bilinear(texture, pixels_from_uv(at, texture.shape[:2]))
+            elif (color := np.asarray(surface.albedo_linear)).ndim == 1:
+                albedo[own] = color
+            else:
+                albedo[own] = np.einsum("nk,nkc->nc", weight, color[corners])
+        return albedo
+
+
+def radiance_at(environment_linear: FloatArray | None, directions: FloatArray) -> FloatArray:
+    """Return (N, 3) radiance of an environment map (H, W, 3) from directions (N, 3), bilinear; None is black.
+
+    Rows run from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
+    """
+    if environment_linear is None:
+        return np.zeros((len(directions), 3))
+    height, width = environment_linear.shape[:2]
+    x, y, z = directions.T
+    # The angle from +y by its tangent: a cosine near 1 hardly changes with it.
+    polar = np.arctan2(np.sqrt(x * x + z * z), y)
+    column = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * width - 0.5
+    around = np.pad(environment_linear, ((0, 0), (1, 1), (0, 0)), mode="wrap")
+    return bilinear(around, np.stack([column + 1, polar / np.pi * height - 0.5], 1))

@@ -1,0 +1,29 @@
+"""Images made smaller: each pixel is the mean of the area that it covers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from scan2albedo.core.arrays import FloatArray
+
+
+def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+    """Return an image (H, W) or (H, W, C) with `shape` pixels, at most as many as it has on either side.
+
+    Pixels that an area covers in part count by that part, as `cv2.INTER_AREA` and scikit-image's
+    `resize_local_mean` do it, but in O(H W): sums are differences of sums from the edge on.
+
+    >>> area_mean(np.arange(6.0).reshape(2, 3), (1, 2)).tolist()
+    [[1.8333333333333333, 3.1666666666666665]]
+    """
+    result = np.asarray(values, np.float64)
+    size = result.shape[:2]
+    for axis, count in enumerate(shape):
+        lines = np.moveaxis(result, axis, 0)
+        sums = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
+        edges = np.arange(count + 1) * size[axis] / count
+        whole = np.minimum(edges.astype(np.int64), size[axis] - 1)
+        part = (edges - whole).reshape(-1, *[1] * (lines.ndim - 1))
+        result = np.moveaxis(np.diff(sums[whole] + part * lines[whole], axis=0), 0, axis)
+    return np.asarray(result / (size[0] * size[1] / (shape[0] * shape[1])))

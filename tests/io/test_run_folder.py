@@ -1,0 +1,374 @@
+"""Publishing a folder loses nothing, at whatever operation it ends; no command touches the user's files."""
+
+import builtins
+import errno
+import importlib
+import json
+import os
+import random
+import shutil
+import signal
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+import scan2albedo
+from scan2albedo.errors import OutputError
+from scan2albedo.io import publishing
+from scan2albedo.io.leftovers import JOURNAL, is_hidden_path, remove_leftovers, settle
+from scan2albedo.io.records import read_record
+from scan2albedo.io.result_records import RunRecord
+from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
+
+
+class Note(RunRecord):
+    text: str
+    files: tuple[str, ...] = ()
+
+
+PAGE = OwnFiles("page.json", Note, ("line_*.txt",))
+FILES = OwnFiles("result.json", Note, ("a.txt", "b.txt", "only_*.txt"), inside=PAGE)
+MINE = {"mine.txt": "mine", "sub/deep/mine.txt": "mine", "page/mine.txt": "mine", "sub/mine.txt": "mine"}
+
+
+def contents(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_text()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.suffix != ".json" and ".part/" not in path.as_posix()
+    }
+
+
+def run(folder, text):
+    with RunFolder(folder, FILES).publishing() as staging:
+        for name in ("a.txt", "b.txt", f"only_{text}.txt"):
+            (staging.folder / name).write_text(text)
+        page = Staging(staging.folder / "page", PAGE)
+        page.folder.mkdir()
+        (page.folder / f"line_{text}.txt").write_text(text)
+        page.write_record(text=text)
+        staging.write_record(text=text)
+
+
+def result(text):
+    """Return what `contents` finds after a run."""
+    return dict.fromkeys(("a.txt", "b.txt", f"only_{text}.txt", f"page/line_{text}.txt"), text)
+
+
+def with_an_old_result(tmp_path):
+    folder = tmp_path / "out" / "scan"
+    run(folder, "old")
+    for name, text in MINE.items():
+        (folder / name).parent.mkdir(exist_ok=True, parents=True)
+        (folder / name).write_text(text)
+    (folder / "link").symlink_to("mine.txt")
+    return folder
+
+
+def which(folder):
+    """Return whose result is in a folder, which is whole."""
+    text = RunFolder(folder, FILES).read().text
+    remove_leftovers(folder.parent, folder)
+    assert contents(folder) == MINE | {"link": "mine"} | result(text)
+    assert read_record(folder / "page" / "page.json", Note).text == text
+    assert sorted(json.loads((folder / "result.json").read_text())["files"]) == sorted(
+        name for name in [*result(text), "result.json"] if "/" not in name
+    )
+    for path in [*folder.parent.iterdir(), *folder.iterdir()]:
+        if is_hidden_path(path):  # of this process: it could not be removed
+            shutil.rmtree(path)
+    assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+    return text
+
+
+@pytest.fixture(params=["exchange", "rename"])
+def way(request, monkeypatch):
+    """The way of publishing: one exchange, or renames where a file system has none."""
+    if request.param == "rename":
+
+        def impossible(a, b):
+            raise OSError(errno.EINVAL, "Invalid argument")
+
+        monkeypatch.setattr(publishing, "_exchange", impossible)
+    return request.param
+
+
+OPERATIONS = (
+    "mkdir",
+    "rename",
+    "replace",
+    "link",
+    "symlink",
+    "unlink",
+    "rmdir",
+    "open",
+    "chown",
+    "utime",
+    "scandir",
+)
+
+
+def interrupt_at(step, interruption, patch):
+    """Make file operation number `step` end by an interruption; return the list of operations that ran."""
+    ran = []
+
+    def stepping(function, name):
+        def called(*args, **options):
+            ran.append(name)
+            if len(ran) == step:
+                interruption()
+            return function(*args, **options)
+
+        return called
+
+    for name in OPERATIONS:
+        patch.setattr(os, name, stepping(getattr(os, name), name))
+    patch.setattr(builtins, "open", stepping(open, "open"))
+    patch.setattr(publishing, "_exchange", stepping(publishing._exchange, "exchange"))
+    return ran
+
+
+def ctrl_c():
+    raise KeyboardInterrupt
+
+
+def full_disk():
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("interruption", [ctrl_c, full_disk])
+def test_an_error_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, way, interruption, monkeypatch):
+    folder, step, found = with_an_old_result(tmp_path), 0, set()
+    while True:
+        step += 1
+        with monkeypatch.context() as patch:
+            ran = interrupt_at(step, interruption, patch)
+            with suppress(OutputError, KeyboardInterrupt):
+                run(folder, "new")
+        found.add(which(folder))
+        if len(ran) < step:
+            break
+        if which(folder) == "new":
+            run(folder, "old")
+    assert step > 30
+    assert found == {"old", "new"}
+
+
+def in_a_child(work):
+    """Run `work` in a forked process, which ends without unwinding, and return its number."""
+    child = os.fork()
+    if child == 0:
+        with suppress(BaseException):
+            work()
+        os._exit(0)
+    return child
+
+
+def test_a_process_that_ends_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, way, monkeypatch):
+    folder, step, found, killed = with_an_old_result(tmp_path), 0, set(), 1
+    while killed:
+        step += 1
+
+        def work(step=step):
+            interrupt_at(step, lambda: os._exit(1), monkeypatch)
+            run(folder, "new")
+
+        _, status = os.waitpid(in_a_child(work), 0)
+        killed = os.waitstatus_to_exitcode(status)
+        assert JOURNAL not in os.listdir(folder) or way == "rename"
+        found.add(which(folder))
+        if which(folder) == "new":
+            run(folder, "old")
+    assert step > 30
+    assert found == {"old", "new"}
+
+
+def killed_at_random_moments(folder, kills, seed):
+    """Kill runs by INT, TERM and KILL at random moments; return how often each result was found."""
+    moments, found = random.Random(seed), {"old": 0, "new": 0}
+    begin = time.perf_counter()
+    run(folder, "old")
+    length = time.perf_counter() - begin
+    for number in range(kills):
+        ready, go = os.pipe()
+
+        def work(go=go):
+            from scan2albedo.cli.common import stop_cleanly_on_interrupt
+
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+            stop_cleanly_on_interrupt(None)
+            os.write(go, b"1")
+            run(folder, "new")
+
+        child = in_a_child(work)
+        os.read(ready, 1)
+        time.sleep(moments.random() * 1.3 * length)
+        kind = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)[number % 3]
+        os.kill(child, kind)
+        os.waitpid(child, 0)
+        os.close(ready)
+        os.close(go)
+        if kind != signal.SIGKILL:  # "nothing half-written was left behind"
+            assert [path.name for path in folder.parent.iterdir()] == [folder.name]
+            assert not [path for path in folder.iterdir() if is_hidden_path(path) or path.name == JOURNAL]
+        text = which(folder)
+        found[text] += 1
+        if text == "new":
+            run(folder, "old")
+    return found
+
+
+@pytest.mark.parametrize("kills", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_signals_at_random_moments_leave_the_old_or_the_new_result(tmp_path, way, kills):
+    found = killed_at_random_moments(with_an_old_result(tmp_path), kills, seed=kills)
+    assert min(found.values()) > 0, found
+
+
+@pytest.mark.parametrize("pairs", [50, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("first", [True, False])
+def test_two_writers_never_mix_their_files(tmp_path, way, pairs, first):
+    for number in range(pairs):
+        folder = tmp_path / str(number) / "scan"
+        if not first:
+            run(folder, "old")
+        folder.parent.mkdir(exist_ok=True)
+        ready, go = os.pipe()
+
+        def work(text, ready=ready, folder=folder):
+            os.read(ready, 1)
+            run(folder, text)
+
+        children = [in_a_child(lambda text=text: work(text)) for text in ("A", "B")]
+        os.write(go, b"12")
+        for child in children:
+            os.waitpid(child, 0)
+        os.close(ready)
+        os.close(go)
+        text = RunFolder(folder, FILES).read().text
+        assert text in "AB"
+        assert {name for name in contents(folder) if "/" not in name} == {
+            name for name in result(text) if "/" not in name
+        }
+        assert set(contents(folder).values()) <= {text, "A", "B"}
+        assert len({contents(folder)[name] for name in ("a.txt", "b.txt", f"only_{text}.txt")}) == 1
+        assert [path.name for path in folder.parent.iterdir()] == ["scan"]
+
+
+@pytest.mark.parametrize(
+    "name", ["a.txt", "only_mine.txt", "result.json", "page/line_1.txt", "page/page.json"]
+)
+def test_a_file_of_the_users_under_one_of_our_names_is_never_touched(tmp_path, name):
+    (tmp_path / "page").mkdir()
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(OutputError, match=rf"holds {Path(name).name}, which no run of scan2albedo wrote"):
+        run(tmp_path, "new")
+    assert (tmp_path / name).read_text() == "mine"
+    assert [path.as_posix() for path in tmp_path.rglob("*") if path.is_file()] == [str(tmp_path / name)]
+
+
+def test_an_edited_record_names_only_files_that_such_a_run_writes(tmp_path):
+    folder = with_an_old_result(tmp_path)
+    (tmp_path / "out" / "only_1.txt").write_text("mine")
+    record = json.loads((folder / "result.json").read_text())
+    record["files"] += ["mine.txt", "../only_1.txt", "sub/mine.txt", "page/mine.txt", str(folder / "link")]
+    (folder / "result.json").write_text(json.dumps(record))
+    run(folder, "new")
+    (tmp_path / "out" / "only_1.txt").unlink()
+    assert which(folder) == "new"
+
+
+def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeypatch):
+    folder = with_an_old_result(tmp_path)
+    (folder / "sub").chmod(0o751)
+    folder.chmod(0o710)
+    exchange = publishing._exchange
+
+    def and_somebody_saves(a, b):
+        (folder / "sub" / "late.txt").write_text("late")
+        (folder / "mine.txt").unlink()
+        (folder / "mine.txt").write_text("mine, saved late")
+        exchange(a, b)
+
+    monkeypatch.setattr(publishing, "_exchange", and_somebody_saves)
+    run(folder, "new")
+    assert folder.stat().st_mode & 0o777 == 0o710
+    assert (folder / "sub").stat().st_mode & 0o777 == 0o751
+    late = {"sub/late.txt": "late", "mine.txt": "mine, saved late", "link": "mine, saved late"}
+    assert contents(folder) == MINE | result("new") | late
+
+
+@pytest.mark.parametrize("where", ["current folder", "no space beside it", "a mount point"])
+def test_a_folder_that_cannot_be_exchanged_keeps_its_place(tmp_path, monkeypatch, where):
+    folder = with_an_old_result(tmp_path)
+    place = folder.stat().st_ino
+    if where == "current folder":
+        monkeypatch.chdir(folder / "sub")
+    elif where == "no space beside it":
+        mkdir = os.mkdir
+
+        def refused(path, *mode):
+            if Path(path).parent == folder.parent:
+                raise PermissionError(errno.EACCES, "Permission denied")
+            mkdir(path, *mode)
+
+        monkeypatch.setattr(os, "mkdir", refused)
+    else:
+        rename = os.rename
+
+        def other_file_system(a, b):
+            if Path(a).parent == folder.parent:
+                raise OSError(errno.EXDEV, "Invalid cross-device link")
+            rename(a, b)
+
+        monkeypatch.setattr(publishing, "_exchange", other_file_system)
+        monkeypatch.setattr(os, "rename", other_file_system)
+    run(folder, "new")
+    assert folder.stat().st_ino == place
+    assert which(folder) == "new"
+
+
+@pytest.mark.parametrize(
+    "journal",
+    [
+        "[]",
+        "{",
+        '{"holder": "page", "made": [], "dropped": []}',
+        '{"holder": ".x-000000-1-00000000.part", "made": ["../x"], "dropped": []}',
+        '{"holder": "../.x-000000-1-00000000.part", "made": [], "dropped": []}',
+    ],
+)
+def test_an_edited_journal_is_refused_and_moves_nothing(tmp_path, journal):
+    folder = with_an_old_result(tmp_path)
+    (folder / JOURNAL).write_text(journal)
+    before = contents(folder)
+    with pytest.raises(OutputError, match=r"\.publishing\.json was edited"):
+        run(folder, "new")
+    with pytest.raises(OSError, match="was edited"):
+        settle(folder)
+    assert contents(folder) == before
+
+
+def commands():
+    """Return what every command of the package may write, found where it is declared."""
+    root = Path(scan2albedo.__file__).parent
+    found = {}
+    for path in root.rglob("*.py"):
+        if " OwnFiles(" in path.read_text(encoding="utf-8"):
+            name = ".".join(path.relative_to(root.parent).with_suffix("").parts)
+            for key, value in vars(importlib.import_module(name)).items():
+                if isinstance(value, OwnFiles):
+                    found[f"{name}.{key}"] = value
+    return found
+
+
+@pytest.mark.parametrize(("name", "files"), [pytest.param(*item, id=item[0]) for item in commands().items()])
+def test_no_command_touches_files_of_the_users(tmp_path, name, files):
+    for pattern in (files.record, *files.names):
+        folder = tmp_path / pattern.replace("*", "_").replace("?", "_")
+        folder.mkdir()
+        (folder / pattern.replace("*", "007").replace("?", "7")).write_text("mine")
+        with pytest.raises(OutputError, match=rf"no run of {files.command} wrote"):
+            RunFolder(folder, files).check()
+        assert not files.holds(f"sub/{pattern}")
