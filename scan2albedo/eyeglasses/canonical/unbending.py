@@ -150,7 +150,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     With F the reflection and Q = `left_from_mirrored`, the key points of the left rim and its hinge share
     Q^-1/2, those of the right side F Q^1/2 F: both move half the way and mirror each other afterwards. The
     bridge follows both by half. Bones of the temples keep their lengths, and their directions become the
-    mean of both sides. What both sides are bent to alike is no difference between them, and stays.
+    mean of both sides. A bend common to both sides is not seen, and remains.
     """
     if halves is None:
         return np.tile(np.eye(4), (len(points), 1, 1))
