@@ -181,11 +181,8 @@ PLACES = {
     ],
     "fitting": ["FitOptions"],
     "recognition": ["SimilarityOptions", "TemplateOptions"],
-    "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
-    + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions", "FaceFitOptions", "DetailOptions"],
+    "reflectance": ["OlatOptions", "ReflectanceFitOptions"],
     "registration": ["RegistrationOptions"],
-    "sampling": ["LookupOptions"],
-    "sampling.model_free": ["ModelFreeOptions"],
 }
 """Where the options that pages name are."""
 BARE = {"registration": "RegistrationOptions", "fitting": "FitOptions", "light_and_albedo": "EstimateOptions"}

@@ -16,6 +16,8 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from benchmarks.reflectance_scenes import Surface, albedo_error, person, surface
@@ -24,7 +26,6 @@ from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
-    FineTuneOptions,
     FineTuning,
     ImageObservation,
     MorphableReflectanceModel,
@@ -34,12 +35,14 @@ from scan2albedo.reflectance import (
     generated_environment,
     shade_environment,
 )
-from scan2albedo.reflectance.finetune_step import best_change
+from scan2albedo.reflectance.finetune import best_change, smoothed, with_change
 
 TUNING, HELD_OUT, THIRD = 12, 6, 10
 REPORTED = (0, 1, 2, 3, 4)
 OTHERS = (10, 11, 12)
 """Seeds that settings were chosen on."""
+Settings = dict[str, Any]
+"""Constants of `reflectance.finetune`, by name."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ def before(name: str, seed: int, levels: int) -> Errors:
     return errors(scenario.learn(seed, levels), shots(seed, 300, THIRD, scenario, levels), levels)
 
 
-def tuned(name: str, seed: int, options: FineTuneOptions, levels: int) -> tuple[FineTuning, Errors, float]:
+def tuned(name: str, seed: int, settings: Settings, levels: int) -> tuple[FineTuning, Errors, float]:
     """Return what tuning made of a scenario's model, its errors, and the CPU seconds it took."""
     scenario = SCENARIOS[name]
     pictures = [one.observation for one in shots(seed, 100, TUNING, scenario, levels)]
@@ -152,16 +155,17 @@ def tuned(name: str, seed: int, options: FineTuneOptions, levels: int) -> tuple[
     model = scenario.learn(seed, levels)
     start = time.process_time()
     s = surface(levels)
-    result = finetune(model, pictures, held_out, s.faces, vertices=s.vertices, options=options)
+    with patch.multiple("scan2albedo.reflectance.finetune", **settings):
+        result = finetune(model, pictures, held_out, s.faces, s.vertices)
     used = time.process_time() - start
     if not result.accepted_steps:
         return result, before(name, seed, levels), used
     return result, errors(result.model, shots(seed, 300, THIRD, scenario, levels), levels), used
 
 
-def print_row(name: str, seed: int, options: FineTuneOptions, levels: int) -> None:
+def print_row(name: str, seed: int, settings: Settings, levels: int) -> None:
     first = before(name, seed, levels)
-    result, last, used = tuned(name, seed, options, levels)
+    result, last, used = tuned(name, seed, settings, levels)
     steps = " ".join(f"{step:g}" for step in result.accepted_steps) or "none"
     print(
         f"{name:36}{seed:4}  {first.photometric:.4f} -> {last.photometric:.4f}   "
@@ -176,23 +180,23 @@ def print_table(seeds: list[int]) -> None:
     print(f"{'scenario':36}seed  photometric        albedo             held-out objective    CPU  steps")
     for name in SCENARIOS:
         for seed in seeds:
-            print_row(name, seed, FineTuneOptions(rounds=4), 0)
+            print_row(name, seed, {"ROUNDS": 4}, 0)
 
 
 def print_guards(seeds: list[int]) -> None:
     """Print what tuning does without anchors and without smoothing."""
-    plain = FineTuneOptions(rounds=2)
-    free = replace(plain, mean_change=10.0, basis_changes=(1.0,))
-    for title, options in {
+    plain: Settings = {"ROUNDS": 2}
+    free = plain | {"MEAN_CHANGE": 10.0, "BASIS_CHANGES": (1.0,)}
+    for title, settings in {
         "as it is": plain,
-        "not smoothed": replace(plain, smoothing_mm=0.0),
+        "not smoothed": plain | {"SMOOTHING_MM": 0.0},
         "not anchored": free,
-        "neither anchored nor smoothed": replace(free, smoothing_mm=0.0),
+        "neither anchored nor smoothed": free | {"SMOOTHING_MM": 0.0},
     }.items():
         print(title)
         for name in list(SCENARIOS)[::3]:
             for seed in seeds:
-                print_row(name, seed, options, 0)
+                print_row(name, seed, settings, 0)
 
 
 def print_smoothing(seeds: list[int]) -> None:
@@ -213,7 +217,7 @@ def print_smoothing(seeds: list[int]) -> None:
         for name, seed, model, change in runs:
             first = before(name, seed, 0)
             last = errors(
-                change.smoothed(smooth).applied(model), shots(seed, 300, THIRD, SCENARIOS[name], 0), 0
+                with_change(model, smoothed(change, smooth)), shots(seed, 300, THIRD, SCENARIOS[name], 0), 0
             )
             ratios.append((last.photometric / first.photometric, last.albedo / first.albedo))
         mean, worst = np.mean(ratios, axis=0), np.max(ratios, axis=0)
@@ -225,7 +229,7 @@ def print_resolution(seeds: list[int]) -> None:
     for levels in (0, 1):
         print(f"{len(surface(levels).vertices)} vertices")
         for seed in seeds:
-            print_row(next(iter(SCENARIOS)), seed, FineTuneOptions(rounds=2), levels)
+            print_row(next(iter(SCENARIOS)), seed, {"ROUNDS": 2}, levels)
 
 
 PARTS = {

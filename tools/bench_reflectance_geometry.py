@@ -16,9 +16,11 @@ import argparse
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cache
 from typing import get_args
+from unittest.mock import patch
 
 import numpy as np
 from benchmarks.reflectance_scenes import learned, person, shape_model, surface
@@ -36,14 +38,15 @@ from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.harmonics import project_distant_lights, project_environment
 from scan2albedo.reflectance import (
     GeometryFit,
-    GeometryFitOptions,
     ImageObservation,
     VertexReflectance,
     fit_image,
     generated_environment,
+    geometry_fit,
+    geometry_terms,
     refine_geometry,
 )
-from scan2albedo.reflectance.picture_samples import SmoothImage
+from scan2albedo.reflectance.geometry_terms import SmoothImage
 from scan2albedo.synthetic import face_shape
 
 LEVEL, FINE = 1, 3
@@ -156,7 +159,7 @@ def errors(vertices: np.ndarray, s: Scene) -> tuple[float, float, float]:
     return distances[1], distances[0], float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
-def refined(s: Scene, options: GeometryFitOptions, skin=None, light=None, start=None) -> GeometryFit:
+def refined(s: Scene, skin=None, light=None, start=None) -> GeometryFit:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         initial: dict[str, np.ndarray] = {}
@@ -173,17 +176,16 @@ def refined(s: Scene, options: GeometryFitOptions, skin=None, light=None, start=
             shape_model(),
             reflectance=skin,
             light=light,
-            options=options,
             **initial,
         )
 
 
-def alternated(s: Scene, options: GeometryFitOptions, rounds: int = 3) -> GeometryFit:
+def alternated(s: Scene, rounds: int = 3) -> GeometryFit:
     """Reflectance and light by `fit_image` on the geometry so far, then geometry with them, in turn."""
-    fit = refined(s, options)
+    fit = refined(s)
     for _ in range(rounds):
         skin, light = estimated(s, fit)
-        fit = refined(s, options, skin, light, fit)
+        fit = refined(s, skin, light, fit)
     return fit
 
 
@@ -199,10 +201,10 @@ def estimated(s: Scene, fit: GeometryFit) -> tuple[VertexReflectance, np.ndarray
     return found.face.reflectance, found.light
 
 
-Method = Callable[[Scene, GeometryFitOptions], GeometryFit]
+Method = Callable[[Scene], GeometryFit]
 METHODS: dict[str, Method] = {
     "landmarks": refined,
-    "+ photometry, reflectance and light known": lambda s, o: refined(s, o, s.reflectance, s.light),
+    "+ photometry, reflectance and light known": lambda s: refined(s, s.reflectance, s.light),
     "+ photometry, both estimated in turn": alternated,
 }
 
@@ -216,7 +218,7 @@ def print_faces(people: int, picture: str | None) -> None:
         print_row("mean shape", [errors(shape_model().mean, s) for s in scenes])
         print_row("nearest shape of the model", [errors(nearest(s), s) for s in scenes])
         for name, method in METHODS.items():
-            print_method(name, method, scenes, GeometryFitOptions())
+            print_method(name, method, scenes)
     if picture:
         draw(picture, scene(0, True))
 
@@ -227,22 +229,20 @@ def print_weights(people: int, picture: str | None) -> None:
     known = METHODS["+ photometry, reflectance and light known"]
     print_head("landmarks alone")
     for weight in (0.002, 0.02, 0.1, 0.2, 0.5):
-        print_method(
-            f"landmark_weight {weight:g}", refined, scenes, GeometryFitOptions(landmark_weight=weight)
-        )
+        print_method(f"LANDMARK_WEIGHT {weight:g}", refined, scenes, LANDMARK_WEIGHT=weight)
     print_head("with photometry, reflectance and light known")
     for change in (
         {},
-        {"landmark_weight": 0.02},
-        {"photometric_weight": 0.5},
-        {"photometric_weight": 8.0},
-        {"prior_weight": 3e-4},
-        {"prior_weight": 3e-3},
-        {"blur_edges": (0.0,)},
-        {"blur_edges": (0.6,)},
+        {"LANDMARK_WEIGHT": 0.02},
+        {"PHOTOMETRIC_WEIGHT": 0.5},
+        {"PHOTOMETRIC_WEIGHT": 8.0},
+        {"PRIOR_WEIGHT": 3e-4},
+        {"PRIOR_WEIGHT": 3e-3},
+        {"BLUR_EDGES": 0.0},
+        {"BLUR_EDGES": 0.6},
     ):
         text = ", ".join(f"{name} {value}" for name, value in change.items()) or "as it is"
-        print_method(text, known, scenes, GeometryFitOptions(**change))
+        print_method(text, known, scenes, **change)
 
 
 def print_light(people: int, picture: str | None) -> None:
@@ -250,23 +250,29 @@ def print_light(people: int, picture: str | None) -> None:
     scenes = [scene(seed, False) for seed in range(people)]
     places = [project_environment(generated_environment(90_000 + seed)) for seed in range(people)]
 
-    def wrong(s: Scene, options: GeometryFitOptions) -> GeometryFit:
+    def wrong(s: Scene) -> GeometryFit:
         light = places[[other is s for other in scenes].index(True)]
-        return refined(s, options, s.reflectance, light * s.light[0].sum() / light[0].sum())
+        return refined(s, s.reflectance, light * s.light[0].sum() / light[0].sum())
 
     print_head("light of other places")
-    print_method("landmarks", refined, scenes, GeometryFitOptions())
-    print_method("+ photometry, wrong light", wrong, scenes, GeometryFitOptions())
-    print_method("the same, believed always", wrong, scenes, GeometryFitOptions(largest_rmse=99.0))
+    print_method("landmarks", refined, scenes)
+    print_method("+ photometry, wrong light", wrong, scenes)
+    print_method("the same, believed always", wrong, scenes, MOST_UNEXPLAINED=99.0)
 
 
 def print_head(title: str) -> None:
     print(f"\n{title:44}{'rigid mm':>10}{'scaled mm':>11}{'normals deg':>13}{'CPU s':>8}{'believed':>10}")
 
 
-def print_method(name: str, method: Method, scenes: list[Scene], options: GeometryFitOptions) -> None:
+def print_method(name: str, method: Method, scenes: list[Scene], **settings: float) -> None:
+    """Print a row, with constants of the fit set anew."""
     start = time.process_time()
-    fits = [method(s, options) for s in scenes]
+    with ExitStack() as stack:
+        for setting, value in settings.items():
+            for module in (geometry_fit, geometry_terms):
+                if hasattr(module, setting):
+                    stack.enter_context(patch.object(module, setting, value))
+        fits = [method(s) for s in scenes]
     used = (time.process_time() - start) / len(scenes)
     believed = sum(fit.plan.ran("reflectance.geometry.photometry") for fit in fits)
     rows = [errors(fit.vertices, s) for fit, s in zip(fits, scenes, strict=True)]
@@ -280,7 +286,7 @@ def print_row(name: str, rows: list[tuple[float, float, float]], more: str = "")
 
 def draw(path: str, s: Scene) -> None:
     """Draw the image, and by the normals: truth, landmarks, photometry known and estimated; errors below."""
-    fits = [method(s, GeometryFitOptions()).vertices for method in METHODS.values()]
+    fits = [method(s).vertices for method in METHODS.values()]
     faces = shape_model().faces
     top = [np.clip(s.image / np.quantile(s.image, 0.98), 0, 1)]
     bottom = [np.ones_like(s.image)]

@@ -21,6 +21,7 @@ import argparse
 import time
 from dataclasses import dataclass
 from functools import cache
+from unittest.mock import patch
 
 import numpy as np
 from benchmarks.reflectance_scenes import (
@@ -42,12 +43,10 @@ from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     EXPONENTS,
     ImageFit,
-    ImageFitOptions,
     ImageObservation,
     LightingModel,
     LightResponse,
     MorphableReflectanceModel,
-    PhotographOptions,
     VertexReflectance,
     fit_face,
     fit_image,
@@ -57,6 +56,8 @@ from scan2albedo.reflectance import (
     shade_environment,
 )
 from scan2albedo.runs.reflectance.model_run import synthetic_model
+
+IMAGE_FIT = "scan2albedo.reflectance.image_fit"
 
 
 def print_lobes() -> None:
@@ -89,7 +90,7 @@ def print_fits(picture: str | None) -> None:
     """Print albedo errors of fits by weight of the prior, noise and unmodelled shadow."""
     model = learned(60, 40)
     faces = [person(k) for k in range(8)]
-    of_mean = np.mean([albedo_error(model.diffuse_mean, face) for face in faces])
+    of_mean = np.mean([albedo_error(model.diffuse.mean, face) for face in faces])
     best = np.mean([albedo_error(model.project(f).nearest.reflectance.diffuse_linear, f) for f in faces])
     print(f"mean face {of_mean:.4f}, nearest of the model {best:.4f}")
     print(
@@ -99,12 +100,9 @@ def print_fits(picture: str | None) -> None:
     for prior, softness in ((1e-3, 0.01), (3e-4, 0.01), (1e-4, 0.01), (3e-5, 0.01), (1e-4, 1.0)):
         row = ""
         for noise, shadow in ((0.01, 0.0), (0.05, 0.0), (0.01, 0.15)):
-            options = ImageFitOptions(prior_weight=prior, softness=softness)
             start = time.process_time()
-            fits = [
-                fit_image(shot(face, k, noise, shadow), model, options=options)
-                for k, face in enumerate(faces)
-            ]
+            with patch.multiple(IMAGE_FIT, PRIOR_WEIGHT={False: prior}, SOFTNESS=softness):
+                fits = [fit_image(shot(face, k, noise, shadow), model) for k, face in enumerate(faces)]
             used = (time.process_time() - start) / len(faces)
             pairs = zip(fits, faces, strict=True)
             error = np.mean([albedo_error(f.face.reflectance.diffuse_linear, face) for f, face in pairs])
@@ -155,13 +153,14 @@ class ShadowedCases:
             relit.append(np.linalg.norm(np.sum(a * b) / np.sum(a * a) * a - b) / np.linalg.norm(b))
         return f"{np.mean(albedo):10.4f}{np.max(albedo):10.4f}{np.mean(relit):10.4f}"
 
-    def fitted(self, with_transfer: bool, options: ImageFitOptions) -> str:
+    def fitted(self, with_transfer: bool, prior: float) -> str:
         """Return errors and CPU seconds of fits."""
         model = learned(60, 40)
         LightingModel.default()
         pictures = [self.picture(k, with_transfer) for k in range(len(self.faces))]
         start = time.process_time()
-        fits = [fit_image(picture, model, options=options) for picture in pictures]
+        with patch.multiple(IMAGE_FIT, PRIOR_WEIGHT={with_transfer: prior}):
+            fits = [fit_image(picture, model) for picture in pictures]
         used = (time.process_time() - start) / len(fits)
         return f"{self.errors([fit.face.reflectance for fit in fits])}{used:8.2f} s"
 
@@ -223,7 +222,7 @@ def print_shadows() -> None:
         for with_transfer in (False, True):
             for prior in (1e-3, 3e-4, 1e-4):
                 label = f"{name}, {'with' if with_transfer else 'no'} transfer, prior {prior:g}"
-                made = cases.fitted(with_transfer, ImageFitOptions(prior_weight=prior))
+                made = cases.fitted(with_transfer, prior)
                 print(f"{label:44}{made}", flush=True)
         print(f"{name + ', what fit_face chooses':44}{cases.chosen()}", flush=True)
 
@@ -248,9 +247,8 @@ def print_photographs(picture: str | None) -> None:
     model = learned(60, 40)
     print(f"{'gamma (theirs is 1.2)':24}{'albedo':>10}{'worst':>10}{'relit':>10}{'observe':>12}")
     for gamma in (1.2, 1.0, 1.8, 2.4):
-        options = PhotographOptions(gamma=gamma)
         start = time.process_time()
-        shots = [observe_photograph(p, camera, s.vertices, s.faces, options=options) for p in photographs]
+        shots = [observe_photograph(p, camera, s.vertices, s.faces, gamma=gamma) for p in photographs]
         used = (time.process_time() - start) / len(shots)
         found = [fit_image(image, model).face.reflectance for image in shots]
         print(f"{gamma:<24g}{cases.errors(found)}{used:10.2f} s", flush=True)

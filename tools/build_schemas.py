@@ -11,15 +11,15 @@ import sys
 from pathlib import Path
 
 from pydantic import BaseModel
+from scan2albedo.recognition.template_files import TemplatesHeader
 
 from scan2albedo.applications.light_sweep import SweepRecord
 from scan2albedo.batch.records import BatchRecord, BatchScanRecord
 from scan2albedo.eyeglasses.frame_files import KeyPointsFile, StartFile
 from scan2albedo.eyeglasses.view_files import CamerasFile, LabelsFile
-from scan2albedo.face_model.files import FaceModelFile
+from scan2albedo.face_model.annotation import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
-from scan2albedo.recognition.template_files import TemplatesHeader
 from scan2albedo.reflectance.capture_files import FlashCaptureFile
 from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
 from scan2albedo.reflectance.photograph_files import FacePhotographFile
@@ -29,7 +29,7 @@ from scan2albedo.runs.eyeglasses.canonicalize_run import CanonicalFrameRecord, C
 from scan2albedo.runs.eyeglasses.lenses_run import LensesRecord
 from scan2albedo.runs.eyeglasses.register_run import RegisteredFrameRecord
 from scan2albedo.runs.recognition.files import IdentificationRecord
-from scan2albedo.runs.reflectance.output import ReflectanceRecord
+from scan2albedo.runs.reflectance import ReflectanceRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"
 

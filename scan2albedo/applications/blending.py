@@ -11,7 +11,7 @@ from scan2albedo.applications.processed_face import ProcessedFace, on_common_cha
 from scan2albedo.applications.skin_match import displacement, skin_gains, warped
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.lighting.shading import Reflectance
@@ -25,7 +25,7 @@ def blend_faces(
     b: ProcessedFace,
     weight: float = 0.5,
     *,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> ProcessedFace:
     """Return the face `weight` of the way from A to B, in shape and skin.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from scan2albedo.applications.files import ProcessedScan, load_result
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace, same_mesh
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
@@ -33,16 +33,6 @@ class FaceReflectance:
     """The model's surface in this face's shape, mm: the same triangles for all scans of one model."""
     model_name: str
     """Of the face model that was fitted."""
-
-    @property
-    def vertices(self) -> FloatArray:
-        """(V, 3) mm, in the model's frame."""
-        return self.mesh.vertices
-
-    @property
-    def faces(self) -> IntArray:
-        """(F, 3)."""
-        return self.mesh.faces
 
 
 def reflectance_of_processed(
@@ -100,9 +90,9 @@ def reflectance_of_processed(
     if not known.any():
         raise ApplicationError(f"{face.name}: no vertex of its surface was seen; scan it from other sides")
     scale = 1.0 if level is None else level / face.level()
-    skin, gloss = face.reflectance, face.image.specular_scale
+    skin, given_scale = face.reflectance, face.image.specular_scale
     lobes = lobe_weights_of_phong(skin.specular_strength, skin.exponent)
-    gloss = np.ones(face.image.shape) if gloss is None else gloss.astype(np.float64)
+    gloss = np.ones(face.image.shape) if given_scale is None else given_scale.astype(np.float64)
     strength, _ = sampled_at_vertices(gloss[..., None], face)
     reflectance = reflectance_from_albedo(
         scale * _lambert_share(skin) * albedo, weights=scale * strength * lobes, known=known
@@ -142,9 +132,9 @@ def reflectance_model_of_processed(
         a, b = people[0], other
         if a.model_name != b.model_name or not same_mesh(a.mesh, b.mesh):
             raise ApplicationError(
-                f"{a.name} ({a.model_name}, {len(a.vertices)} vertices) and {b.name} ({b.model_name}, "
-                f"{len(b.vertices)} vertices): their meshes differ; process both scans with one model and "
-                "one version of it"
+                f"{a.name} ({a.model_name}, {len(a.mesh.vertices)} vertices) and {b.name} ({b.model_name}, "
+                f"{len(b.mesh.vertices)} vertices): their meshes differ; process both scans with one model "
+                "and one version of it"
             )
     samples = [person.reflectance for person in people]
     model = MorphableReflectanceModel.from_samples(

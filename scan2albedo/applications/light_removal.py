@@ -105,8 +105,8 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     if occluder is None or not np.array_equal(occluder[0], fitted.vertices):
         raise ApplicationError(f"{scan.name}: the albedo was estimated of another face than the fitted one")
     image, mask = estimate.image, estimate.image.mask
-    on_chart = scan_on_chart(scan, fitted, image)
-    if not on_chart.weight.any():
+    uv, weight = scan_on_chart(scan, fitted, image)
+    if not weight.any():
         raise ApplicationError(
             f"{scan.name}: no part of the scan lies at the fitted face; give the scan it was fitted to"
         )
@@ -124,18 +124,24 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     else:
         beyond = np.full((len(scan.vertices), 3), math.log(usual)), np.zeros((len(scan.vertices), 2))
     outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
-    density, areas = _texels_per_mm(scan, on_chart.weight), image.texel_areas_mm2()
-    texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 1.0
-    finest = max(mask.shape)
+    # How fine the scan's texture is on the face.
+    density, finest, areas = 0.0, max(mask.shape), image.texel_areas_mm2()
+    own = (weight[scan.faces] > 0).all(1)
+    if scan.texture_linear is not None and scan.uv is not None and own.any():
+        pixels = pixels_from_uv(scan.uv[own].reshape(-1, 2), scan.texture_linear.shape[:2])
+        a, b, c = np.moveaxis(pixels.reshape(-1, 3, 2), 1, 0)
+        texels = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
+        density = float(np.sqrt(texels / max(face_areas(scan.vertices, scan.faces[own]).sum(), 1e-12)))
     if density > 0:
+        texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 1.0
         finest = max(1, round(_ROUGHER * finest * texel_mm * density))
-    found = _Light(scan, on_chart, log_light, usual, *beyond, outside, finest, density)
+    found = _Light(scan, uv, weight, log_light, usual, *beyond, outside, finest, density)
     notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
     if scan.uv is not None and scan.texture_linear is not None:
         texture, confidence = _unlit_texture(found, scan.texture_linear, scan.uv)
         return UnlitScan(replace(scan, texture_linear=texture, notes=notes), confidence)
     assert scan.vertex_color_linear is not None
-    divisor, sure = found.at(on_chart.uv, on_chart.weight, found.log_beyond)
+    divisor, sure = found.at(uv, weight, found.log_beyond)
     colors = (scan.vertex_color_linear * (usual / divisor)).astype(np.float32)
     return UnlitScan(replace(scan, vertex_color_linear=colors, notes=notes), sure.astype(np.float32))
 
@@ -150,19 +156,12 @@ def _without_dark_spots(log_light: FloatArray) -> FloatArray:
     return log_light + np.maximum(around - _DARK_SPOT - mean, 0.0)[..., None]
 
 
-@dataclass(frozen=True)
-class ScanOnChart:
-    """`uv` (V, 2), the chart's place nearest to each vertex, and its `weight` (V,) in [0, 1]."""
+def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tuple[FloatArray, FloatArray]:
+    """Return the chart's places (V, 2) nearest to a scan's vertices, and their weights (V,) in [0, 1].
 
-    uv: FloatArray
-    weight: FloatArray
-
-
-def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> ScanOnChart:
-    """Return where the vertices of a scan lie on the chart of the geometry image of its fitted face.
-
-    Weight falls to 0 at the model's rim, and where the scan is far from the fitted surface, looks another
-    way, or was left out of the fit (`FittedFace.covered_faces`).
+    The chart is that of the geometry image of its fitted face. Weight falls to 0 at the model's rim, and
+    where the scan is far from the fitted surface, looks another way, or was left out of the fit
+    (`FittedFace.covered_faces`).
     """
 
     def smooth(progress: FloatArray) -> FloatArray:
@@ -174,7 +173,7 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> Sc
     near = np.flatnonzero(((vertices > low) & (vertices < high)).all(1))
     uv, weight = np.full((len(vertices), 2), 0.5), np.zeros(len(vertices))
     if len(near) == 0:
-        return ScanOnChart(uv, weight)
+        return uv, weight
     hits = surface_query(fitted.vertices, fitted.faces).query(vertices[near])
     corners = fitted.faces[hits.face]
     uv[near] = np.einsum("nk,nkc->nc", hits.barycentric, fitted.uv[corners])
@@ -188,19 +187,21 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> Sc
     weight[near] *= smooth(cosine / _FACING) * smooth(from_rim_mm / _RIM_MM)
     if fitted.covered_faces is not None and len(fitted.covered_faces) == len(scan.faces):
         weight[scan.faces[fitted.covered_faces]] = 0.0
-    return ScanOnChart(uv, weight)
+    return uv, weight
 
 
 @dataclass(frozen=True)
 class _Light:
     """What every texel of a scan is divided by: light on the chart, and beyond it (V, 3), about `usual`.
 
+    Vertices lie at `uv` (V, 2) of the chart, and belong to it by `weight` (V,).
     `outlines` (V, 2) are those of the latter, see `shadow_lines`; how surely it is known, `outside`. A chart
     of the face with texels as large as the scan's are there has a side of `side`.
     """
 
     scan: RawScan
-    on_chart: ScanOnChart
+    uv: FloatArray
+    weight: FloatArray
     log_light: FloatArray
     usual: float
     log_beyond: FloatArray
@@ -217,17 +218,6 @@ class _Light:
         pixels, share = pixels_from_uv(uv, self.log_light.shape[:2]), weight[:, None]
         log_light = share * bilinear(self.log_light, pixels) + (1 - share) * log_beyond
         return np.exp(log_light), weight + (1 - weight) * self.outside
-
-
-def _texels_per_mm(scan: RawScan, weight: FloatArray) -> float:
-    """Return how fine a scan's texture is where its vertices have a weight (V,); 0 where none is."""
-    face, texture = (weight[scan.faces] > 0).all(1), scan.texture_linear
-    if texture is None or scan.uv is None or not face.any():
-        return 0.0
-    corners = pixels_from_uv(scan.uv[face].reshape(-1, 2), texture.shape[:2]).reshape(-1, 3, 2)
-    across, beside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    texels = np.abs(across[:, 0] * beside[:, 1] - across[:, 1] * beside[:, 0]) / 2
-    return float(np.sqrt(texels.sum() / max(face_areas(scan.vertices, scan.faces[face]).sum(), 1e-12)))
 
 
 def _light_beyond(
@@ -271,7 +261,7 @@ def _unlit_texture(
     result, confidence = np.array(texture), np.zeros(shape, np.float32)
     # The tile with most of the face comes first: what is usual there serves for all, so that they join
     # without a seam.
-    face = corners.mean(1)[(light.on_chart.weight[light.scan.faces] > 0).any(1)]
+    face = corners.mean(1)[(light.weight[light.scan.faces] > 0).any(1)]
     places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
     count = Counter(map(tuple, places.tolist()))
     tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
@@ -310,11 +300,9 @@ def _unlit_tile(
     def interpolated(values: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertex]))
 
-    weight = interpolated(light.on_chart.weight)
+    weight = interpolated(light.weight)
     divisor, known = np.full(texture.shape, light.usual), np.zeros(texture.shape[:2])
-    divisor[there], known[there] = light.at(
-        interpolated(light.on_chart.uv), weight, interpolated(light.log_beyond)
-    )
+    divisor[there], known[there] = light.at(interpolated(light.uv), weight, interpolated(light.log_beyond))
     usable = known > 0
     albedo = texture / divisor
     if usable.any():

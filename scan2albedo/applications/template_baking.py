@@ -26,8 +26,8 @@ from scan2albedo.geometry.mesh import (
 from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
+from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
-from scan2albedo.registration.scan_noise import SurfaceNoise
 from scan2albedo.sampling.fitted_face import without_covers
 from scan2albedo.sampling.texture_lookup import TextureLookup, texel_steps
 
@@ -113,14 +113,36 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         raise ApplicationError(f"{scan.name}: the scan has no colours to lay on a template")
     if not isinstance(size, Integral) or not 8 <= size <= LARGEST_TEXTURE:
         raise ValueError(f"size is {size!r}, expected a whole number of texels from 8 to {LARGEST_TEXTURE}")
-    number = tile_numbers(uv)
-    shown = without_covers(fitted, scan)
-    sources = TextureLookup(shown), FineShape(fitted, shown)
-    tiles = tuple(
-        _tile(sources, fitted, (vertices, faces, uv), number == tile, int(tile), size)
-        for tile in np.unique(number[number > 0])
-    )
-    return TemplateTexture(vertices, faces, uv, tiles)
+    numbers, shown = tile_numbers(uv), without_covers(fitted, scan)
+    lookup, shape, tiles = TextureLookup(shown), FineShape(fitted, shown), []
+    scan_from_model, template_normals = invert_rigid(fitted.model_from_scan), vertex_normals(vertices, faces)
+    for number in np.unique(numbers[numbers > 0]).tolist():
+        chosen = numbers == number
+        up, across = divmod(number - FIRST_TILE, TILES_IN_ROW)
+        frames = tangent_mesh(vertices, faces[chosen], uv[chosen], template_normals)
+        split = frames.split
+        raster = rasterize_uv(split.uv - [across, up], split.faces, size)
+        there = raster.covered
+        color, seen, stands = np.zeros((size, size, 3), np.float32), np.zeros_like(there), there.copy()
+        normal = np.tile(np.array([0, 0, 1], np.float32), (size, size, 1))
+        if there.any():
+            points = vertices[split.vertex]
+            steps = texel_steps(points, split.uv, split.faces, (size, size))[raster.face[there]]
+            place, outward, tangents = (
+                interpolate(raster, split.faces, values)[there]
+                for values in (points, frames.normals, frames.tangents)
+            )
+            found = lookup.sample(
+                transform_points(scan_from_model, place),
+                transform_directions(scan_from_model, normalized(outward)),
+                np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+            )
+            color[there], seen[there] = found.color_linear, found.seen
+            normal[there], stands[there] = tangent_normals(shape.normals(place), outward, tangents)
+            # Beside the charts they go on, for reduced pictures (mipmaps).
+            normal = normalized(filled_smoothly(normal, stands).astype(np.float64)).astype(np.float32)
+        tiles.append(TemplateTile(number, chosen, filled_smoothly(color, seen), seen, normal))
+    return TemplateTexture(vertices, faces, uv, tuple(tiles))
 
 
 def tile_numbers(uv: FloatArray) -> IntArray:
@@ -132,43 +154,6 @@ def tile_numbers(uv: FloatArray) -> IntArray:
     middle = np.floor(uv.mean(axis=1)).astype(np.int64)
     inside = (middle >= 0).all(1) & (middle < TILES_IN_ROW).all(1)
     return np.where(inside, FIRST_TILE + middle[:, 0] + TILES_IN_ROW * middle[:, 1], 0)
-
-
-def _tile(
-    sources: tuple[TextureLookup, FineShape],
-    fitted: FittedFace,
-    template: tuple[FloatArray, IntArray, FloatArray],
-    chosen: BoolArray,
-    number: int,
-    size: int,
-) -> TemplateTile:
-    """Return the tile that holds the template's faces `chosen` (F,)."""
-    (lookup, shape), (vertices, faces, uv) = sources, template
-    offset = np.array([(number - FIRST_TILE) % TILES_IN_ROW, (number - FIRST_TILE) // TILES_IN_ROW])
-    frames = tangent_mesh(vertices, faces[chosen], uv[chosen], vertex_normals(vertices, faces))
-    split = frames.split
-    raster = rasterize_uv(split.uv - offset, split.faces, size)
-    there = raster.covered
-    color, seen, stands = np.zeros((size, size, 3), np.float32), np.zeros_like(there), there.copy()
-    normal = np.tile(np.array([0, 0, 1], np.float32), (size, size, 1))
-    if there.any():
-        scan_from_model = invert_rigid(fitted.model_from_scan)
-        points = vertices[split.vertex]
-        steps = texel_steps(points, split.uv, split.faces, (size, size))[raster.face[there]]
-        place, outward, tangents = (
-            interpolate(raster, split.faces, values)[there]
-            for values in (points, frames.normals, frames.tangents)
-        )
-        found = lookup.sample(
-            transform_points(scan_from_model, place),
-            transform_directions(scan_from_model, normalized(outward)),
-            np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
-        )
-        color[there], seen[there] = found.color_linear, found.seen
-        normal[there], stands[there] = tangent_normals(shape.normals(place), outward, tangents)
-        # Beside the charts they go on, for reduced pictures (mipmaps).
-        normal = normalized(filled_smoothly(normal, stands).astype(np.float64)).astype(np.float32)
-    return TemplateTile(number, chosen, filled_smoothly(color, seen), seen, normal)
 
 
 def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:
@@ -203,12 +188,10 @@ class FineShape:
     def __init__(self, fitted: FittedFace, scan: RawScan | None) -> None:
         self._fit = _Surface(fitted.vertices, fitted.faces, vertex_normals(fitted.vertices, fitted.faces))
         self._scan: _Surface | None = None
-        if scan is not None:
-            placed = transform_points(fitted.model_from_scan, scan.vertices)
-            self._scan = self._scan_surface(placed, scan.faces)
-
-    def _scan_surface(self, vertices: FloatArray, faces: IntArray) -> _Surface | None:
-        """Return what lies at the fitted surface and faces its way, None when nothing does."""
+        if scan is None:
+            return
+        # Of the scan what lies at the fitted surface and faces its way.
+        vertices, faces = transform_points(fitted.model_from_scan, scan.vertices), scan.faces
         low, high = self._fit.vertices.min(0) - REACH_MM, self._fit.vertices.max(0) + REACH_MM
         boxed = np.flatnonzero(((vertices >= low) & (vertices <= high)).all(1))
         own, close = vertex_normals(vertices, faces), np.zeros(len(vertices), bool)
@@ -217,7 +200,7 @@ class FineShape:
         close &= np.einsum("ij,ij->i", own, base) > LEAST_COSINE
         kept = faces[close[faces].all(1)]
         if len(kept) == 0:
-            return None
+            return
         used, faces = without_unreferenced(vertices, kept)
         vertices, base, differs = vertices[used], base[used], (own - base)[used]
         noise_rad = SurfaceNoise.of(vertices, faces).among(np.ones(len(vertices), bool))[0]
@@ -231,7 +214,7 @@ class FineShape:
         share = inner
         for _ in range(FADE_PASSES):
             share = inner * (mean @ share)
-        return _Surface(vertices, faces, normalized(base + share[:, None] * differs))
+        self._scan = _Surface(vertices, faces, normalized(base + share[:, None] * differs))
 
     def normals(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return unit normals (N, 3) at points (N, 3), and whether (N,) there is a surface."""

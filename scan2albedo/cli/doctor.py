@@ -86,7 +86,7 @@ def _library(package: str, module: str, extra: str = "") -> Finding:
 
 def _default_model() -> Finding:
     from scan2albedo.errors import ModelError
-    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.templates import AnnotatedFaceModel
 
     try:
         model = AnnotatedFaceModel.default()

@@ -222,8 +222,8 @@ def fit_image(
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Folder that `reflectance build` or `finetune` wrote; when omitted, a model of 200 "
-            "synthetic people is learned first, as `build --synthetic 200` writes it."
+            help="Folder that `reflectance build` or `finetune` wrote; when omitted, the model that comes "
+            "with the package, which `build --synthetic 200` makes."
         ),
     ] = None,
     budget: BudgetOption = None,
@@ -234,12 +234,10 @@ def fit_image(
     with _work("fit-image", out) as progress:
         from scan2albedo.reflectance import read_photograph
         from scan2albedo.runs.reflectance.image_run import fit_photograph, write_fitted_photograph
-        from scan2albedo.runs.reflectance.model_run import ModelFolder, read_model_folder
+        from scan2albedo.runs.reflectance.model_run import default_model, read_model_folder
 
         taken = read_photograph(photograph)
-        if model is None:
-            progress.say("fit-image: learning a model of synthetic people; `build --synthetic` keeps one")
-        models = ModelFolder.of_synthetic_people() if model is None else read_model_folder(model)
+        models = default_model() if model is None else read_model_folder(model)
         done = fit_photograph(taken, models, budget=spend, on_progress=progress.update)
         figures = write_fitted_photograph(done, models, out, {"budget": budget})
         _tell_notes(progress, "fit-image", out)
@@ -269,8 +267,8 @@ def finetune(
     """Improve a model with photographs; it changes only when photographs held out are explained better."""
     spend = checked_budget(budget)
     with _work("finetune", out) as progress:
+        from scan2albedo.runs.reflectance.image_run import tune_model, write_tuned_model
         from scan2albedo.runs.reflectance.model_run import read_model_folder
-        from scan2albedo.runs.reflectance.tuning_run import tune_model, write_tuned_model
 
         done = tune_model(
             read_model_folder(model),
@@ -324,9 +322,13 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
+    from scan2albedo.io.run_folder import RunFolder
+    from scan2albedo.runs.reflectance import FILES
 
     with removed_if_empty(out), ProgressLines(name) as progress:
         check_writable(out)
+        if name != "demo":  # which writes folders of its own
+            RunFolder(out, FILES).check()
         yield progress
 
 
@@ -338,10 +340,10 @@ def _number_or_auto(text: str) -> float | str:
 
 
 def _tell_notes(progress: ProgressLines, name: str, out: Path) -> None:
-    from scan2albedo.io.records import read_record
-    from scan2albedo.runs.reflectance.output import REFLECTANCE_FILE, ReflectanceRecord
+    from scan2albedo.io.run_folder import RunFolder
+    from scan2albedo.runs.reflectance import FILES
 
-    for note in read_record(out / REFLECTANCE_FILE, ReflectanceRecord).notes:
+    for note in RunFolder(out, FILES).read().notes:
         progress.say(f"{name}: {note}")
 
 

@@ -1,8 +1,8 @@
 """Eyeglasses, after the supplement of Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023.
 
 S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning) and
-`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files that people
-exchange: `frame_files`, `view_files`.
+`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files
+that people exchange: `frame_files`, `view_files`.
 """
 
 from scan2albedo.eyeglasses.canonical.canonicalization import (

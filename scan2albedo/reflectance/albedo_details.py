@@ -9,47 +9,22 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.operators import surface_diffusion
-from scan2albedo.reflectance.environment_shading import LightResponse, diffuse_response
-from scan2albedo.reflectance.image_observation import ImageObservation
+from scan2albedo.reflectance.environment_shading import diffuse_response
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
+from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 
-_WHITE = np.sqrt(4 * np.pi)
-_LEAST_OPEN = 0.4
-"""A vertex that sees less of the light around it lies in a fold, where the mesh decides what is lit."""
-_LEAST_LIGHT = 0.2
-"""Of the median light; darker vertices tell little."""
-_LEAST_DIFFUSE = 0.5
-"""Of the observed light; where the highlight is more, its errors look like albedo."""
+_BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
+"""Standard deviations in mm of the blurs that divide the residual into bands, and of the logarithm of the
+light's error in each, from wrong normals, shadows and interreflection; what is wider than all is light."""
+_GREY = 0.9
+"""Share of the variance of the light's error that is common to the three channels."""
+_LEAST_OPEN, _LEAST_LIGHT, _LEAST_DIFFUSE = 0.4, 0.2, 0.5
+"""Vertices with less of these do not count: share of the light around that a fold leaves, light over the
+median, and share of the observed light that is no highlight, whose errors look like albedo."""
 _LARGEST = 1.5
 """Of a residual: larger ones are holes, hair or other surfaces."""
 _TINY = 1e-9
-
-
-@dataclass(frozen=True)
-class DetailOptions:
-    """How residuals of a photograph are shared between albedo and errors of the light.
-
-    Raises `ValueError` when widths do not grow, or the numbers of widths and errors differ.
-    """
-
-    widths_mm: tuple[float, ...] = (4.0, 8.0, 16.0, 32.0)
-    """Standard deviations of the blurs that divide the residual into bands; what is wider than the last is
-    light."""
-    light_error: tuple[float, ...] = (0.05, 0.02, 0.01, 0.01)
-    """Standard deviation of the logarithm of the light's error in each band: wrong normals, shadows and
-    interreflection."""
-    grey: float = 0.9
-    """Share of that error's variance that is common to the three channels."""
-
-    def __post_init__(self) -> None:
-        widths = np.asarray(self.widths_mm)
-        if not (len(widths) and widths[0] > 0 and np.isfinite(widths).all() and (np.diff(widths) > 0).all()):
-            raise ValueError(f"widths_mm is {self.widths_mm}, expected positive numbers that grow")
-        if len(self.light_error) != len(widths) or not all(error > 0 for error in self.light_error):
-            raise ValueError(f"light_error is {self.light_error}, expected {len(widths)} positive numbers")
-        if not 0 <= self.grey < 1:
-            raise ValueError(f"grey is {self.grey}, expected 0 or more and below 1")
 
 
 @dataclass(frozen=True)
@@ -59,17 +34,17 @@ class ShadingDivided:
     log_ratio: FloatArray
     """(V, 3): logarithm of the observed over the predicted diffuse light, highlights taken off; 0 where not
     seen."""
-    told: BoolArray
-    """(V,): where it tells about the albedo."""
+    usable: BoolArray
+    """(V,): where it depends on the albedo."""
     lit: BoolArray
-    """(V,): where enough light arrives that predictions can be compared; contains `told`."""
+    """(V,): where enough light arrives that predictions can be compared; contains `usable`."""
     highlight_share: FloatArray
     """(V, 3): of the predicted light; 0 where not seen."""
     log_whole: FloatArray
     """(V, 3): logarithm of the observed over the whole predicted light; 0 where not seen."""
 
     @classmethod
-    def of(
+    def from_observation(
         cls,
         observation: ImageObservation,
         model: MorphableReflectanceModel,
@@ -91,15 +66,17 @@ class ShadingDivided:
             whole[used] = np.clip(ratio, -_LARGEST, _LARGEST)
             return whole
 
-        told, lit = np.zeros((2, len(model.known)), bool)
+        free = diffuse_response(np.asarray(observation.normals)[used])[:, 0]
+        open_share = response.diffuse[:, 0] / np.maximum(free, _TINY)
+        usable, lit = np.zeros((2, len(model.known)), bool)
         share = np.zeros((len(model.known), 3))
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
-        lit[used] = bright & (open_share(observation, used, response) > _LEAST_OPEN)
+        lit[used] = bright & (open_share > _LEAST_OPEN)
         share[used] = np.clip(highlight / np.maximum(diffuse + highlight, floor), 0.0, 1.0)
-        told[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
+        usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),
-            told=told,
+            usable=usable,
             lit=lit,
             highlight_share=share,
             log_whole=log_ratio(observed, diffuse + highlight),
@@ -111,24 +88,13 @@ class ShadingDivided:
         return np.asarray(self.log_whole - np.log(share + (1 - share) * np.exp(field)))
 
 
-def open_share(observation: ImageObservation, used: IntArray, response: LightResponse) -> FloatArray:
-    """Return (U,) the share of the light from everywhere that nothing of the face hides."""
-    free = diffuse_response(np.asarray(observation.normals)[used])[:, 0]
-    return np.asarray(response.diffuse[:, 0] / np.maximum(free, _TINY))
-
-
-def detail_field(
-    divided: ShadingDivided,
-    vertices: ArrayLike,
-    faces: IntArray,
-    options: DetailOptions = DetailOptions(),
-) -> FloatArray:
+def detail_field(divided: ShadingDivided, vertices: ArrayLike, faces: IntArray) -> FloatArray:
     """Return the logarithm (V, 3) of the factor by which the albedo differs from the model's.
 
     Blurs of growing width divide the residual of the photograph into bands. In each, with R the residual's
     covariance (3, 3) over the channels and S that of the light's error, the best linear estimate of the
     albedo's part is (R - S) R^-1 times the residual (Wiener); R - S is cut at 0. What is wider than the last
-    blur is left to the light, and nothing is said far from vertices that tell.
+    blur is left to the light, and the field fades far from usable vertices.
 
     Parameters
     ----------
@@ -136,37 +102,31 @@ def detail_field(
     vertices : (V, 3) array_like of float
         Millimetres.
     faces : (F, 3) array of int
-    options : DetailOptions
     """
-    told = divided.told
+    usable = divided.usable
     field = np.zeros_like(divided.log_ratio)
-    if not told.any():
+    if not usable.any():
         return field
-    finer = np.where(told[:, None], divided.log_ratio, 0.0)
     positions = np.asarray(vertices, np.float64)
-    cover = told.astype(float)
-    for number, (width, error) in enumerate(zip(options.widths_mm, options.light_error, strict=True)):
+    finer, cover = np.where(usable[:, None], divided.log_ratio, 0.0), usable.astype(float)
+    for number, (width, error) in enumerate(_BANDS.items()):
         blur = surface_diffusion(positions, faces, width)
         if number == 0:
             cover = blur(cover)
             coarser = blur(finer) / np.maximum(cover, 1e-6)[:, None]
-            finer = np.where(told[:, None], finer, coarser)
+            finer = np.where(usable[:, None], finer, coarser)
         else:
             coarser = blur(finer)
         band = finer - coarser
-        field += band @ _share_of_albedo(band[told], error, options.grey).T
+        inside = band[usable]
+        total = inside.T @ inside / len(inside) + _TINY * np.eye(3)
+        light = error**2 * (_GREY * np.ones((3, 3)) + (1 - _GREY) * np.eye(3))
+        value, vector = np.linalg.eigh(total)
+        root, inverse = vector * np.sqrt(value) @ vector.T, vector / np.sqrt(value) @ vector.T
+        kept, axis = np.linalg.eigh(np.eye(3) - inverse @ light @ inverse)
+        field += band @ (root @ (axis * np.maximum(kept, 0.0)) @ axis.T @ inverse).T
         finer = coarser
     return field * np.clip(cover, 0.0, 1.0)[:, None]
-
-
-def _share_of_albedo(band: FloatArray, error: float, grey: float) -> FloatArray:
-    """Return (3, 3) the matrix (R - S)+ R^-1 of a band's residuals (U, 3)."""
-    total = band.T @ band / len(band) + 1e-9 * np.eye(3)
-    light = error**2 * (grey * np.ones((3, 3)) + (1 - grey) * np.eye(3))
-    value, vector = np.linalg.eigh(total)
-    root, inverse = vector * np.sqrt(value) @ vector.T, vector / np.sqrt(value) @ vector.T
-    kept, axis = np.linalg.eigh(np.eye(3) - inverse @ light @ inverse)
-    return np.asarray(root @ (axis * np.maximum(kept, 0.0)) @ axis.T @ inverse)
 
 
 def with_details(reflectance: VertexReflectance, field: FloatArray) -> VertexReflectance:

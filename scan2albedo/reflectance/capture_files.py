@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -98,7 +97,9 @@ class FlashCaptureFile(_Part):
         for number, pair in enumerate(self.pictures):
             for key in ("camera", "flash"):
                 if getattr(pair, key) not in names:
-                    raise ValueError(f"pictures.{number}: its {key} {getattr(pair, key)!r} is no pose's name")
+                    raise ValueError(
+                        f"pictures.{number}: its {key} {getattr(pair, key)!r} is not the name of a pose"
+                    )
         seen = [(pair.camera, pair.flash, pair.flash_image) for pair in self.pictures]
         if len(set(seen)) < len(seen):
             twice = next(pair for pair in seen if seen.count(pair) > 1)
@@ -149,55 +150,40 @@ class CaptureFiles:
         Raises `ScanError`, naming the picture, when one is missing or damaged, `ReflectanceError` as
         `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
         """
+        content, whose = self.content, f"capture {self.path}"
         read = cache(lambda name: read_image_values(self.path.parent / name))
-        flashes = [read_image_values(self.path.parent / pair.flash_image) for pair in self.content.pictures]
-        lit_by_room = [read(pair.room_image) for pair in self.content.pictures]
-        self._check_sizes(flashes, lit_by_room)
-        content = self.content
-        options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
-        olat = self._masked(extract_olat(flashes, lit_by_room, options=options))
-        if olat.valid.any() and not (olat.linear > _SIGMAS * olat.sigma).any(where=olat.valid):
-            raise ReflectanceError(
-                f"capture {self.path}: no pixel of any pair is brighter with its flash by more than noise: "
-                "did the flashes fire, do the names of the files say so, is `noise` right?"
-            )
-        return olat
-
-    def _masked(self, olat: OlatImages) -> OlatImages:
-        mask_of = {pose.name: pose.mask for pose in self.content.poses}
-        valid, whose = olat.valid, f"capture {self.path}"
-        read = cache(lambda name: read_skin_mask(self.path.parent / name, valid.shape[1:3], whose))
-        for j, pair in enumerate(self.content.pictures):
-            if (name := mask_of[pair.camera]) is not None:
-                valid[j] &= read(name)[..., None]
-        return replace(olat, valid=valid, linear=np.where(valid, olat.linear, np.float32(0)))
-
-    def _check_sizes(self, flashes: list[NDArray], rooms: list[NDArray]) -> None:
+        flashes = [read_image_values(self.path.parent / pair.flash_image) for pair in content.pictures]
+        rooms = [read(pair.room_image) for pair in content.pictures]
         first = flashes[0].shape[:2]
-        for pair, lit, ambient in zip(self.content.pictures, flashes, rooms, strict=True):
+        for pair, lit, ambient in zip(content.pictures, flashes, rooms, strict=True):
             for name, picture in ((pair.flash_image, lit), (pair.room_image, ambient)):
                 if picture.shape[:2] != first:
                     height, width = picture.shape[:2]
                     raise ReflectanceError(
-                        f"capture {self.path}: {name} is {width} x {height} pixels and "
-                        f"{self.content.pictures[0].flash_image} {first[1]} x {first[0]}; all must have one "
-                        "size"
+                        f"{whose}: {name} is {width} x {height} pixels and "
+                        f"{content.pictures[0].flash_image} {first[1]} x {first[0]}; all must have one size"
                     )
+        options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
+        olat = extract_olat(flashes, rooms, options=options)
+        mask_of, valid = {pose.name: pose.mask for pose in content.poses}, olat.valid
+        mask = cache(lambda name: read_skin_mask(self.path.parent / name, first, whose))
+        for j, pair in enumerate(content.pictures):
+            if (skin := mask_of[pair.camera]) is not None:
+                valid[j] &= mask(skin)[..., None]
+        olat = replace(olat, linear=np.where(valid, olat.linear, np.float32(0)))
+        if valid.any() and not (olat.linear > _SIGMAS * olat.sigma).any(where=valid):
+            raise ReflectanceError(
+                f"{whose}: no pixel of any pair is brighter with its flash by more than noise: did the "
+                "flashes fire, do the names of the files say so, is `noise` right?"
+            )
+        return olat
 
 
 def read_capture(path: str | Path) -> CaptureFiles:
     """Return what a capture file says, and its mesh; no picture is read.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Raises
-    ------
-    ReflectanceError
-        When the file or a pose in it is invalid; names it and the first fault.
-    ScanError
-        When the mesh cannot be read.
+    Raises `ReflectanceError` when the file or a pose in it is invalid; names it and the first fault;
+    `ScanError` when the mesh cannot be read.
     """
     file = Path(path)
     content = read_record(
@@ -226,16 +212,5 @@ def read_capture(path: str | Path) -> CaptureFiles:
 
 
 def write_capture(path: str | Path, content: FlashCaptureFile) -> None:
-    """Write a capture file, whole or not at all; pictures and mesh are the caller's.
-
-    Parameters
-    ----------
-    path : str or Path
-    content : FlashCaptureFile
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
+    """Write a capture file, whole or not at all; pictures and mesh are the caller's. Raises `OutputError`."""
     write_record(path, content, indent=1)

@@ -11,8 +11,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras
 
-_ROTATION_TOLERANCE = 1e-4
-
 
 @dataclass(frozen=True)
 class CaptureRig:
@@ -65,6 +63,8 @@ def rig_of_head_poses(
     turned by R_c^T and is at -R_c^T t_c. Picture j is taken by camera view[j], lit by the flash at camera
     flash[j] (Han, Wang, Xu, supplement, Eq. 1).
 
+    Raises `ReflectanceError` when shapes disagree, a matrix is no rotation, or a number refers to no camera.
+
     Parameters
     ----------
     rotations : (C, 3, 3) array_like of float
@@ -75,11 +75,6 @@ def rig_of_head_poses(
         Pixels from camera coordinates.
     view, flash : (J,) array_like of int
         Numbers of cameras.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, a matrix is no rotation, or a number refers to no camera.
 
     Examples
     --------
@@ -92,7 +87,15 @@ def rig_of_head_poses(
         raise ReflectanceError(
             f"rotations is {turn.shape} and translations {shift.shape}, expected (C, 3, 3) and (C, 3)"
         )
-    _check_rotations(turn)
+    finite = np.where(np.isfinite(turn).all((1, 2), keepdims=True), turn, 0.0)
+    off = np.abs(finite @ finite.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    bad = (off > 1e-4) | (np.linalg.det(finite) <= 0)
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        raise ReflectanceError(
+            f"head pose {first} has no proper rotation: R R^T is off by {off[first]:.3g}, det R is "
+            f"{np.linalg.det(finite[first]):.3g}"
+        )
     numbers = [np.asarray(index) for index in (view, flash)]
     for name, index in zip(("view", "flash"), numbers, strict=True):
         if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer) or len(index) != len(numbers[0]):
@@ -107,16 +110,3 @@ def rig_of_head_poses(
     cameras = inner @ np.concatenate([turn, shift[:, :, None]], axis=2)
     centers = -np.einsum("cji,cj->ci", turn, shift)
     return CaptureRig(cameras[numbers[0]], centers[numbers[1]], numbers[1])
-
-
-def _check_rotations(turn: FloatArray) -> None:
-    finite = np.asarray(np.isfinite(turn).all((1, 2)))
-    turn = np.where(finite[:, None, None], turn, 0.0)
-    off = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    bad = (off > _ROTATION_TOLERANCE) | (np.linalg.det(turn) <= 0)
-    if bad.any():
-        first = int(np.flatnonzero(bad)[0])
-        raise ReflectanceError(
-            f"head pose {first} has no proper rotation: R R^T is off by {off[first]:.3g}, det R is "
-            f"{np.linalg.det(turn[first]):.3g}"
-        )

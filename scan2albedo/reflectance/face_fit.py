@@ -3,64 +3,30 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.albedo_details import (
-    DetailOptions,
-    ShadingDivided,
-    detail_field,
-    with_details,
-)
-from scan2albedo.reflectance.image_fit import ImageFit, fit_image
-from scan2albedo.reflectance.image_observation import ImageObservation
-from scan2albedo.reflectance.image_terms import ImageFitOptions
+from scan2albedo.reflectance.albedo_details import ShadingDivided, detail_field, with_details
+from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
-from scan2albedo.reflectance.picture_samples import checked_mesh
+from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
+_BLOCK_MM, _FOLDS = 12.0, 3
+"""Edge of the cubes whose vertices are left out together, and number of fits that share them."""
 _LEAST_BLOCKS = 12
 """With fewer blocks the evidence is none."""
-
-
-@dataclass(frozen=True)
-class FaceFitOptions:
-    """Settings of `fit_face`.
-
-    Raises `ValueError` when a value is outside its range.
-    """
-
-    block_mm: float = 12.0
-    """Edge of the cubes whose vertices are left out together."""
-    folds: int = 3
-    """Each block is left out of one of so many fits."""
-    margin: float = 2.0
-    """A gain must exceed so many of its standard errors over the blocks."""
-    least_gain: float = 0.07
-    """And be this share of the error; light that skin reflects onto skin is coloured, and gains a little."""
-    most_unexplained: float = 0.25
-    """Where the last fit's relative RMSE is larger, nothing is believed."""
-    image: ImageFitOptions = ImageFitOptions()
-    """Of each fit."""
-    details: DetailOptions = DetailOptions()
-    """How much of the residuals is albedo."""
-
-    def __post_init__(self) -> None:
-        if not (0 < self.block_mm < np.inf):
-            raise ValueError(f"block_mm is {self.block_mm}, expected above 0 and finite")
-        if self.folds < 2:
-            raise ValueError(f"folds is {self.folds}, expected 2 or more")
-        for name in ("margin", "least_gain", "most_unexplained"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
+_MARGIN, _LEAST_GAIN = 2.0, 0.07
+"""A gain must exceed this many of its standard errors over the blocks, and this share of the error: light
+that skin reflects onto skin is coloured, and gains a little."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +72,21 @@ class Evidence:
         """Whether the person explains all blocks worse than the mean face, which its fit could have found."""
         return self.objective_after > self.objective_before
 
+    def plan_step(self) -> PlanStep:
+        """Return what was decided, and why."""
+        what = {"person": "the person's coefficients", "details": "details of the albedo"}[self.step]
+        if self.blocks < _LEAST_BLOCKS:
+            reason = f"too little of the face is seen to test {what}"
+        elif self.missed_mean:
+            reason = f"{what} explain the whole photograph worse than the mean face does"
+        elif self.unexplained:
+            reason = f"light and model explain the photograph too badly to believe {what}"
+        elif self.accepted:
+            reason = f"{what} predict parts of the photograph that were left out"
+        else:
+            reason = f"{what} do not predict parts of the photograph that were left out"
+        return PlanStep(f"reflectance.image.{self.step}", self.accepted, reason, str(self))
+
 
 @dataclass(frozen=True)
 class FaceFit:
@@ -138,7 +119,6 @@ def fit_face(
     faces: ArrayLike,
     lighting: LightingModel | None = None,
     *,
-    options: FaceFitOptions = FaceFitOptions(),
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FaceFit:
@@ -146,13 +126,17 @@ def fit_face(
 
     The face is divided into blocks. Without some of them, the light is fitted with the model's mean face, and
     with the person's coefficients (`fit_image`), each without and with details, a smooth field of residuals
-    (`detail_field`); what was left out tells how good each is, by all the light that it sends. Only its
+    (`detail_field`); each is judged by all the light that what was left out sends. Only its
     colour counts, the ratios between channels: errors of the light are nearly grey, and a person can imitate
     them. Details must predict better than the mean face does under a light of its own, and the person better
-    than the mean, by `margin` standard errors and `least_gain`. Otherwise they are left out; if both are, the
+    than the mean, by two standard errors and 7 % of the error. Otherwise they are left out; if both are, the
     mean face is returned, and `plan` says so. The last fits are to all blocks; a person whose objective is
-    then above the mean face's, which the model contains, is left out as well. If these leave more than
-    `most_unexplained`, light or shape are wrong, and both are left out.
+    then above the mean face's, which the model contains, is left out as well. If these leave more than a
+    quarter of the photograph (relative RMSE), light or shape are wrong, and both are left out.
+
+    Raises `ReflectanceError` as `fit_image`, or when a vertex is not finite.
+
+    Warns by `RuntimeWarning` when the last fit stops without having converged.
 
     Parameters
     ----------
@@ -164,21 +148,10 @@ def fit_face(
     faces : (F, 3) array_like of int
     lighting : LightingModel, optional
         `LightingModel.default()` when omitted.
-    options : FaceFitOptions
     budget : Budget or float, optional
         Of each of the fits.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError
-        As `fit_image`, or when a vertex is not finite.
-
-    Warns
-    -----
-    RuntimeWarning
-        When the last fit stops without having converged.
 
     Notes
     -----
@@ -199,166 +172,98 @@ def fit_face(
     if not np.isfinite(xyz).all():
         bad = int((~np.isfinite(xyz)).any(1).sum())
         raise ReflectanceError(f"{bad} vertices of the mesh are NaN or infinite; give a whole mesh")
-    trial = _Trials(observation, model, xyz, index, lighting, options, budget)
-    details = trial.judged("details", "mean", "mean+details")
+    errors = _left_out_errors(observation, model, xyz, index, lighting, budget)
+    details = _judged(errors, "details", "mean", "mean+details")
     ending = "+details" if details.accepted else ""
-    person = trial.judged("person", f"mean{ending}", f"person{ending}")
-
-    def to_all(one: MorphableReflectanceModel) -> ImageFit:
-        return fit_image(
-            observation, one, lighting, options=options.image, budget=budget, on_progress=on_progress
-        )
-
-    mean = to_all(mean_only(model))
+    person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
+    mean = fit_image(observation, model.mean_only(), lighting, budget=budget, on_progress=on_progress)
     mean = replace(mean, face=model.reconstruct(np.zeros(model.components)))
-    fit, person = _with_person(person, mean, lambda: to_all(model))
+    fit = mean
+    if person.accepted:
+        fit = fit_image(observation, model, lighting, budget=budget, on_progress=on_progress)
+        person = replace(person, objective_before=mean.objective, objective_after=fit.objective)
+        if person.missed_mean:
+            # The model contains the mean face, so a larger objective is a search gone astray.
+            fit, person = mean, replace(person, accepted=False)
     if person.accepted and details.accepted:
         # The person may explain all that the details did.
-        details = trial.judged("details", "person", "person+details")
+        details = _judged(errors, "details", "person", "person+details")
     left = fit.relative_rmse
-    badly_explained = left > options.most_unexplained
+    badly_explained = left > MOST_UNEXPLAINED
     if badly_explained:
         fit = mean
         details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
     reflectance, field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:
-        divided = ShadingDivided.of(observation, model, reflectance, fit.light)
-        field = detail_field(divided, xyz, index, options.details)
+        divided = ShadingDivided.from_observation(observation, model, reflectance, fit.light)
+        field = detail_field(divided, xyz, index)
         reflectance = with_details(reflectance, field)
-        radiance, rmse = _shaded(observation, model, reflectance, fit.light)
+        used = np.flatnonzero(np.asarray(observation.seen) & model.known)
+        part = VertexReflectance(
+            reflectance.diffuse_linear[used], reflectance.weights[used], np.ones(len(used), bool)
+        )
+        radiance = np.full(reflectance.diffuse_linear.shape, np.nan)
+        radiance[used] = observation.response(used).shade(part, fit.light).radiance_linear
+        observed = np.asarray(observation.observed_linear)[used]
+        rmse = float(np.linalg.norm(radiance[used] - observed) / np.linalg.norm(observed))
     evidence = (details, person)
     better = person.accepted or details.accepted
-    plan = Plan(tuple(_step(one) for one in evidence))
+    plan = Plan(tuple(one.plan_step() for one in evidence))
     return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, field, evidence, plan)
 
 
-def _with_person(
-    person: Evidence, mean: ImageFit, fit_person: Callable[[], ImageFit]
-) -> tuple[ImageFit, Evidence]:
-    """Return the last fit, the person's only where it is believed and explains no less than the mean face's.
-
-    The model contains the mean face, so a larger objective is a search gone astray.
-    """
-    if not person.accepted:
-        return mean, person
-    found = fit_person()
-    person = replace(person, objective_before=mean.objective, objective_after=found.objective)
-    return (mean, replace(person, accepted=False)) if person.missed_mean else (found, person)
-
-
-def _shaded(
+def _left_out_errors(
     observation: ImageObservation,
     model: MorphableReflectanceModel,
-    reflectance: VertexReflectance,
-    light: FloatArray,
-) -> tuple[FloatArray, float]:
-    """Return the colours (V, 3) of a reflectance, and their relative difference from the image."""
-    used = np.flatnonzero(np.asarray(observation.seen) & model.known)
-    part = VertexReflectance(
-        reflectance.diffuse_linear[used], reflectance.weights[used], np.ones(len(used), bool)
-    )
-    radiance = np.full(reflectance.diffuse_linear.shape, np.nan)
-    radiance[used] = observation.response(used).shade(part, light).radiance_linear
-    observed = np.asarray(observation.observed_linear)[used]
-    return radiance, float(np.linalg.norm(radiance[used] - observed) / np.linalg.norm(observed))
-
-
-def mean_only(model: MorphableReflectanceModel) -> MorphableReflectanceModel:
-    """Return the model without its directions."""
-    return replace(
-        model,
-        diffuse_basis=model.diffuse_basis[:0],
-        sum_basis=model.sum_basis[:0],
-        share_basis=model.share_basis[:0],
-        deviation=model.deviation[:0],
-    )
-
-
-def _step(one: Evidence) -> PlanStep:
-    what = {"person": "the person's coefficients", "details": "details of the albedo"}[one.step]
-    if one.blocks < _LEAST_BLOCKS:
-        reason = f"too little of the face is seen to test {what}"
-    elif one.missed_mean:
-        reason = f"{what} explain the whole photograph worse than the mean face does"
-    elif one.unexplained:
-        reason = f"light and model explain the photograph too badly to believe {what}"
-    elif one.accepted:
-        reason = f"{what} predict parts of the photograph that were left out"
-    else:
-        reason = f"{what} do not predict parts of the photograph that were left out"
-    return PlanStep(f"reflectance.image.{one.step}", one.accepted, reason, str(one))
-
-
-class _Trials:
-    """Errors of descriptions of the face on blocks that were left out of their fits."""
-
-    def __init__(
-        self,
-        observation: ImageObservation,
-        model: MorphableReflectanceModel,
-        vertices: FloatArray,
-        faces: IntArray,
-        lighting: LightingModel,
-        options: FaceFitOptions,
-        budget: Budget | float | None,
-    ) -> None:
-        self._options = options
-        used = np.asarray(observation.seen) & model.known
-        self._block = _blocks_of(vertices, used, options.block_mm)
-        count = int(self._block.max(initial=-1)) + 1
-        self._fold_of = np.random.default_rng(0).permutation(count) % options.folds
-        self.errors: dict[str, FloatArray] = {}
-        parts: dict[str, list[tuple[IntArray, FloatArray]]] = {}
-        for fold in range(options.folds):
-            held_out = used & (self._fold_of[self._block] == fold)
-            kept = used & ~held_out
-            if not held_out.any() or not kept.any():
-                continue
-            shown = replace(observation, seen=kept)
-            for name, one in (("mean", mean_only(model)), ("person", model)):
-                with warnings.catch_warnings():
-                    # One of several trials; what it predicts is measured.
-                    warnings.filterwarnings("ignore", "the image fit stopped", RuntimeWarning)
-                    fit = fit_image(shown, one, lighting, options=options.image, budget=budget)
-                divided = ShadingDivided.of(observation, model, fit.face.reflectance, fit.light)
-                told = replace(divided, told=divided.told & ~held_out)
-                field = detail_field(told, vertices, faces, options.details)
-                tested = np.flatnonzero(held_out & divided.lit)
-                for label, added in ((name, 0.0), (f"{name}+details", field)):
-                    off = divided.left_over(added)[tested]
-                    # Errors of the light are nearly grey, those of skin are not: only colour counts.
-                    error = np.abs(off - off.mean(1, keepdims=True)).mean(1)
-                    parts.setdefault(label, []).append((self._block[tested], error))
-        for label, found in parts.items():
-            block, error = (np.concatenate(values) for values in zip(*found, strict=True))
-            self.errors[label] = _means(block, error, count)
-
-    def judged(self, step: str, before: str, after: str) -> Evidence:
-        """Return whether one description predicts better than another."""
-        if not self.errors:
-            return Evidence(step, np.nan, np.nan, 0.0, 0.0, 0, False)
-        one, two = self.errors[before], self.errors[after]
-        common = np.isfinite(one) & np.isfinite(two)
-        gains, count = (one - two)[common], int(common.sum())
-        if count < _LEAST_BLOCKS:
-            return Evidence(step, np.nan, np.nan, 0.0, 0.0, count, False)
-        gain, spread = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(count))
-        errors = float(one[common].mean()), float(two[common].mean())
-        accepted = gain > max(self._options.margin * spread, self._options.least_gain * errors[0])
-        return Evidence(step, *errors, gain, spread, count, accepted)
-
-
-def _blocks_of(vertices: FloatArray, used: BoolArray, edge_mm: float) -> IntArray:
-    """Return (V,) numbers of the cubes that used vertices lie in; -1 for others."""
+    vertices: FloatArray,
+    faces: IntArray,
+    lighting: LightingModel,
+    budget: Budget | float | None,
+) -> dict[str, FloatArray]:
+    """Return errors (B,) of descriptions of the face, by blocks left out of their fits; NaN: not judged."""
+    used = np.asarray(observation.seen) & model.known
     block = np.full(len(vertices), -1)
-    cells = np.floor(vertices[used] / edge_mm).astype(np.int64)
+    cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    return block
+    count = int(block.max(initial=-1)) + 1
+    fold_of = np.random.default_rng(0).permutation(count) % _FOLDS
+    errors: dict[str, FloatArray] = {}
+    for fold in range(_FOLDS):
+        held_out = used & (fold_of[block] == fold)
+        kept = used & ~held_out
+        if not held_out.any() or not kept.any():
+            continue
+        shown = replace(observation, seen=kept)
+        for name, one in (("mean", model.mean_only()), ("person", model)):
+            with warnings.catch_warnings():
+                # One of several trials; what it predicts is measured.
+                warnings.filterwarnings("ignore", "the image fit stopped", RuntimeWarning)
+                fit = fit_image(shown, one, lighting, budget=budget)
+            divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
+            field = detail_field(replace(divided, usable=divided.usable & ~held_out), vertices, faces)
+            tested = np.flatnonzero(held_out & divided.lit)
+            number = np.bincount(block[tested], minlength=count)
+            for label, added in ((name, 0.0), (f"{name}+details", field)):
+                off = divided.left_over(added)[tested]
+                # Errors of the light are nearly grey, those of skin are not: only colour counts.
+                error = np.abs(off - off.mean(1, keepdims=True)).mean(1)
+                total = np.bincount(block[tested], error, minlength=count)
+                means = errors.setdefault(label, np.full(count, np.nan))
+                means[number > 0] = total[number > 0] / number[number > 0]
+    return errors
 
 
-def _means(block: IntArray, values: FloatArray, count: int) -> FloatArray:
-    """Return (B,) means of values (N,) by block, NaN for blocks without."""
-    number = np.bincount(block, minlength=count)
-    total = np.bincount(block, values, minlength=count)
-    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+def _judged(errors: dict[str, FloatArray], step: str, before: str, after: str) -> Evidence:
+    """Return whether one description predicts better than another."""
+    if not errors:
+        return Evidence(step, np.nan, np.nan, 0.0, 0.0, 0, False)
+    one, two = errors[before], errors[after]
+    common = np.isfinite(one) & np.isfinite(two)
+    gains, count = (one - two)[common], int(common.sum())
+    if count < _LEAST_BLOCKS:
+        return Evidence(step, np.nan, np.nan, 0.0, 0.0, count, False)
+    gain, spread = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(count))
+    first, last = float(one[common].mean()), float(two[common].mean())
+    accepted = gain > max(_MARGIN * spread, _LEAST_GAIN * first)
+    return Evidence(step, first, last, gain, spread, count, accepted)

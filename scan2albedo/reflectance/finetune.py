@@ -4,61 +4,34 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
-from scan2albedo.reflectance.finetune_step import ModelChange, best_change, neighbour_smoothing, no_change
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
-from scan2albedo.reflectance.image_observation import ImageObservation
 from scan2albedo.reflectance.lighting_model import LightingModel
+from scan2albedo.reflectance.linear_model import LinearModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
+from scan2albedo.reflectance.photograph import ImageObservation
 
-Smoother = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-_SMALLEST_STEP = 0.25
-"""A change that does not help is halved down to this share of it, then given up."""
+ROUNDS = 10
+"""Most rounds of fitting all images and changing the model."""
+MEAN_CHANGE, BASIS_CHANGES = 0.1, (0.1, 0.3)
+"""Prior of the change of the means: its standard deviation, as a share of the mean albedo (the mean sum of
+weights); the same of the directions, as a share of the means': the held-out images choose among several."""
+SMOOTHING_MM = 6.0
+"""Standard deviation, along the surface, of the smoothing of changes."""
+SIGNIFICANCE_LEVEL = 0.025
+"""Probability that a change without effect on images like the held-out ones is accepted."""
 _LEAST_GAIN = 1e-3
 """Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
-
-
-@dataclass(frozen=True)
-class FineTuneOptions:
-    """Settings of `finetune`."""
-
-    rounds: int = 10
-    """Most rounds of fitting all images and changing the model."""
-    mean_change: float = 0.1
-    """Prior of the change of the means: its standard deviation, as a share of the mean albedo
-    (the mean sum of weights)."""
-    basis_changes: tuple[float, ...] = (0.1, 0.3)
-    """The same of the directions, as a share of the means'. The held-out images choose among several."""
-    smoothing_mm: float = 6.0
-    """Standard deviation, along the surface, of the smoothing of changes. Needs vertex positions."""
-    smoothing_steps: int = 4
-    """Without positions: steps to the neighbours' mean. How far they reach depends on the mesh."""
-    significance_level: float = 0.025
-    """Probability that a change without effect on images like the held-out ones is accepted; 0.5 tests their
-    mean alone. One image cannot be tested."""
-
-    def __post_init__(self) -> None:
-        if not self.mean_change > 0:
-            raise ValueError(f"mean_change must be above 0, got {self.mean_change}")
-        for name in ("rounds", "smoothing_mm", "smoothing_steps"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
-        if not self.basis_changes or not min(self.basis_changes) >= 0:
-            raise ValueError(
-                f"basis_changes must be one or more numbers of 0 or more, got {self.basis_changes}"
-            )
-        if not 0 < self.significance_level <= 0.5:
-            raise ValueError(
-                f"significance_level must be above 0 and at most 0.5, got {self.significance_level}"
-            )
+_BLOCK = 4096
+"""Vertices whose equations are solved together."""
 
 
 @dataclass(frozen=True)
@@ -84,20 +57,22 @@ def finetune(
     observations: Sequence[ImageObservation],
     held_out: Sequence[ImageObservation],
     faces: ArrayLike,
+    vertices: ArrayLike,
     *,
-    vertices: ArrayLike | None = None,
     lighting: LightingModel | None = None,
-    options: FineTuneOptions = FineTuneOptions(),
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FineTuning:
     """Return a model with c and s moved to explain images of faces better that it was not learned from.
 
     Each round fits all images (`fit_image`), finds the most probable changes of means and directions under
-    several anchors (`best_change`), smooths them over the mesh, and takes that one, or a half or quarter of
-    it, with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
+    two anchors (`best_change`), smooths them over the mesh, and takes that one, or a half or quarter of it,
+    with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
     chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
     shares w' stay.
+
+    Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be fitted, or a
+    vertex is not finite; `ValueError` when `faces` point outside the vertices, or shapes disagree.
 
     Parameters
     ----------
@@ -108,22 +83,14 @@ def finetune(
         Best six or more, of faces that are not in `observations`: the fewer, the more they must agree.
     faces : (F, 3) array_like of int
         Triangles over the model's V vertices, for smoothing.
-    vertices : (V, 3) array_like of float, optional
-        Their positions in mm, of any face at rest: with them `smoothing_mm` holds, without `smoothing_steps`.
+    vertices : (V, 3) array_like of float
+        Their positions in mm, of any face at rest.
     lighting : LightingModel, optional
         `LightingModel.default()` when omitted.
-    options : FineTuneOptions
     budget : Budget or float, optional
         Image fits or seconds; the best model so far is returned when it ends.
     on_progress : callable, optional
         Called with every `TraceRow`, whose error is the held-out objective.
-
-    Raises
-    ------
-    ReflectanceError
-        When there are no images or no held-out ones, or an image cannot be fitted.
-    ValueError
-        When `faces` point outside the vertices.
 
     Notes
     -----
@@ -134,131 +101,91 @@ def finetune(
     for instance, stay unexplained. tools/bench_reflectance_finetune.py measures tuning on pictures that
     neither step used.
     """
-    smooth = _smoother(model, faces, vertices, options)
+    count = len(model.known)
+    triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or positions.shape != (count, 3):
+        raise ValueError(
+            f"faces is {triangles.shape} and vertices {positions.shape}, expected (F, 3) and ({count}, 3)"
+        )
+    if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
+        raise ValueError(f"faces point outside 0 ... {count - 1}")
+    triangles = triangles[model.known[triangles].all(1)]
+    if not np.isfinite(positions[triangles]).all():
+        raise ReflectanceError("vertices hold NaN or infinite values; give positions in mm")
     if not observations or not held_out:
         raise ReflectanceError(
             f"{len(observations)} images to tune with and {len(held_out)} held out; give one or more of each"
         )
+    smooth = surface_diffusion(np.nan_to_num(positions), triangles, SMOOTHING_MM)
     lighting = LightingModel.default() if lighting is None else lighting
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
-    tuning = _Tuning(model, lighting, options, meter, list(held_out))
-    before = tuning.error
-    converged = tuning.run(observations, smooth)
-    return FineTuning(tuning.current, tuple(tuning.steps), before, tuning.error, converged, meter.trace)
+
+    def fit(observation: ImageObservation, tried: MorphableReflectanceModel, late: bool = False) -> ImageFit:
+        """Fit an image; raise `_OutOfTime` when the deadline cut the fit short, unless `late` is allowed."""
+        if meter.out_of_time and not late:
+            raise _OutOfTime
+        meter.count()
+        left = Budget(seconds=meter.sub_meter(meter.stage, meter.unit).budget.seconds)
+        with warnings.catch_warnings():
+            # One of many fits; the held-out objective shows whether they were good enough.
+            warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
+            found = fit_image(observation, tried, lighting, budget=left)
+        if meter.out_of_time and not late:
+            raise _OutOfTime
+        return found
+
+    def held_out_errors(tried: MorphableReflectanceModel, late: bool = False) -> FloatArray:
+        """Return (n, 2) objectives and relative RMSE: a change has to lower both."""
+        fits = [fit(observation, tried, late) for observation in held_out]
+        return np.array([[one.objective, one.relative_rmse] for one in fits])
+
+    current, change = model, np.zeros((1 + model.components, count, 4))
+    steps: list[float] = []
+    errors = held_out_errors(model, late=True)
+    before, converged = float(errors[:, 0].mean()), False
+    meter.record(before)
+    try:
+        while len(steps) < ROUNDS and not meter.exhausted and not converged:
+            fits = [fit(observation, current) for observation in observations]
+            changes = [
+                best_change(model, observations, fits, mean_change=MEAN_CHANGE, basis_change=basis)
+                for basis in BASIS_CHANGES
+            ]
+            changes = [smoothed(one, smooth) for one in changes]
+            for step in (1.0, 0.5, 0.5**2):  # a change that does not help is halved, then given up
+                if meter.exhausted:
+                    break
+                parts = [(1 - step) * change + step * one for one in changes]
+                trials = [(part, held_out_errors(with_change(model, part))) for part in parts]
+                helping = [trial for trial in trials if is_improvement(errors, trial[1])]
+                if helping:
+                    change, errors = max(helping, key=lambda trial: assured_gains(errors, trial[1]).min())
+                    current = with_change(model, change)
+                    steps.append(step)
+                    meter.record(float(errors[:, 0].mean()))
+                    break
+            else:
+                converged = not meter.exhausted
+    except _OutOfTime:
+        pass
+    return FineTuning(current, tuple(steps), before, float(errors[:, 0].mean()), converged, meter.trace)
 
 
 class _OutOfTime(Exception):
     """The budget's seconds have ended amid the fits of a round."""
 
 
-class _Tuning:
-    """The model accepted so far and its error."""
-
-    def __init__(
-        self,
-        model: MorphableReflectanceModel,
-        lighting: LightingModel,
-        options: FineTuneOptions,
-        meter: Meter,
-        held_out: list[ImageObservation],
-    ) -> None:
-        self.initial, self.lighting, self.options, self.meter = model, lighting, options, meter
-        self.held_out = held_out
-        self.current, self.change = model, no_change(model)
-        self.steps: list[float] = []
-        self.errors = self._held_out_errors(model, even_late=True)
-        meter.record(self.error)
-
-    @property
-    def error(self) -> float:
-        """Mean objective of the held-out images."""
-        return float(self.errors[:, 0].mean())
-
-    def run(self, observations: Sequence[ImageObservation], smooth: Smoother) -> bool:
-        """Change the model round by round; return whether it ended because no change helps."""
-        for _ in range(self.options.rounds):
-            if self.meter.exhausted:
-                break
-            try:
-                helped = self._try_steps(self._changes(observations, smooth))
-            except _OutOfTime:
-                break
-            if not helped:
-                return not self.meter.exhausted
-        return False
-
-    def _changes(self, observations: Sequence[ImageObservation], smooth: Smoother) -> list[ModelChange]:
-        """Return the most probable changes, smooth ones, by fits of all images with the current model."""
-        fits = [self._fit(observation, self.current) for observation in observations]
-        return [
-            best_change(
-                self.initial,
-                observations,
-                fits,
-                mean_change=self.options.mean_change,
-                basis_change=basis_change,
-            ).smoothed(smooth)
-            for basis_change in self.options.basis_changes
-        ]
-
-    def _try_steps(self, changes: Sequence[ModelChange]) -> bool:
-        """Go as far towards one of the changes as helps, and return whether any step does."""
-        step = 1.0
-        while step >= _SMALLEST_STEP and not self.meter.exhausted:
-            trials = [self._trial(change, step) for change in changes]
-            helping = [trial for trial in trials if is_improvement(self.errors, trial[1], self.options)]
-            if helping:
-                level = self.options.significance_level
-                part, errors = max(helping, key=lambda t: assured_gains(self.errors, t[1], level).min())
-                self.current, self.change, self.errors = part.applied(self.initial), part, errors
-                self.steps.append(step)
-                self.meter.record(self.error)
-                return True
-            step /= 2
-        return False
-
-    def _trial(self, change: ModelChange, step: float) -> tuple[ModelChange, NDArray[np.float64]]:
-        part = self.change.toward(change, step)
-        return part, self._held_out_errors(part.applied(self.initial))
-
-    def _held_out_errors(
-        self, model: MorphableReflectanceModel, *, even_late: bool = False
-    ) -> NDArray[np.float64]:
-        """Return (n, 2) objectives and relative RMSE: a change has to lower both."""
-        fits = [self._fit(observation, model, even_late=even_late) for observation in self.held_out]
-        return np.array([[fit.objective, fit.relative_rmse] for fit in fits])
-
-    def _fit(
-        self, observation: ImageObservation, model: MorphableReflectanceModel, *, even_late: bool = False
-    ) -> ImageFit:
-        """Fit an image; raise `_OutOfTime` when the deadline cut the fit short, unless `even_late`."""
-        if self.meter.out_of_time and not even_late:
-            raise _OutOfTime
-        self.meter.count()
-        left = Budget(seconds=self.meter.sub_meter(self.meter.stage, self.meter.unit).budget.seconds)
-        with warnings.catch_warnings():
-            # One of many fits; the held-out objective shows whether they were good enough.
-            warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
-            fit = fit_image(observation, model, self.lighting, budget=left)
-        if self.meter.out_of_time and not even_late:
-            raise _OutOfTime
-        return fit
-
-
-def is_improvement(before: NDArray[np.float64], after: NDArray[np.float64], options: FineTuneOptions) -> bool:
+def is_improvement(before: FloatArray, after: FloatArray) -> bool:
     """Return whether the errors (n, E) of n held-out images fell, each kind of error by more than chance.
 
     The mean, and the mean of the images' relative falls, must fall by over 0.1 %, `assured_gains` be above 0.
     """
     falls = after.mean(0) < (1 - _LEAST_GAIN) * before.mean(0)
     gains = (1 - after / np.maximum(before, 1e-300)).mean(0)
-    assured = assured_gains(before, after, options.significance_level)
-    return bool((falls & (gains > _LEAST_GAIN) & (assured > 0)).all())
+    return bool((falls & (gains > _LEAST_GAIN) & (assured_gains(before, after) > 0)).all())
 
 
-def assured_gains(
-    before: NDArray[np.float64], after: NDArray[np.float64], significance_level: float
-) -> NDArray[np.float64]:
+def assured_gains(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return (E,) lower bounds of the mean relative fall m of errors (n, E), as in Student's paired test.
 
     m - t s / sqrt(n), with s the standard deviation over images and t for n - 1 degrees of freedom; m itself
@@ -270,34 +197,83 @@ def assured_gains(
     count = len(gains)
     if count == 1:
         return np.asarray(gains[0])
-    chance = stdtrit(count - 1, 1 - significance_level) * gains.std(axis=0, ddof=1)
+    chance = stdtrit(count - 1, 1 - SIGNIFICANCE_LEVEL) * gains.std(axis=0, ddof=1)
     return np.asarray(gains.mean(0) - chance / np.sqrt(count))
 
 
-def _smoother(
+def with_change(model: MorphableReflectanceModel, change: FloatArray) -> MorphableReflectanceModel:
+    """Return a model with a change (1 + N, V, 4): of mean and directions, of red, green, blue and s."""
+    albedo, total = change[..., :3], change[..., 3]
+    diffuse = LinearModel(model.diffuse.mean + albedo[0], model.diffuse.basis + albedo[1:])
+    return replace(
+        model,
+        diffuse=diffuse,
+        total=LinearModel(model.total.mean + total[0], model.total.basis + total[1:]),
+        total_variance=model.total_variance + float(np.sum(diffuse.deviation**2 - model.deviation**2)),
+    )
+
+
+def smoothed(change: FloatArray, smooth: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return a change (1 + N, V, 4) with a smoother of columns (V, C) applied."""
+    by_vertex = np.moveaxis(change, 1, 0)
+    columns = smooth(np.reshape(by_vertex, (len(by_vertex), -1)))
+    return np.ascontiguousarray(np.moveaxis(columns.reshape(by_vertex.shape), 0, 1))
+
+
+def best_change(
     model: MorphableReflectanceModel,
-    faces: ArrayLike,
-    vertices: ArrayLike | None,
-    options: FineTuneOptions,
-) -> Smoother:
-    """Return a smoother of columns (V, C) over the vertices that the model knows."""
-    count = len(model.known)
-    triangles = _checked_faces(faces, count)
-    triangles = triangles[model.known[triangles].all(1)]
-    if vertices is None:
-        return neighbour_smoothing(count, triangles, options.smoothing_steps)
-    positions = np.asarray(vertices, np.float64)
-    if positions.shape != (count, 3):
-        raise ValueError(f"vertices must have shape ({count}, 3), got {positions.shape}")
-    if not np.isfinite(positions[triangles]).all():
-        raise ReflectanceError("vertices hold NaN or infinite values; give positions in mm, or none")
-    return surface_diffusion(np.nan_to_num(positions), triangles, options.smoothing_mm)
+    observations: Sequence[ImageObservation],
+    fits: Sequence[ImageFit],
+    *,
+    mean_change: float,
+    basis_change: float,
+) -> FloatArray:
+    """Return the most probable change (1 + N, V, 4) of the model given the images, each vertex for itself.
 
+    With b_i and L_i of image i held, its colours are linear in the change of the means c0, s0 and of the
+    directions C, S. Changes of the means have a normal prior with standard deviation m = `mean_change`, a
+    share of the mean albedo (of the mean s), those of the directions n = `basis_change` times that; the noise
+    is that of each image's fit. With x_i = (1, n b_i), light d_ij on the diffuse part and h_ij on lobes w',
+    rows (i, j) of a vertex have the covariance
 
-def _checked_faces(faces: ArrayLike, count: int) -> NDArray[np.int64]:
-    triangles = np.asarray(faces, np.int64)
-    if triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise ValueError(f"faces must have shape (F, 3), got {triangles.shape}")
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
-        raise ValueError(f"faces point outside 0 ... {count - 1}")
-    return triangles
+        (x_i . x_i') (m_c^2 [j = j'] d_ij d_i'j' + m_s^2 h_ij h_i'j') + noise,
+
+    a system of 3 M equations for M images, whatever the number of coefficients. Cost: V (3 M)^3 / 3; memory
+    12 V M numbers and 9 M^2 a vertex in blocks. The `fits` may be those of another model with the same
+    directions.
+    """
+    count, images = len(model.known), len(fits)
+    scores = np.stack([fit.face.coefficients for fit in fits])
+    features = np.concatenate([np.ones((images, 1)), basis_change * scores], axis=1)
+    # Rows that are not used are zero with variance 1, so that they have no effect.
+    diffuse, specular, off = np.zeros((3, count, images, 3))
+    noise = np.ones((count, images, 3))
+    for i, (observation, fit) in enumerate(zip(observations, fits, strict=True)):
+        used, b = np.flatnonzero(np.asarray(observation.seen) & model.known), fit.face.coefficients
+        response = observation.response(used)
+        diffuse[used, i] = response.diffuse @ fit.light
+        share, albedo, total = (part.at(b)[used] for part in (model.share, model.diffuse, model.total))
+        specular[used, i] = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
+        colors = np.asarray(observation.observed_linear)[used]
+        error = colors - albedo * diffuse[used, i] - total[:, None] * specular[used, i]
+        off[used, i] = error
+        spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))
+        # Large differences count by their size rather than its square, as in the fit.
+        noise[used, i] = spread * np.maximum(np.abs(error), spread)
+    of_diffuse = mean_change * float(model.diffuse.mean[model.known].mean())
+    of_sum = mean_change * float(model.total.mean[model.known].mean())
+    kernel, size = features @ features.T, 3 * images
+    same_channel, any_channel = np.kron(kernel, np.eye(3)), np.kron(kernel, np.ones((3, 3)))
+    solution = np.empty((count, size))
+    for start in range(0, count, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        d, h = (of_diffuse * diffuse[block]).reshape(-1, size), (of_sum * specular[block]).reshape(-1, size)
+        system = same_channel * (d[:, :, None] * d[:, None]) + any_channel * (h[:, :, None] * h[:, None])
+        system[:, np.arange(size), np.arange(size)] += noise[block].reshape(-1, size)
+        solution[block] = np.linalg.solve(system, off[block].reshape(-1, size, 1))[..., 0]
+    dual = solution.reshape(off.shape)
+    albedo = np.einsum("in,vij->nvj", features, of_diffuse**2 * diffuse * dual)
+    total = np.einsum("in,vij->nv", features, of_sum**2 * specular * dual)
+    change = np.concatenate([albedo, total[..., None]], axis=2)
+    change[1:] *= basis_change
+    return change

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,28 +11,39 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import normalized_cameras, project
+from scan2albedo.optimization import Damping
 from scan2albedo.reflectance.environment_shading import checked_light
-from scan2albedo.reflectance.geometry_search import GeometryObjective, GeometrySearch, GeometryState
-from scan2albedo.reflectance.geometry_start import checked_landmarks, edge_px, initial_state, landmark_term
 from scan2albedo.reflectance.geometry_terms import (
-    GeometryFitOptions,
-    GeometryTerm,
-    PhotometricTerm,
+    PRIOR_WEIGHT,
+    GeometryObjective,
+    GeometryState,
+    LandmarkTerm,
     Photometry,
+    SmoothImage,
 )
-from scan2albedo.reflectance.picture_samples import SmoothImage
-from scan2albedo.reflectance.shape_model import MorphableShapeModel
+from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
+from scan2albedo.reflectance.landmark_pose import LEAST_FOR_POSE, pose_from_landmarks
+from scan2albedo.reflectance.linear_model import checked_coefficients
+from scan2albedo.reflectance.map_fit import MapPoint, most_probable
+from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 
+BLUR_EDGES = 0.3
+"""The image is smoothed by this standard deviation, in mean edges of the mesh: the reflectance does not hold
+what is finer than the spacing of its vertices."""
 _RIGID_STEPS, _LANDMARK_STEPS = 20, 100
 """Most steps with landmarks alone: of the pose, then of pose and shape."""
-_REFRESH_STEPS = 5
-"""After so many steps with photometry, rays find anew which vertices are seen."""
+_ROUNDS, _REFRESH_STEPS = 10, 5
+"""With photometry: rays find anew which vertices are seen at most so often, after so many steps."""
 _LANDMARK_GROWTH, _LANDMARK_SLACK_PX = 1.5, 0.5
 """Photometry is not accepted when it makes the landmarks' error larger than this times the error without, and
 by more than this many pixels."""
+_TOLERANCE = 1e-4
+"""Part of the objective that is no progress."""
+_LARGEST_FIRST_DAMPING = 0.1
+"""A search goes on with the damping that the one before ended with, but never with more than this."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +95,6 @@ def refine_geometry(
     initial_scene_from_model: ArrayLike | None = None,
     initial_identity: ArrayLike | None = None,
     initial_expression: ArrayLike | None = None,
-    options: GeometryFitOptions = GeometryFitOptions(),
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> GeometryFit:
@@ -92,14 +102,20 @@ def refine_geometry(
 
     Minimises over pose (6 numbers), identity a and expression b
 
-        E = W_l / n sum |p(x_k) - q_k|^2 + W_p / 3U sum (sqrt(r^2 + eps^2) - eps) + w (|a|^2 + |b|^2),
+        E = 0.2 / n sum |p(x_k) - q_k|^2 + 2 / 3U sum (sqrt(r^2 + eps^2) - eps) + 1e-3 (|a|^2 + |b|^2),
         r = (I(p(x_v)) - c_v D(n_v) L - sum_s w_vs S_s(n_v, v_v) L) / unit,
 
     q in mm at the face's depth, by Levenberg-Marquardt with analytic derivatives on re-weighted squares. In r
-    both the image moves under a vertex and the shading turns with its normal. Rays find which vertices U are
-    seen, anew every few steps. The result with photometry is accepted only when the objective over the
-    vertices seen in both shapes falls, landmarks stay near, and the colours are explained; otherwise the
-    result of the landmarks alone is returned.
+    both the image, smoothed by 0.3 edges of the mesh, moves under a vertex and the shading turns with its
+    normal. Rays find which vertices U are seen, anew every few steps. The result with photometry is accepted
+    only when the objective over the vertices seen in both shapes falls, landmarks stay near, and the colours
+    are explained; otherwise the result of the landmarks alone is returned.
+
+    Raises `ReflectanceError` when there is neither a landmark nor photometry, no initial pose and too few
+    landmarks to find one, another topology, or numbers that are not finite; `ValueError` when shapes
+    disagree, or only one of `reflectance` and `light` is given.
+
+    Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------
@@ -120,24 +136,10 @@ def refine_geometry(
         Rigid; found from the landmarks when omitted.
     initial_identity, initial_expression : (N_S,), (N_E,) array_like of float, optional
         Zeros when omitted.
-    options : GeometryFitOptions
     budget : Budget or float, optional
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError
-        When there is neither a landmark nor photometry, no initial pose and too few landmarks to find one,
-        another topology, or numbers that are not finite.
-    ValueError
-        When shapes disagree, or only one of `reflectance` and `light` is given.
-
-    Warns
-    -----
-    RuntimeWarning
-        When it stops without having converged.
 
     Notes
     -----
@@ -146,92 +148,164 @@ def refine_geometry(
     several mm off; tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
-    landmarks = checked_landmarks(landmarks_px, options.contour)
-    start = initial_state(
-        matrix, landmarks, shape_model, initial_scene_from_model, initial_identity, initial_expression
+    landmarks = np.array(landmarks_px, np.float64)
+    if landmarks.shape != (LANDMARKS, 2):
+        raise ValueError(f"landmarks_px must have shape ({LANDMARKS}, 2), got {landmarks.shape}")
+    landmarks[~np.isfinite(landmarks).all(1)] = np.nan
+    coefficients = np.concatenate(
+        [
+            np.zeros(count) if given is None else checked_coefficients(given, count, name)
+            for given, count, name in (
+                (initial_identity, shape_model.identity_components, "initial_identity"),
+                (initial_expression, shape_model.expression_components, "initial_expression"),
+            )
+        ]
     )
+    state = _initial_state(matrix, landmarks, shape_model, initial_scene_from_model, coefficients)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
     photometry = None
     if reflectance is not None and light is not None:
-        blur_px = [edge_px(matrix, shape_model, start) * blur for blur in options.blur_edges]
-        images = [SmoothImage(image_linear, mask, blur) for blur in blur_px]
-        photometry = _photometry(images, matrix, shape_model, reflectance, light, options)
+        # The mean edge of the mesh in the image; 0 where the face is behind the camera.
+        edges, _ = edges_with_faces(shape_model.faces)
+        length = np.linalg.norm(state.vertices[edges[:, 0]] - state.vertices[edges[:, 1]], axis=1).mean()
+        _, depth = project(matrix, state.vertices)
+        edge_px = float(length / _pixel_mm(matrix, depth)) if np.median(depth) > 0 else 0.0
+        image = SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
+        if len(reflectance.known) != len(shape_model.mean):
+            raise ReflectanceError(
+                f"the reflectance has {len(reflectance.known)} vertices and the shape model "
+                f"{len(shape_model.mean)}; bring both to one topology"
+            )
+        photometry = Photometry(image, matrix, shape_model.faces, reflectance, checked_light(light))
     elif not np.isfinite(landmarks).any():
         raise ReflectanceError(
             "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
         )
-    fit = _Refinement(matrix, landmarks, shape_model, photometry, start, options)
-    fit.run(Budget.of(budget), on_progress)
+    fit = _Refinement(matrix, landmarks, shape_model, state)
+    meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
+    fit.run_landmarks(meter)
+    fit.run_photometry(photometry, meter)
     if not fit.converged:
         warnings.warn(
             f"the geometry fit stopped after {fit.iterations} steps without having converged",
             RuntimeWarning,
             stacklevel=2,
         )
-    return _result(fit)
+    identity, expression = np.split(fit.state.coefficients, [shape_model.identity_components])
+    return GeometryFit(
+        scene_from_model=fit.state.scene_from_model,
+        identity=identity,
+        expression=expression,
+        vertices=fit.state.vertices,
+        normals=vertex_normals(fit.state.vertices, shape_model.faces),
+        landmark_error_px=fit.landmark_errors(fit.state),
+        photometric_rmse_before=fit.rmse[0],
+        photometric_rmse_after=fit.rmse[1],
+        plan=Plan(tuple(fit.steps)),
+        converged=fit.converged,
+        iterations=fit.iterations,
+        trace=meter.trace,
+    )
 
 
-def _photometry(
-    images: list[SmoothImage],
+def _initial_state(
     camera: FloatArray,
-    shape_model: MorphableShapeModel,
-    reflectance: VertexReflectance,
-    light: ArrayLike,
-    options: GeometryFitOptions,
-) -> Photometry:
-    if len(reflectance.known) != len(shape_model.mean):
+    landmarks: FloatArray,
+    model: MorphableShapeModel,
+    pose: ArrayLike | None,
+    coefficients: FloatArray,
+) -> GeometryState:
+    """Return the initial state, its pose from landmarks where none is given."""
+    if pose is not None:
+        matrix = np.array(pose, np.float64)
+        if matrix.shape != (4, 4):
+            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {matrix.shape}")
+        turn = matrix[:3, :3]
+        rigid = np.isfinite(matrix).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
+        if not (rigid and np.linalg.det(turn) > 0 and np.array_equal(matrix[3], [0, 0, 0, 1])):
+            raise ReflectanceError(
+                "initial_scene_from_model is no rigid transform; give rotation and translation"
+            )
+        return GeometryState.from_pose(model, matrix, coefficients)
+    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+    if len(seen) < LEAST_FOR_POSE:
         raise ReflectanceError(
-            f"the reflectance has {len(reflectance.known)} vertices and the shape model "
-            f"{len(shape_model.mean)}; bring both to one topology"
+            f"{len(seen)} landmarks are seen, and a pose takes {LEAST_FOR_POSE}; give "
+            "initial_scene_from_model"
         )
-    return Photometry(images, camera, shape_model.faces, reflectance, checked_light(light), options)
+    points = model.at(coefficients)[model.landmark_vertices[seen]]
+    return GeometryState.from_pose(model, pose_from_landmarks(camera, points, landmarks[seen]), coefficients)
 
 
-@dataclass
+def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
+    """Return the size of a pixel at the median depth."""
+    return float(np.median(depth) / np.sqrt(abs(np.linalg.det(camera[:, :3]))))
+
+
+class _Search:
+    """A state that descents move one after the other."""
+
+    def __init__(self, start: GeometryState, meter: Meter) -> None:
+        self.state, self.meter = start, meter
+        self.iterations, self.converged, self.hardly_fell = 0, False, True
+        self._damping = Damping().first
+
+    def run(self, objective: GeometryObjective, steps: int) -> None:
+        """Take up to `steps` steps; says whether it converged, and whether another run is not worth it."""
+        self.converged = False
+        if self.meter.exhausted:
+            return
+        start = MapPoint.evaluate(objective, self.state, self.meter)
+        damping = Damping(first=min(self._damping, _LARGEST_FIRST_DAMPING))
+        found = most_probable(start, steps=steps, tolerance=_TOLERANCE, damping=damping)
+        self.hardly_fell = start.cost - found.best.cost <= _TOLERANCE * found.best.cost
+        self.state, self._damping = found.best.state, found.damping
+        self.iterations += found.steps
+        self.converged = found.converged
+
+
 class _Refinement:
     """A fit in its two stages: landmarks alone, then colours with them, accepted or not."""
 
-    camera: FloatArray
-    landmarks: FloatArray
-    model: MorphableShapeModel
-    photometry: Photometry | None
-    state: GeometryState
-    options: GeometryFitOptions
-    converged: bool = True
-    iterations: int = 0
-    rmse: tuple[float | None, float | None] = (None, None)
-    steps: list[PlanStep] = field(default_factory=list)
-    trace: Trace = field(default_factory=Trace)
+    def __init__(
+        self, camera: FloatArray, landmarks: FloatArray, model: MorphableShapeModel, state: GeometryState
+    ) -> None:
+        self.camera, self.landmarks, self.model, self.state = camera, landmarks, model, state
+        self.converged, self.iterations = True, 0
+        self.rmse: tuple[float | None, float | None] = (None, None)
+        self.steps: list[PlanStep] = []
+        self.anchor: LandmarkTerm | None = None
+        seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+        if len(seen):
+            vertex = model.landmark_vertices[seen]
+            _, depth = project(camera, state.vertices[vertex])
+            if not (depth > 0).all():
+                raise ReflectanceError(
+                    "landmarks lie behind the camera at the initial pose; check pose and camera"
+                )
+            self.anchor = LandmarkTerm(camera, vertex, landmarks[seen], _pixel_mm(camera, depth))
 
-    def __post_init__(self) -> None:
-        self.anchor = landmark_term(self.camera, self.landmarks, self.model, self.state, self.options)
-
-    def run(self, budget: Budget, on_progress: ProgressCallback | None) -> None:
-        """Run both stages."""
-        meter = Meter("reflectance.geometry", "objective", budget, on_progress)
-        self._fit_landmarks(meter)
-        self._fit_photometry(meter)
-        self.trace = meter.trace
-
-    def _fit_landmarks(self, meter: Meter) -> None:
+    def run_landmarks(self, meter: Meter) -> None:
+        """Fit the landmarks alone."""
         name = "reflectance.geometry.landmarks"
         if self.anchor is None:
             self.steps.append(PlanStep(name, False, "no landmark is seen"))
             return
         stage = meter.sub_meter(name, "objective")
-        rigid = GeometrySearch(self.state, stage)
-        rigid.run(self._objective([self.anchor], stage, rigid=True), _RIGID_STEPS)
-        search = GeometrySearch(rigid.state, stage)
-        search.run(self._objective([self.anchor], stage), _LANDMARK_STEPS)
+        rigid = _Search(self.state, stage)
+        rigid.run(GeometryObjective(self.model, [self.anchor], rigid=True), _RIGID_STEPS)
+        search = _Search(rigid.state, stage)
+        search.run(GeometryObjective(self.model, [self.anchor]), _LANDMARK_STEPS)
         self.state, self.converged = search.state, search.converged
         self.iterations += rigid.iterations + search.iterations
         meter.merge(stage)
         self.steps.append(PlanStep(name, True, "landmarks are seen", f"{len(self.anchor.vertex)} landmarks"))
 
-    def _fit_photometry(self, meter: Meter) -> None:
+    def run_photometry(self, photometry: Photometry | None, meter: Meter) -> None:
+        """Fit landmarks and colours, updating the seen vertices every few steps, and judge the result."""
         name = "reflectance.geometry.photometry"
-        if self.photometry is None:
+        if photometry is None:
             self.steps.append(PlanStep(name, False, "no reflectance and light are given"))
             return
         if meter.exhausted:
@@ -239,97 +313,56 @@ class _Refinement:
             self.steps.append(PlanStep(name, False, "the budget had ended"))
             return
         stage = meter.sub_meter(name, "objective")
-        search = GeometrySearch(self.state, stage)
-        converged = self._search(search, self.photometry)
+        search, converged = _Search(self.state, stage), False
+        for _ in range(_ROUNDS):
+            term = photometry.term(search.state.vertices)
+            if term is None or stage.exhausted:
+                break
+            terms = (term,) if self.anchor is None else (self.anchor, term)
+            search.run(GeometryObjective(self.model, terms), _REFRESH_STEPS)
+            # Nothing to gain from what is seen now, and so neither from finding it anew.
+            if search.converged or search.hardly_fell:
+                converged = not stage.exhausted
+                break
         meter.merge(stage)
         self.iterations += search.iterations
-        if self._accept(name, self.photometry, search):
+        if self._accepted(name, photometry, search):
             self.state, self.converged = search.state, converged
         elif meter.exhausted:
             self.converged = False
 
-    def _objective(
-        self, terms: list[GeometryTerm], meter: Meter, *, rigid: bool = False
-    ) -> GeometryObjective:
-        return GeometryObjective.of(self.model, self.options.prior_weight, terms, meter, rigid=rigid)
-
-    def _search(self, search: GeometrySearch, photometry: Photometry) -> bool:
-        """Search, updating the seen vertices every few steps; return whether it converged."""
-        converged = False
-        for level in range(len(photometry.images)):
-            converged = False
-            for _ in range(self.options.rounds):
-                vertices = search.state.vertices(self.model)
-                term = photometry.term(vertices, photometry.usable(vertices), level)
-                if term is None or search.meter.exhausted:
-                    break
-                terms: list[GeometryTerm] = [term] if self.anchor is None else [self.anchor, term]
-                search.run(self._objective(terms, search.meter), _REFRESH_STEPS)
-                # Nothing to gain from what is seen now, and so neither from finding it anew.
-                if search.converged or search.hardly_fell:
-                    converged = not search.meter.exhausted
-                    break
-        return converged
-
-    def _accept(self, name: str, photometry: Photometry, search: GeometrySearch) -> bool:
+    def _accepted(self, name: str, photometry: Photometry, search: _Search) -> bool:
         """Return whether the result of photometry is accepted, and write it into the plan."""
         if search.iterations == 0:
             self.steps.append(PlanStep(name, False, "the image shows nothing of the face, or no step helps"))
             return False
-        shapes = [state.vertices(self.model) for state in (self.state, search.state)]
-        term = photometry.common_term(shapes)
+        states = self.state, search.state
+        term = photometry.term(*(state.vertices for state in states))
         if term is None:
             self.steps.append(PlanStep(name, False, "shapes before and after show nothing in common"))
             return False
-        objection = self._objection(term, self.state, search.state)
-        evidence = f"relative rmse {self.rmse[0]:.4f} -> {self.rmse[1]:.4f}, {len(term.used)} vertices"
+        values, rmse, error = [], [], []
+        for state in states:
+            rmse.append(term.relative_rmse(state.vertices))
+            of_landmarks = 0.0 if self.anchor is None else self.anchor.value(state.vertices)
+            prior = PRIOR_WEIGHT * float(state.coefficients @ state.coefficients)
+            values.append(term.value(state.vertices) + of_landmarks + prior)
+            if self.anchor is not None:
+                error.append(float(np.sqrt(np.nanmean(self.landmark_errors(state) ** 2))))
+        self.rmse = rmse[0], rmse[1]
+        objection = ""
+        if not values[1] < values[0]:
+            objection = "the objective did not fall over what both shapes show"
+        elif not rmse[1] <= MOST_UNEXPLAINED:
+            objection = "the colours are not explained; light or reflectance are others"
+        elif error and error[1] > max(_LANDMARK_GROWTH * error[0], error[0] + _LANDMARK_SLACK_PX):
+            objection = f"the landmarks' error grew from {error[0]:.2f} to {error[1]:.2f} px"
+        evidence = f"relative rmse {rmse[0]:.4f} -> {rmse[1]:.4f}, {len(term.used)} vertices"
         reason = objection or "the colours are explained better"
         self.steps.append(PlanStep(name, not objection, reason, evidence))
         return not objection
 
-    def _objection(self, term: PhotometricTerm, before: GeometryState, after: GeometryState) -> str:
-        """Return why the result of photometry is not accepted, or an empty text."""
-        values, rmse = [], []
-        for state in (before, after):
-            vertices = state.vertices(self.model)
-            rmse.append(term.relative_rmse(vertices))
-            prior = self.options.prior_weight * float(state.coefficients @ state.coefficients)
-            of_landmarks = 0.0 if self.anchor is None else self.anchor.value(vertices)
-            values.append(term.value(vertices) + of_landmarks + prior)
-        self.rmse = rmse[0], rmse[1]
-        if not values[1] < values[0]:
-            return "the objective did not fall over what both shapes show"
-        if not rmse[1] <= self.options.largest_rmse:
-            return "the colours are not explained; light or reflectance are others"
-        if self.anchor is not None:
-            error = [_rms(self.landmark_errors(state)) for state in (before, after)]
-            if error[1] > max(_LANDMARK_GROWTH * error[0], error[0] + _LANDMARK_SLACK_PX):
-                return f"the landmarks' error grew from {error[0]:.2f} to {error[1]:.2f} px"
-        return ""
-
     def landmark_errors(self, state: GeometryState) -> FloatArray:
         """Return (68,) distances in pixels, NaN where a landmark is not seen."""
-        pixels, _ = project(self.camera, state.vertices(self.model)[self.model.landmark_vertices])
+        pixels, _ = project(self.camera, state.vertices[self.model.landmark_vertices])
         return np.asarray(np.linalg.norm(pixels - self.landmarks, axis=1))
-
-
-def _result(fit: _Refinement) -> GeometryFit:
-    vertices = fit.state.vertices(fit.model)
-    return GeometryFit(
-        scene_from_model=fit.state.scene_from_model,
-        identity=fit.state.identity,
-        expression=fit.state.expression,
-        vertices=vertices,
-        normals=vertex_normals(vertices, fit.model.faces),
-        landmark_error_px=fit.landmark_errors(fit.state),
-        photometric_rmse_before=fit.rmse[0],
-        photometric_rmse_after=fit.rmse[1],
-        plan=Plan(tuple(fit.steps)),
-        converged=fit.converged,
-        iterations=fit.iterations,
-        trace=fit.trace,
-    )
-
-
-def _rms(errors: FloatArray) -> float:
-    return float(np.sqrt(np.nanmean(errors**2)))

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.geometry.operators import vertex_normal_jacobian
+from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
 from scan2albedo.geometry.pinhole import camera_centers, project
+from scan2albedo.geometry.rasterization import bilinear
+from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
-from scan2albedo.reflectance.picture_samples import SmoothImage
+from scan2albedo.reflectance.image_fit import PHOTOMETRIC_WEIGHT, SOFTNESS
+from scan2albedo.reflectance.map_fit import LocalTerm
+from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
+LANDMARK_WEIGHT, PRIOR_WEIGHT = 0.2, 1e-3
+"""Of the mean squared distance of landmarks, in mm at the face's depth, and of the squared coefficients."""
+POSE = 6
+"""Parameters of a step's pose: turn around the face's middle in rad, and shift in mm."""
 _VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
 """Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer
 than so many pixels to an edge of the surface in the image."""
@@ -26,73 +35,73 @@ _LEAST_VERTICES = 20
 """Fewer do not determine a shape."""
 
 
-@dataclass(frozen=True)
-class GeometryFitOptions:
-    """How pose and shape are fitted to one image.
+class SmoothImage:
+    """A linear image (H, W, 3), smoothed by a Gaussian over its valid pixels only, bilinear between pixels.
 
-    Raises `ValueError` when a value is outside its range.
+    Pixels that are not finite, or False in the mask (H, W), are gaps; a standard deviation of 0 smooths
+    nothing. Raises `ReflectanceError` when no pixel is left, `ValueError` for other shapes.
     """
 
-    landmark_weight: float = 0.2
-    """Of the mean squared distance of landmarks, in mm at the face's depth."""
-    photometric_weight: float = 2.0
-    """Of the mean absolute difference of colours, in units of the image's median colour."""
-    prior_weight: float = 1e-3
-    """Of the squared coefficients."""
-    softness: float = 0.01
-    """Differences below this share of the median colour count by their squares (Charbonnier's epsilon)."""
-    landmark_softness_mm: float | None = None
-    """Errors of landmarks above this enter by their distance, not its square; None for squares alone."""
-    contour: bool = True
-    """Use landmarks 0 ... 16, along the jaw, which slide over the face where its outline is meant."""
-    blur_edges: tuple[float, ...] = (0.3,)
-    """The image is smoothed by these standard deviations, one after the other, in mean edges of the mesh: the
-    reflectance does not hold what is finer than the spacing of its vertices."""
-    rounds: int = 10
-    """Most times that the vertices seen are found anew, for each of `blur_edges`."""
-    largest_rmse: float = 0.25
-    """Photometry is not accepted when the colours' relative rmse stays above this."""
+    def __init__(self, image_linear: ArrayLike, mask: ArrayLike | None, blur_px: float) -> None:
+        from scipy.ndimage import gaussian_filter
 
-    def __post_init__(self) -> None:
-        positive = ["landmark_weight", "photometric_weight", "softness", "largest_rmse"]
-        if self.landmark_softness_mm is not None:
-            positive.append("landmark_softness_mm")
-        for name in positive:
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"{name} must be above 0 and finite, got {getattr(self, name)}")
-        if not 0 <= self.prior_weight < math.inf:
-            raise ValueError(f"prior_weight must be 0 or more and finite, got {self.prior_weight}")
-        if self.rounds < 1:
-            raise ValueError(f"rounds must be 1 or more, got {self.rounds}")
-        if not self.blur_edges or not all(0 <= blur < math.inf for blur in self.blur_edges):
-            raise ValueError(f"blur_edges must hold one or more finite numbers >= 0, got {self.blur_edges}")
+        image = np.asarray(image_linear, np.float64)
+        if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 2:
+            raise ValueError(f"image_linear must have shape (H, W, 3), H and W at least 2, got {image.shape}")
+        self.valid = np.asarray(np.isfinite(image).all(2))
+        if mask is not None:
+            chosen = np.asarray(mask)
+            if chosen.dtype != np.bool_ or chosen.shape != self.valid.shape:
+                raise ValueError(f"mask must be bool {self.valid.shape}, got {chosen.dtype} {chosen.shape}")
+            self.valid &= chosen
+        if not self.valid.any():
+            raise ReflectanceError("the image has no pixel left: all are NaN or masked; check the mask")
+        filled = np.where(self.valid[..., None], image, 0.0)
+        if blur_px > 0:
+            weight = gaussian_filter(self.valid.astype(np.float64), blur_px, mode="constant")
+            blurred = gaussian_filter(filled, (blur_px, blur_px, 0), mode="constant")
+            enough = weight > 0
+            filled = np.where(enough[..., None], blurred / np.where(enough, weight, 1.0)[..., None], 0.0)
+        self._image = filled
 
+    def covers(self, pixels: FloatArray) -> BoolArray:
+        """Return (N,) whether all four pixels around each of (N, 2) are valid; NaN is outside."""
+        height, width = self.valid.shape
+        x, y = pixels[:, 0], pixels[:, 1]
+        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
+        left, top, _, _ = self._cells(np.where(inside[:, None], pixels, 0.0))
+        around = self.valid[top, left] & self.valid[top + 1, left]
+        around &= self.valid[top, left + 1] & self.valid[top + 1, left + 1]
+        return np.asarray(inside & around, np.bool_)
 
-@dataclass(frozen=True)
-class WeightedResiduals:
-    """Residuals r (R,) whose weighted squares replace a term locally: its gradient is J^T (weight r)."""
+    def look_up(self, pixels: FloatArray) -> FloatArray:
+        """Return colours (N, 3) at pixels (N, 2); beyond the border the border's."""
+        return bilinear(self._image, pixels)
 
-    residual: FloatArray
-    weight: FloatArray
-    by_vertices: sparse.bsr_matrix
-    """(R, 3V) J, by the coordinates of the vertices in the scene, blocks three columns wide."""
+    def gradient(self, pixels: FloatArray) -> FloatArray:
+        """Return the derivatives (N, 3, 2) of `look_up` by column and row; 0 beyond the border."""
+        left, top, fx, fy = self._cells(pixels)
+        a, b = self._image[top, left], self._image[top, left + 1]
+        c, d = self._image[top + 1, left], self._image[top + 1, left + 1]
+        slopes = np.stack([(1 - fy) * (b - a) + fy * (d - c), (1 - fx) * (c - a) + fx * (d - b)], 2)
+        height, width = self.valid.shape
+        inside = (pixels > 0) & (pixels < [width - 1, height - 1])
+        return np.asarray(slopes * inside[:, None, :])
 
-
-class GeometryTerm(Protocol):
-    """A part of the objective that depends on the vertices (V, 3) in the scene."""
-
-    def value(self, vertices: FloatArray) -> float:
-        """Return the term; inf where it is not defined."""
-
-    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
-        """Return the term as weighted squares around `vertices`."""
+    def _cells(self, pixels: FloatArray) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+        """Return column and row of the upper left pixel, and the way from it (N, 1)."""
+        height, width = self.valid.shape
+        x, y = np.clip(pixels[:, 0], 0, width - 1), np.clip(pixels[:, 1], 0, height - 1)
+        left = np.minimum(x.astype(np.int64), width - 2)
+        top = np.minimum(y.astype(np.int64), height - 2)
+        return left, top, (x - left)[:, None], (y - top)[:, None]
 
 
 @dataclass(frozen=True)
 class LandmarkTerm:
-    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, growing more slowly beyond s = `softness_mm`.
+    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, weighted.
 
-    E = W / n sum 2 s^2 (sqrt(1 + |r|^2 / s^2) - 1),   or W / n sum |r|^2 without s.
+    A term of the vertices (V, 3) in the scene: `linearized` has a Jacobian (R, 3V) by their coordinates.
     """
 
     camera: FloatArray
@@ -103,30 +112,20 @@ class LandmarkTerm:
     """(n, 2) q."""
     pixel_mm: float
     """Size of a pixel at the face."""
-    weight: float
-    softness_mm: float | None
 
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where a landmark's vertex lies behind the camera."""
         squared = np.sum(self._off(vertices) ** 2, axis=1)
-        if not np.isfinite(squared).all():
-            return np.inf
-        if self.softness_mm is not None:
-            width = self.softness_mm**2
-            squared = 2 * width * (np.sqrt(1 + squared / width) - 1)
-        return self.weight * float(squared.mean())
+        return LANDMARK_WEIGHT * float(squared.mean()) if np.isfinite(squared).all() else np.inf
 
-    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
+    def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`."""
         off, count = self._off(vertices), len(self.vertex)
-        softer = np.ones(count)
-        if self.softness_mm is not None:
-            softer = 1 / np.sqrt(1 + np.sum(off**2, axis=1) / self.softness_mm**2)
         blocks = self.pixel_mm * projection_jacobian(self.camera, vertices[self.vertex])
         shape = (2 * count, 3 * len(vertices))
         jacobian = sparse.bsr_matrix((blocks, self.vertex, np.arange(count + 1)), shape=shape)
-        weight = np.repeat(2 * self.weight / count * softer, 2)
-        return WeightedResiduals(off.ravel(), weight, jacobian)
+        weight = np.full(2 * count, 2 * LANDMARK_WEIGHT / count)
+        return LocalTerm(jacobian, weight * off.ravel(), weight)
 
     def _off(self, vertices: FloatArray) -> FloatArray:
         return self.pixel_mm * (project(self.camera, vertices[self.vertex])[0] - self.pixels)
@@ -151,20 +150,18 @@ class PhotometricTerm:
     """(81, 3)."""
     unit: float
     """The colour that differences are relative to."""
-    weight: float
-    softness: float
 
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where a vertex has no normal or lies behind the camera."""
         off = self.differences(vertices)
         if off is None:
             return np.inf
-        return self.weight * float(np.mean(np.hypot(off, self.softness) - self.softness))
+        return PHOTOMETRIC_WEIGHT * float(np.mean(np.hypot(off, SOFTNESS) - SOFTNESS))
 
     def differences(self, vertices: FloatArray) -> FloatArray | None:
         """Return r (U, 3), or None when a vertex has no normal or lies behind the camera."""
         pixels, _ = project(self.camera, vertices[self.used])
-        normals, sight = self._normals(vertices), self._sight(vertices)
+        normals, sight = vertex_normals(vertices, self.faces)[self.used], self._sight(vertices)
         if not (np.isfinite(pixels).all() and normals.any(1).all()):
             return None
         shading = shade_environment(self.reflectance, normals, normalized(sight), self.light)
@@ -178,29 +175,34 @@ class PhotometricTerm:
         observed = self.image.look_up(project(self.camera, vertices[self.used])[0]) / self.unit
         return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), 1e-300))
 
-    def linearized(self, vertices: FloatArray) -> WeightedResiduals:
+    def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`, where its value is finite."""
         off = self.differences(vertices)
         if off is None:
             raise ValueError("the photometric term is not defined here; its value is inf")
-        points, sight = vertices[self.used], self._sight(vertices)
+        points, sight, used = vertices[self.used], self._sight(vertices), self.used
         distance = np.linalg.norm(sight, axis=1)
         view = sight / distance[:, None]
         pixels, _ = project(self.camera, points)
-        turned = shading_gradient(self.reflectance, self._normals(vertices), view, self.light)
+        normals = vertex_normals(vertices, self.faces)[used]
+        turned = shading_gradient(self.reflectance, normals, view, self.light)
         across = turned.by_view - np.einsum("uji,ui,uk->ujk", turned.by_view, view, view)
         direct = self.image.gradient(pixels) @ projection_jacobian(self.camera, points)
         # The line of sight turns against the vertex: its derivative is -(I - v v^T) / distance.
         direct += across / distance[:, None, None]
-        jacobian = _by_vertices(
-            vertex_normal_jacobian(vertices, self.faces), self.used, turned.by_normal, direct
-        )
-        jacobian.data /= self.unit
-        weight = self.weight / off.size / np.hypot(off, self.softness)
-        return WeightedResiduals(off.ravel(), weight.ravel(), jacobian)
-
-    def _normals(self, vertices: FloatArray) -> FloatArray:
-        return vertex_normals(vertices, self.faces)[self.used]
+        # -by_normal dn / dx + direct, rows of the used vertices only.
+        by_vertex = vertex_normal_jacobian(vertices, self.faces)
+        length = np.diff(by_vertex.indptr)[used]
+        start = np.concatenate([[0], np.cumsum(length)])
+        row = np.repeat(np.arange(len(used)), length)
+        taken = by_vertex.indptr[used][row] + np.arange(start[-1]) - start[row]
+        column = by_vertex.indices[taken]
+        blocks = -turned.by_normal[row] @ by_vertex.data[taken]
+        blocks[column == used[row]] += direct
+        shape = (3 * len(used), by_vertex.shape[1])
+        jacobian = sparse.bsr_matrix((blocks / self.unit, column, start), shape=shape)
+        weight = PHOTOMETRIC_WEIGHT / off.size / np.hypot(off, SOFTNESS)
+        return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
     def _sight(self, vertices: FloatArray) -> FloatArray:
         return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
@@ -208,64 +210,41 @@ class PhotometricTerm:
 
 @dataclass(frozen=True)
 class Photometry:
-    """An image smoothed at several levels, its camera, and the face's reflectance in a light."""
+    """A smoothed image, its camera, and the face's reflectance in a light."""
 
-    images: Sequence[SmoothImage]
-    """From smooth to sharp."""
+    image: SmoothImage
     camera: FloatArray
     """(3, 4), normalised."""
     faces: IntArray
     reflectance: VertexReflectance
     light: FloatArray
     """(81, 3)."""
-    options: GeometryFitOptions
 
-    def usable(self, vertices: FloatArray) -> IntArray:
-        """Return the vertices (U,) that are seen, known, and lie on valid pixels; none where too few are."""
-        none = np.zeros(0, np.int64)
-        pixels, depth = project(self.camera, vertices)
-        if not (np.isfinite(vertices).all() and (depth > 0).all()):
-            return none
-        candidates = self.reflectance.known & self.images[0].covers(pixels)
-        if candidates.sum() < _LEAST_VERTICES:
-            return none
-        visibility = VertexVisibility(vertices, self.faces, vertex_normals(vertices, self.faces))
-        seen = visibility.seen(self.camera, _VIEW_COSINE, _MARGIN_PX)
-        used = np.flatnonzero(candidates & seen)
-        return used if len(used) >= _LEAST_VERTICES else none
+    def term(self, *shapes: FloatArray) -> PhotometricTerm | None:
+        """Return the term over the vertices that are known, seen and on valid pixels in all shapes (V, 3).
 
-    def term(self, vertices: FloatArray, used: IntArray, level: int) -> PhotometricTerm | None:
-        """Return the term over the `used` of `vertices` at smoothing `level`; None where all is black."""
-        image, reflectance = self.images[level], self.reflectance
-        if len(used) == 0:
+        None where they are too few, or all is black in the first shape.
+        """
+        usable = self.reflectance.known
+        for vertices in shapes:
+            pixels, depth = project(self.camera, vertices)
+            if not (np.isfinite(vertices).all() and (depth > 0).all()):
+                return None
+            usable = usable & self.image.covers(pixels)
+            if usable.sum() < _LEAST_VERTICES:
+                return None
+            visibility = VertexVisibility(vertices, self.faces, vertex_normals(vertices, self.faces))
+            usable = usable & visibility.seen(self.camera, _VIEW_COSINE, _MARGIN_PX)
+        used = np.flatnonzero(usable)
+        if len(used) < _LEAST_VERTICES:
             return None
-        grey = np.abs(image.look_up(project(self.camera, vertices[used])[0])).mean(1)
+        grey = np.abs(self.image.look_up(project(self.camera, shapes[0][used])[0])).mean(1)
         unit = float(np.median(grey)) or float(grey.mean())
         if not unit > 0:
             return None
-        part = VertexReflectance(
-            reflectance.diffuse_linear[used], reflectance.weights[used], reflectance.known[used]
-        )
-        return PhotometricTerm(
-            image,
-            self.camera,
-            self.faces,
-            used,
-            part,
-            self.light,
-            unit,
-            self.options.photometric_weight,
-            self.options.softness,
-        )
-
-    def common_term(self, shapes: Sequence[FloatArray]) -> PhotometricTerm | None:
-        """Return the term in the last image over the vertices seen in all of the shapes (V, 3), or None."""
-        used = self.usable(shapes[0])
-        for vertices in shapes[1:]:
-            used = np.intersect1d(used, self.usable(vertices))
-        if len(used) < _LEAST_VERTICES:
-            return None
-        return self.term(shapes[0], used, len(self.images) - 1)
+        one = self.reflectance
+        part = VertexReflectance(one.diffuse_linear[used], one.weights[used], one.known[used])
+        return PhotometricTerm(self.image, self.camera, self.faces, used, part, self.light, unit)
 
 
 def projection_jacobian(camera: FloatArray, points: FloatArray) -> FloatArray:
@@ -275,16 +254,70 @@ def projection_jacobian(camera: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray((camera[:2, :3] - pixels[:, :, None] * camera[2, :3]) / image[:, 2, None, None])
 
 
-def _by_vertices(
-    normals: sparse.bsr_matrix, used: IntArray, by_normal: FloatArray, direct: FloatArray
-) -> sparse.bsr_matrix:
-    """Return -by_normal dn / dx + direct, rows of the used vertices only."""
-    length = np.diff(normals.indptr)[used]
-    start = np.concatenate([[0], np.cumsum(length)])
-    row = np.repeat(np.arange(len(used)), length)
-    taken = normals.indptr[used][row] + np.arange(start[-1]) - start[row]
-    column = normals.indices[taken]
-    blocks = -by_normal[row] @ normals.data[taken]
-    own = column == used[row]
-    blocks[own] += direct
-    return sparse.bsr_matrix((blocks, column, start), shape=(3 * len(used), normals.shape[1]))
+@dataclass(frozen=True)
+class GeometryState:
+    """A pose and a shape."""
+
+    scene_from_model: FloatArray
+    """(4, 4), rigid."""
+    coefficients: FloatArray
+    """(N_S + N_E,), identity first."""
+    vertices: FloatArray
+    """(V, 3) in the scene."""
+
+    @classmethod
+    def from_pose(
+        cls, model: MorphableShapeModel, scene_from_model: FloatArray, coefficients: FloatArray
+    ) -> GeometryState:
+        """Return the state of a shape in a pose."""
+        vertices = transform_points(scene_from_model, model.at(coefficients))
+        return cls(scene_from_model, coefficients, vertices)
+
+
+@dataclass(frozen=True)
+class GeometryObjective:
+    """Terms over pose and coefficients, or over the pose only where `rigid`."""
+
+    model: MorphableShapeModel
+    terms: Sequence[LandmarkTerm | PhotometricTerm]
+    rigid: bool = False
+
+    @cached_property
+    def prior(self) -> FloatArray:
+        """(6 + N,) precisions."""
+        return np.append(np.zeros(POSE), np.full(self.model.components, 2 * PRIOR_WEIGHT))
+
+    def numbers(self, state: GeometryState) -> FloatArray:
+        """Return zeros for the pose, and the coefficients (6 + N,)."""
+        return np.append(np.zeros(POSE), state.coefficients)
+
+    def value(self, state: GeometryState) -> float:
+        """Return the sum of the terms."""
+        return sum((term.value(state.vertices) for term in self.terms), start=0.0)
+
+    def local_terms(self, state: GeometryState) -> Iterator[LocalTerm]:
+        """Yield the terms by turn, shift and the coefficients that move."""
+        count = 0 if self.rigid else self.model.components
+        basis = self.model.basis[:count].reshape(count, state.vertices.size).T
+        turn = -cross_matrices(state.vertices - state.vertices.mean(0))
+        shift = np.broadcast_to(np.eye(3), turn.shape)
+        pose_motion = np.concatenate([turn, shift], axis=2).reshape(-1, POSE)
+        rotation = state.scene_from_model[:3, :3]
+        for term in self.terms:
+            local = term.linearized(state.vertices)
+            by = local.jacobian
+            by_shape = sparse.bsr_matrix((by.data @ rotation, by.indices, by.indptr), shape=by.shape)
+            jacobian = np.concatenate([by @ pose_motion, by_shape @ basis], axis=1)
+            yield LocalTerm(jacobian, local.slope, local.curvature)
+
+    def moved(self, state: GeometryState, step: FloatArray) -> GeometryState:
+        """Return the state after a turn, a shift and a change of coefficients (P,)."""
+        middle = state.vertices.mean(0)
+        # A turn of more than a radian in one step is a runaway.
+        turn = step[:3] / max(1.0, float(np.linalg.norm(step[:3])))
+        pivot, away = compose(np.eye(3), middle), compose(np.eye(3), -middle)
+        motion = compose(rotation_from_vector(turn), np.zeros(3))
+        pose = compose(np.eye(3), step[3:POSE]) @ pivot @ motion @ away @ state.scene_from_model
+        coefficients = state.coefficients.copy()
+        coefficients[: len(step) - POSE] += step[POSE:]
+        return GeometryState.from_pose(self.model, pose, coefficients)

@@ -3,32 +3,37 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.optimization import Descent, NormalEquations, minimize
-from scan2albedo.reflectance.image_observation import ImageObservation
-from scan2albedo.reflectance.image_terms import (
-    ImageFitOptions,
-    ImageTerms,
-    PerceptualDistance,
-    PerceptualTerm,
-    PerceptualValue,
-    Prediction,
-    secant_curvature,
-)
+from scan2albedo.reflectance.environment_shading import LightResponse
 from scan2albedo.reflectance.lighting_model import LightingModel
+from scan2albedo.reflectance.map_fit import LocalTerm, MapPoint, most_probable
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
+from scan2albedo.reflectance.photograph import ImageObservation
 
-_STEPS = 200
-"""Most steps; 10 to 20 are usual."""
-_TOLERANCE, _FLAT_STEPS = 1e-5, 3
-"""Converged when the objective falls by less than this part, so many steps running."""
+PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
+"""From predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value and its
+gradient (V, 3) by the predicted ones; gradients at vertices that are not used are ignored."""
+
+PHOTOMETRIC_WEIGHT = 2.0
+"""Of the mean absolute difference, in units of the image's median colour."""
+SOFTNESS = 0.01
+"""Differences below this share of the median colour count by their squares (Charbonnier's epsilon)."""
+PRIOR_WEIGHT = {True: 3e-4, False: 1e-3}
+"""Of the squared coefficients, with the face's own shadows and without: those must not pass for skin."""
+MOST_UNEXPLAINED = 0.25
+"""Where a fit's relative RMSE is larger, light, shape or reflectance are wrong."""
+_PERCEPTUAL_WEIGHT = 0.1
+_STEPS, _TOLERANCE = 200, 1e-5
+"""Most steps, of which 10 to 20 are usual, and the part of the objective that is no progress."""
 _LARGEST_LOG_SCALE_STEP = 5.0
 """A scale that grows by e^5 in a step is a runaway, and would overflow in the exponential."""
 
@@ -65,7 +70,6 @@ def fit_image(
     lighting: LightingModel | None = None,
     *,
     perceptual: PerceptualDistance | None = None,
-    options: ImageFitOptions = ImageFitOptions(),
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> ImageFit:
@@ -73,11 +77,17 @@ def fit_image(
 
     Minimises, with r the differences over the image's median colour and n their number,
 
-        E = W / n sum (sqrt(r^2 + eps^2) - eps) + w (|b|^2 + |g|^2) + w_p P
+        E = 2 / n sum (sqrt(r^2 + eps^2) - eps) + w (|b|^2 + |g|^2) + P / 10,   eps = 0.01,
 
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
-    re-weighted squares. P is a function of the caller's. The penalty of Han, Wang and Xu on coloured light is
-    left out: at their weight the albedo's error rose from 0.067 to 0.135, under grey light to 0.070.
+    re-weighted squares; w is 3e-4 where the observation has a transfer and 1e-3 without. P is a function of
+    the caller's. The penalty of Han, Wang and Xu on coloured light is left out: at their weight the albedo's
+    error rose from 0.067 to 0.135, under grey light to 0.070.
+
+    Raises `ReflectanceError` when no vertex is both seen and known, the topologies differ, or `perceptual`
+    returns something else than finite numbers of the right shape.
+
+    Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------
@@ -90,22 +100,10 @@ def fit_image(
     perceptual : callable, optional
         P: from predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value
         and its gradient (V, 3) by the predicted ones; its rows for vertices not used do not count.
-    options : ImageFitOptions
     budget : Budget or float, optional
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-
-    Raises
-    ------
-    ReflectanceError
-        When no vertex is both seen and known, the topologies differ, or `perceptual` returns something else
-        than finite numbers of the right shape.
-
-    Warns
-    -----
-    RuntimeWarning
-        When it stops without having converged.
 
     Notes
     -----
@@ -120,19 +118,24 @@ def fit_image(
     Cost of a step: 3 U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a
     second of CPU in all.
     """
-    terms = _image_terms(observation, model, lighting, options)
+    seen = np.asarray(observation.seen)
+    if len(seen) != len(model.known):
+        raise ReflectanceError(
+            f"the observation has {len(seen)} vertices and the model {len(model.known)}; bring both to one "
+            "topology"
+        )
+    if not (seen & model.known).any():
+        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
+    lighting = LightingModel.default() if lighting is None else lighting
+    terms = ImageTerms.from_observation(observation, model, lighting, perceptual)
     meter = Meter("reflectance.image", "objective", Budget.of(budget), on_progress)
-    term = None
-    if perceptual is not None:
-        term = PerceptualTerm(perceptual, terms.used, terms.observed, len(model.known))
-    found = minimize(
-        _start(_Objective(terms, options, observation.transfer is not None, term, meter)),
-        steps=_STEPS,
-        tolerance=_TOLERANCE,
-        flat_steps=_FLAT_STEPS,
-        meter=meter,
-        on_better=lambda point: meter.record(point.cost),
-    )
+    # The mean face in mean light, as bright as the image.
+    start = np.zeros(len(terms.prior))
+    color = np.median(terms.predict(start).color, axis=0)
+    observed = np.maximum(np.median(terms.observed, axis=0), 1e-4 * terms.unit)
+    start[-3:] = np.log(observed / np.maximum(color, 1e-4 * max(float(color.max()), 1e-12)))
+    first = MapPoint.evaluate(terms, terms.predict(start), meter)
+    found = most_probable(first, steps=_STEPS, tolerance=_TOLERANCE)
     if not found.converged:
         warnings.warn(
             f"the image fit stopped after {found.steps} steps without having converged; the "
@@ -140,138 +143,197 @@ def fit_image(
             RuntimeWarning,
             stacklevel=2,
         )
-    return _result(found, terms, model, meter.trace)
-
-
-def _image_terms(
-    observation: ImageObservation,
-    model: MorphableReflectanceModel,
-    lighting: LightingModel | None,
-    options: ImageFitOptions,
-) -> ImageTerms:
-    """Return what the colours of the vertices are made of; `ReflectanceError` where there is none to fit."""
-    if len(np.asarray(observation.seen)) != len(model.known):
-        raise ReflectanceError(
-            f"the observation has {len(np.asarray(observation.seen))} vertices and the model "
-            f"{len(model.known)}; bring both to one topology"
-        )
-    lighting = LightingModel.default() if lighting is None else lighting
-    terms = ImageTerms.of(observation, model, lighting, options.lobe)
-    if len(terms.used) == 0:
-        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
-    return terms
-
-
-def _result(
-    found: Descent[_Point], terms: ImageTerms, model: MorphableReflectanceModel, trace: Trace
-) -> ImageFit:
-    prediction, used = found.best.prediction, terms.used
-    b, g, t = terms.split(found.best.parameters)
+    best, used = found.best.state, terms.used
+    b, g, t = terms.split(best.parameters)
     face = model.reconstruct(b)
-    specular = np.einsum("vk,vkj->vj", face.reflectance.weights[used], prediction.lobe_light)
-    radiance = np.full(model.diffuse_mean.shape, np.nan)
-    radiance[used] = face.reflectance.diffuse_linear[used] * prediction.diffuse_light + specular
+    specular = np.einsum("vk,vkj->vj", face.reflectance.weights[used], best.lobe_light)
+    radiance = np.full(model.diffuse.mean.shape, np.nan)
+    radiance[used] = face.reflectance.diffuse_linear[used] * best.diffuse_light + specular
     off = np.linalg.norm(radiance[used] - terms.observed) / np.linalg.norm(terms.observed)
     return ImageFit(
         face=face,
         light_coefficients=g.copy(),
         scale_rgb=np.exp(t),
-        light=prediction.light,
+        light=best.light,
         radiance_linear=radiance,
         relative_rmse=float(off),
         objective=found.best.cost,
         converged=found.converged,
         iterations=found.steps,
-        trace=trace,
+        trace=meter.trace,
     )
 
 
 @dataclass(frozen=True)
-class _Objective:
-    """E of `fit_image`."""
+class Prediction:
+    """Colours (U, 3) of the vertices used at parameters p = (b, g, t), and their parts."""
 
-    terms: ImageTerms
-    options: ImageFitOptions
-    shadows_modelled: bool
-    perceptual: PerceptualTerm | None
-    meter: Meter
+    parameters: FloatArray
+    color: FloatArray
+    diffuse: FloatArray
+    """(U, 3) c."""
+    total: FloatArray
+    """(U,) s."""
+    share: FloatArray
+    """(U, 3) w'."""
+    light: FloatArray
+    """(81, 3)."""
+    diffuse_light: FloatArray
+    """(U, 3) radiance of a white diffuse surface."""
+    lobe_light: FloatArray
+    """(U, 3, 3) radiance of each lobe of weight 1, by lobe and channel."""
+    distance: float = 0.0
+    gradient: FloatArray | None = None
+    """`distance`, `gradient`: of the caller's function, and (U, 3) by the colours; None without one."""
+    curvature: float = 0.0
+    """Second derivative of the distance, taken as the same along every colour."""
+
+
+@dataclass(frozen=True)
+class ImageTerms:
+    """One image's vertices U that are seen and known to the model; the objective of `fit_image`.
+
+    The parameters are p = (b, g, t): N coefficients of reflectance, those of light, and the logarithms of
+    scale_rgb, with
+
+        I_vj = c_v(b)_j D_v . L_j + sum_k s_v(b) w'_vk(b) S_vk . L_j,
+        L_j = exp(t_j) (mean + sum g_i basis_i)_j.
+    """
+
+    used: IntArray
+    observed: FloatArray
+    response: LightResponse
+    mean: tuple[FloatArray, ...]
+    """Of c, s and w' at the vertices used."""
+    basis: tuple[FloatArray, ...]
+    """The same, directions last: (U, 3, N), (U, N), (U, 3, N)."""
+    lighting: LightingModel
+    prior: FloatArray
+    """(P,) second derivatives of the prior; log scale_rgb has none."""
+    perceptual: PerceptualDistance | None
+    count: int
+    """V."""
+
+    @classmethod
+    def from_observation(
+        cls,
+        observation: ImageObservation,
+        model: MorphableReflectanceModel,
+        lighting: LightingModel,
+        perceptual: PerceptualDistance | None = None,
+    ) -> ImageTerms:
+        """Gather the inputs of an image's terms."""
+        used = np.flatnonzero(np.asarray(observation.seen) & model.known)
+        parts = model.diffuse, model.total, model.share
+        weight = 2 * PRIOR_WEIGHT[observation.transfer is not None]
+        return cls(
+            used,
+            np.asarray(observation.observed_linear)[used],
+            observation.response(used),
+            tuple(part.mean[used] for part in parts),
+            tuple(np.ascontiguousarray(np.moveaxis(part.basis[:, used], 0, -1)) for part in parts),
+            lighting,
+            np.append(np.full(model.components + lighting.components, weight), np.zeros(3)),
+            perceptual,
+            len(model.known),
+        )
 
     @cached_property
     def unit(self) -> float:
         """Median over vertices of the colour, which specks do not move; the mean where that is 0."""
-        grey = np.abs(self.terms.observed).mean(1)
+        grey = np.abs(self.observed).mean(1)
         return float(np.median(grey)) or float(grey.mean())
 
-    @cached_property
-    def prior(self) -> FloatArray:
-        """(P,) second derivatives of the prior; log scale_rgb has none."""
-        components = self.terms.basis[1].shape[1] + self.terms.lighting.components
-        weight = self.options.prior_weight_of(shadows_modelled=self.shadows_modelled)
-        return np.concatenate([np.full(components, 2 * weight), np.zeros(3)])
+    def split(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return b, g and t of parameters."""
+        first = self.basis[1].shape[1]
+        return parameters[:first], parameters[first:-3], parameters[-3:]
 
-    def at(self, parameters: FloatArray, before: _Point | None = None) -> _Point:
-        """Evaluate the objective at parameters (P,) after a step from `before`."""
-        self.meter.count()
-        prediction = self.terms.predict(parameters)
-        options, soft = self.options, self.options.softness
-        off = (prediction.color - self.terms.observed) / self.unit
-        cost = options.photometric_weight * float(np.mean(np.hypot(off, soft) - soft))
-        cost += 0.5 * float(self.prior @ parameters**2)
-        value, curvature = None, 0.0
-        if self.perceptual is not None:
-            value = self.perceptual.at(prediction.color)
-            cost += options.perceptual_weight * value.value
-            curvature = value.first_curvature
-            if before is not None and before.perceptual is not None:
-                step = prediction.color - before.prediction.color
-                curvature = secant_curvature(before.perceptual, value, step)
-        return _Point(self, parameters, prediction, value, curvature, cost)
+    def predict(self, parameters: FloatArray, before: Prediction | None = None) -> Prediction:
+        """Return the colours of parameters (P,), reached by a step from `before`."""
+        b, g, t = self.split(parameters)
+        diffuse, total, share = (mean + basis @ b for mean, basis in zip(self.mean, self.basis, strict=True))
+        light = self.lighting.light(g, scale_rgb=np.exp(t))
+        diffuse_light = self.response.diffuse @ light
+        lobe_light = self.response.specular @ light
+        color = diffuse * diffuse_light + total[:, None] * np.einsum("vk,vkj->vj", share, lobe_light)
+        parts = parameters, color, diffuse, total, share, light, diffuse_light, lobe_light
+        if self.perceptual is None:
+            return Prediction(*parts)
+        distance, gradient = self._distance(color)
+        if before is not None and before.gradient is not None:
+            step = color - before.color
+            length, bend = float(np.sum(step**2)), float(np.sum((gradient - before.gradient) * step))
+            curvature = max(bend / length, 0.0) if length > 0 else 0.0
+        else:
+            curvature = float(np.sum(gradient**2)) / (2 * abs(distance)) if distance else 0.0
+        return Prediction(*parts, distance, gradient, curvature)
 
+    def numbers(self, state: Prediction) -> FloatArray:
+        """Return the parameters (P,)."""
+        return state.parameters
 
-@dataclass(frozen=True)
-class _Point:
-    """The objective at parameters p = (b, g, t)."""
+    def moved(self, state: Prediction, step: FloatArray) -> Prediction:
+        """Return the prediction a step (P,) on."""
+        limited = np.clip(step[-3:], -_LARGEST_LOG_SCALE_STEP, _LARGEST_LOG_SCALE_STEP)
+        return self.predict(state.parameters + np.append(step[:-3], limited), state)
 
-    objective: _Objective
-    parameters: FloatArray
-    prediction: Prediction
-    perceptual: PerceptualValue | None
-    curvature: float
-    """Second derivative of the perceptual value, taken as the same along every colour."""
-    cost: float
+    def value(self, state: Prediction) -> float:
+        """Return Charbonnier's penalty of the differences, and the caller's."""
+        off = (state.color - self.observed) / self.unit
+        cost = PHOTOMETRIC_WEIGHT * float(np.mean(np.hypot(off, SOFTNESS) - SOFTNESS))
+        return cost + _PERCEPTUAL_WEIGHT * state.distance
 
-    def moved(self, step: FloatArray) -> _Point:
-        """Return the objective a step on."""
-        return self.objective.at(self.parameters + step, self)
+    def local_terms(self, state: Prediction) -> Iterator[LocalTerm]:
+        """Yield the penalties of all colours: Charbonnier's as weighted squares, the caller's by slope."""
+        jacobian = self.jacobian(state) / self.unit
+        off = ((state.color - self.observed) / self.unit).ravel()
+        curvature = PHOTOMETRIC_WEIGHT / len(off) / np.hypot(off, SOFTNESS)
+        slope = curvature * off
+        if state.gradient is not None:
+            slope += _PERCEPTUAL_WEIGHT * self.unit * state.gradient.ravel()
+            curvature = curvature + _PERCEPTUAL_WEIGHT * self.unit**2 * state.curvature
+        yield LocalTerm(jacobian.reshape(len(off), -1), slope, curvature)
 
-    def normal_equations(self) -> NormalEquations:
-        """Return the Gauss-Newton matrix and the gradient.
+    def jacobian(self, at: Prediction) -> FloatArray:
+        """Return the derivatives (U, 3, P) of the colours by the parameters."""
+        _, _, t = self.split(at.parameters)
+        by_diffuse, by_total, by_share = self.basis
+        weights = by_total[:, None] * at.share[..., None] + at.total[:, None, None] * by_share
+        by_b = by_diffuse * at.diffuse_light[..., None] + np.swapaxes(at.lobe_light, 1, 2) @ weights
+        specular = np.einsum("vk,vkh->vh", at.total[:, None] * at.share, self.response.specular)
+        by_g = np.empty((*at.color.shape, self.lighting.components))
+        by_t = np.zeros((*at.color.shape, 3))
+        for channel in range(3):
+            reflected = at.diffuse[:, channel, None] * self.response.diffuse + specular
+            by_g[:, channel] = reflected @ (np.exp(t[channel]) * self.lighting.basis[:, :, channel].T)
+            by_t[:, channel, channel] = at.color[:, channel]
+        return np.concatenate([by_b, by_g, by_t], axis=2)
 
-        Charbonnier's penalty enters as weighted squares, the perceptual value with its own gradient and the
-        same second derivative along every colour.
-        """
-        terms, options, unit = self.objective.terms, self.objective.options, self.objective.unit
-        jacobian = terms.jacobian(self.parameters, self.prediction) / unit
-        off = ((self.prediction.color - terms.observed) / unit).ravel()
-        rows = jacobian.reshape(len(off), -1)
-        weight = options.photometric_weight / len(off) / np.hypot(off, options.softness)
-        by_color = weight * off
-        if self.perceptual is not None:
-            share = options.perceptual_weight * unit
-            by_color += share * self.perceptual.gradient.ravel()
-            weight += share * unit * self.curvature
-        scaled = rows * np.sqrt(weight)[:, None]
-        prior = self.objective.prior
-        gradient = rows.T @ by_color + prior * self.parameters
-        longest = np.full(len(gradient), np.inf)
-        longest[-3:] = _LARGEST_LOG_SCALE_STEP
-        return NormalEquations(scaled.T @ scaled + np.diag(prior), gradient, -longest, longest)
-
-
-def _start(objective: _Objective) -> _Point:
-    """Evaluate the mean face in mean light, scaled so that it is as bright as the image."""
-    terms, start = objective.terms, np.zeros(len(objective.prior))
-    color = np.median(terms.predict(start).color, axis=0)
-    observed = np.maximum(np.median(terms.observed, axis=0), 1e-4 * objective.unit)
-    start[-3:] = np.log(observed / np.maximum(color, 1e-4 * max(float(color.max()), 1e-12)))
-    return objective.at(start)
+    def _distance(self, color: FloatArray) -> tuple[float, FloatArray]:
+        """Return the caller's value and gradient (U, 3) at predicted colours (U, 3), checked."""
+        assert self.perceptual is not None
+        # Arrays of their own, so that a function that writes into its arguments harms nobody.
+        predicted, observed = np.full((2, self.count, 3), np.nan)
+        predicted[self.used], observed[self.used] = color, self.observed
+        answer = self.perceptual(predicted, observed)
+        try:
+            value, gradient = float(answer[0]), np.asarray(answer[1], np.float64)
+        except (TypeError, ValueError, IndexError) as error:
+            raise ReflectanceError(
+                f"the perceptual function returned {type(answer).__name__}, expected a number and its "
+                f"gradient ({self.count}, 3) by the predicted colours"
+            ) from error
+        if gradient.shape != (self.count, 3):
+            raise ReflectanceError(
+                f"the perceptual function returned a gradient {gradient.shape}, expected ({self.count}, 3), "
+                "one row for each vertex"
+            )
+        bad = ~np.isfinite(gradient[self.used]).all(1)
+        if not np.isfinite(value) or bad.any():
+            what = f"the value {value}" if not np.isfinite(value) else f"no gradient at {bad.sum()} vertices"
+            raise ReflectanceError(
+                f"the perceptual function returned {what}; it must leave out vertices that are NaN in the "
+                "predicted colours"
+            )
+        return value, gradient[self.used]

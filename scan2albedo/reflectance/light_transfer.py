@@ -5,21 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.blocks import blocks, each_block
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.reflectance.environment_shading import LightResponse, diffuse_response, unit_vectors
-from scan2albedo.reflectance.lobe_coefficients import ORDER
-from scan2albedo.reflectance.picture_samples import checked_mesh, checked_normals
+from scan2albedo.reflectance.environment_shading import ORDER, LightResponse, diffuse_response, unit_vectors
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
-from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM
+from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM, checked_mesh, checked_normals
 
 _BLOCK = 128
-_DIRECTIONS = 64, 100_000
 
 
 def light_transfer(
@@ -43,6 +39,9 @@ def light_transfer(
 
         T = Q[V K] + (1 - h) (A - Q[K]).
 
+    Raises `ReflectanceError` when vertices are not finite, a vector is not a unit vector, or there are no
+    triangles; `ValueError` when shapes disagree, or the number of directions is out of range.
+
     Parameters
     ----------
     vertices : (V, 3) array_like of float
@@ -60,13 +59,6 @@ def light_transfer(
     -------
     LightResponse
         For `ImageObservation.transfer`, or to shade with: `transfer.shade(reflectance, light)`.
-
-    Raises
-    ------
-    ReflectanceError
-        When vertices are not finite, a vector is not a unit vector, or there are no triangles.
-    ValueError
-        When shapes disagree, or the number of directions is out of range.
 
     Notes
     -----
@@ -91,9 +83,14 @@ def light_transfer(
     0.5
     """
     xyz, index = checked_mesh(vertices, faces)
-    if not _DIRECTIONS[0] <= directions <= _DIRECTIONS[1]:
-        raise ValueError(f"directions must be {_DIRECTIONS[0]} to {_DIRECTIONS[1]}, got {directions}")
-    n, v, bare = _checked_vectors(checked_normals(xyz, index, normals), toward_camera)
+    n, v = normalized(checked_normals(xyz, index, normals)), np.asarray(toward_camera, np.float64)
+    if v.shape != n.shape:
+        raise ValueError(f"toward_camera is {v.shape}, expected {n.shape} as vertices")
+    if not 64 <= directions <= 100_000:
+        raise ValueError(f"directions must be 64 to 100000, got {directions}")
+    bare = np.asarray(~n.any(1))
+    n[bare] = (0.0, 0.0, 1.0)  # placeholders
+    v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
     toward = distant_directions(directions)
     weighted = harmonics(toward, ORDER) * (4 * np.pi / directions)
     visible = ShadowMap(RayCaster(xyz, index), xyz, n, offset_mm).table(toward).visibility
@@ -102,43 +99,21 @@ def light_transfer(
 
     def sum_up(block: slice) -> None:
         lit, cosine = visible[:, block].T > 0, n[block] @ toward.T
-        rows = block.start + np.flatnonzero((~lit & (cosine > 0)).any(1))
-        diffuse[rows] = _shadowed(
-            diffuse[rows], np.maximum(cosine, 0)[rows - block.start], lit[rows - block.start], weighted
-        )
-        for k, lobe in enumerate(_highlights(np.where(lit, cosine, 0.0), n[block], v[block], toward)):
-            specular[block, k] = lobe @ weighted
+        # Of vertices with shadow, from those without and max(0, n.w) (B, D). The first harmonic is constant,
+        # so that its coefficient gives the lit share of the lobe.
+        some = np.flatnonzero((~lit & (cosine > 0)).any(1))
+        facing = np.maximum(cosine[some], 0)
+        whole = facing @ weighted / np.pi
+        part = np.where(lit[some], facing, 0.0) @ weighted / np.pi
+        rows = block.start + some
+        diffuse[rows] = part + part[:, :1] / whole[:, :1] * (diffuse[rows] - whole)
+        n_v = np.einsum("vi,vi->v", n[block], v[block])[:, None]
+        half = np.sqrt(np.maximum(2 + 2 * (v[block] @ toward.T), 1e-12))
+        # A surface that faces away from the camera sends it no highlights.
+        n_h = np.where(lit & (cosine > 0) & (n_v > 0), (cosine + n_v) / half, 0.0)
+        for k, s in enumerate(EXPONENTS):
+            specular[block, k] = (s + 2) / (8 * np.pi) * n_h**s @ weighted
 
     each_block(sum_up, blocks(len(xyz), _BLOCK))
     diffuse[bare], specular[bare] = 0.0, 0.0
     return LightResponse(diffuse, specular)
-
-
-def _checked_vectors(
-    normals: FloatArray, toward_camera: ArrayLike
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return n and v (V, 3), and (V,) where there is no surface, whose n and v are placeholders."""
-    n, v = normalized(normals), np.asarray(toward_camera, np.float64)
-    if v.shape != n.shape:
-        raise ValueError(f"toward_camera is {v.shape}, expected {n.shape} as vertices")
-    bare = np.asarray(~n.any(1))
-    n[bare] = (0.0, 0.0, 1.0)
-    return n, unit_vectors(np.where(bare[:, None], n, v), "toward_camera"), bare
-
-
-def _highlights(lit_cosine: FloatArray, n: FloatArray, v: FloatArray, toward: FloatArray) -> list[FloatArray]:
-    """Return the lobes (B, D) at directions w, from n.w, which is 0 and less where no light comes from."""
-    n_v = np.einsum("vi,vi->v", n, v)[:, None]
-    half = np.sqrt(np.maximum(2 + 2 * (v @ toward.T), 1e-12))
-    # A surface that faces away from the camera sends it no highlights.
-    n_h = np.where((lit_cosine > 0) & (n_v > 0), (lit_cosine + n_v) / half, 0.0)
-    return [(s + 2) / (8 * np.pi) * n_h**s for s in EXPONENTS]
-
-
-def _shadowed(free: FloatArray, cosine: FloatArray, lit: BoolArray, weighted: FloatArray) -> FloatArray:
-    """Return diffuse coefficients (B, 81) with shadows, from those without and max(0, n.w) (B, D)."""
-    whole = cosine @ weighted / np.pi
-    part = np.where(lit, cosine, 0.0) @ weighted / np.pi
-    # The first harmonic is constant, so its coefficient gives the lit share of the lobe.
-    share = part[:, :1] / whole[:, :1]
-    return np.asarray(part + share * (free - whole))

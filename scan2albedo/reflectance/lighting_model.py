@@ -13,7 +13,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.harmonics import map_directions, row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
-from scan2albedo.reflectance.sample_statistics import checked_coefficients, principal_directions
+from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
 
 COMPONENTS = 80
 _WHITE = np.sqrt(4 * np.pi)
@@ -25,22 +25,14 @@ _KELVIN = {"candle": 1900.0, "tungsten": 2800.0, "neutral": 4200.0, "daylight": 
 
 
 @dataclass(frozen=True)
-class LightingModel:
+class LightingModel(LinearModel):
     """Light L = scale_rgb * (mean + sum g_i basis_i) of everyday places, with g of unit variance.
 
     Every map is divided by its mean radiance in each channel, so that scale_rgb is that mean radiance and the
-    directions describe only how light is distributed. Use it as a prior for fits, not as a source of light:
-    lamps are rare and strong, and normally distributed coefficients give places with negative light.
+    directions describe only how light is distributed: `mean` is (81, 3) coefficients of harmonics, sqrt(4 pi)
+    first, `basis` (N, 81, 3) with 0 first. Use it as a prior for fits, not as a source of light: lamps are
+    rare and strong, and normally distributed coefficients give places with negative light.
     """
-
-    mean: FloatArray
-    """(81, 3): coefficients of harmonics; sqrt(4 pi) comes first."""
-    basis: FloatArray
-    """(N, 81, 3): the first coefficient of each is 0."""
-    deviation: FloatArray
-    """(N,): standard deviation along each direction, largest first."""
-    total_variance: float
-    """Of the maps' coefficients, all directions together."""
 
     @classmethod
     def default(cls) -> LightingModel:
@@ -61,7 +53,7 @@ class LightingModel:
         if count < 2:
             raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")
         rng = np.random.default_rng(seed)
-        projection = _projection()
+        projection = np.concatenate([row_projection(row, SHAPE) for row in range(SHAPE[0])]).T
         maps = (generated_environment(rng).reshape(-1, 3) for _ in range(count))
         return cls.from_coefficients(np.stack([projection @ image for image in maps]), components=components)
 
@@ -77,12 +69,7 @@ class LightingModel:
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
         found = principal_directions(off, components, size=float(np.sum(spread**2)))
-        return cls(spread.mean(0), found.of(off), found.deviation, found.total_variance)
-
-    @property
-    def components(self) -> int:
-        """N, the number of coefficients."""
-        return len(self.deviation)
+        return cls(spread.mean(0), found.of(off))
 
     def light(self, coefficients: ArrayLike, *, scale_rgb: ArrayLike = (1.0, 1.0, 1.0)) -> FloatArray:
         """Return coefficients (81, 3) of light with mean radiance `scale_rgb` (3,).
@@ -96,9 +83,7 @@ class LightingModel:
         >>> (light[0] / np.sqrt(4 * np.pi)).round(6).tolist()
         [1.0, 2.0, 3.0]
         """
-        gamma = checked_coefficients(coefficients, self.components, "coefficients")
-        scale = checked_coefficients(scale_rgb, 3, "scale_rgb")
-        return scale * (self.mean + np.tensordot(gamma, self.basis, 1))
+        return checked_coefficients(scale_rgb, 3, "scale_rgb") * self.at(coefficients)
 
     def project(self, light: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return coefficients (N,) and scale_rgb (3,) of the model's light nearest to one (81, 3).
@@ -111,6 +96,11 @@ class LightingModel:
         return flat @ off.ravel() / self.deviation**2, target[0] / _WHITE
 
 
+@cache
+def _default() -> LightingModel:
+    return LightingModel.generate()
+
+
 def _checked_lights(lights: ArrayLike) -> FloatArray:
     samples = np.asarray(lights, np.float64)
     if samples.ndim != 3 or samples.shape[1:] != (HARMONICS, 3) or len(samples) == 0:
@@ -121,17 +111,6 @@ def _checked_lights(lights: ArrayLike) -> FloatArray:
             f"light {int(np.flatnonzero(bad)[0])} has NaN or a channel without light; leave it out"
         )
     return samples
-
-
-@cache
-def _default() -> LightingModel:
-    return LightingModel.generate()
-
-
-@cache
-def _projection() -> FloatArray:
-    """(81, H W) projection of generated maps."""
-    return np.concatenate([row_projection(row, SHAPE) for row in range(SHAPE[0])]).T
 
 
 def generated_environment(seed: int | np.random.Generator) -> FloatArray:

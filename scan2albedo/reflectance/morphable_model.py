@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,28 +14,23 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.sample_statistics import (
-    checked_coefficients,
-    mean_and_deviations,
-    principal_directions,
-    stack_samples,
-)
+from scan2albedo.reflectance.linear_model import LinearModel, principal_directions
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
 _CLIP_TOLERANCE = 1e-9
 """Negatives smaller than this are rounding and not counted."""
-_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "known": ("b", ("V",)),
-    "support": ("iu", ("V",)),
-    "diffuse_mean": ("f", ("V", 3)),
-    "diffuse_basis": ("f", ("N", "V", 3)),
-    "sum_mean": ("f", ("V",)),
-    "sum_basis": ("f", ("N", "V")),
-    "share_mean": ("f", ("V", 3)),
-    "share_basis": ("f", ("N", "V", 3)),
-    "deviation": ("f", ("N",)),
+_PEOPLE_DIFFER = 0.2
+"""Standard deviation of an albedo among people, as part of its level."""
+_LEAST_SAMPLES, _HELD_OUT = 10, 5
+"""For a choice of the number of directions; one sample of so many is then left out."""
+_COUNTS = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
+_BLOCK_MM, _AS_GOOD = 25.0, 1.01
+"""Edge of the blocks of a face that are left out; errors within this factor of the least are as good."""
+_PARTS = {"diffuse": "diffuse", "total": "sum", "share": "share"}
+"""The model's fields, and what the names of their arrays begin with in its file."""
+_KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
+    f"{part}_{array}": "f" for part in _PARTS.values() for array in ("mean", "basis")
 }
-"""Names of the arrays, in the model and in its file, with their kinds and shapes."""
 
 
 class ReflectanceModelHeader(BaseModel):
@@ -64,15 +59,8 @@ class ModelReflectance:
     """Of the vertices that the model knows."""
     coefficients: FloatArray
     """(N,)."""
-    clipped_diffuse: int
-    """Numbers of the albedo (three a vertex) that were negative and became 0."""
-    clipped_weights: int
-    """Numbers of the weights (three a vertex) of which s or w' was negative; they became 0."""
-
-    @property
-    def clipped_share(self) -> float:
-        """Clipped numbers over all numbers of known vertices."""
-        return (self.clipped_diffuse + self.clipped_weights) / max(6 * int(self.reflectance.known.sum()), 1)
+    clipped_share: float
+    """Of the numbers of known vertices (six each) that were negative and became 0."""
 
 
 @dataclass(frozen=True)
@@ -111,31 +99,29 @@ class MorphableReflectanceModel:
     """(V,): vertices the model knows; arrays hold zeros elsewhere."""
     support: IntArray
     """(V,): samples that know each vertex."""
-    diffuse_mean: FloatArray
-    diffuse_basis: FloatArray
-    """`diffuse_mean`, `diffuse_basis`: (V, 3), (N, V, 3)."""
-    sum_mean: FloatArray
-    sum_basis: FloatArray
-    """`sum_mean`, `sum_basis`: (V,), (N, V)."""
-    share_mean: FloatArray
-    share_basis: FloatArray
-    """`share_mean`, `share_basis`: (V, 3), (N, V, 3): the shares sum to 1 and their directions to 0."""
-    deviation: FloatArray
-    """(N,): standard deviation of the samples' albedo along each direction; largest first."""
+    diffuse: LinearModel
+    """Of c, (V, 3)."""
+    total: LinearModel
+    """Of s, (V,)."""
+    share: LinearModel
+    """Of w', (V, 3): the shares sum to 1 and their directions to 0."""
     total_variance: float
     """Of the samples' albedo, all directions and vertices together."""
     samples: int
     """K."""
 
     def __post_init__(self) -> None:
-        sizes: dict[str | int, int] = {"V": len(self.known), "N": len(self.deviation)}
-        for name, (_, axes) in _ARRAYS.items():
-            shape = tuple(sizes.get(axis, axis) for axis in axes)
-            array = getattr(self, name)
-            if array.shape != shape:
-                raise ReflectanceError(f"reflectance model: {name} is {array.shape}, expected {shape}")
-            if not np.isfinite(array).all():
-                raise ReflectanceError(f"reflectance model: {name} holds NaN or infinite values")
+        count = len(self.known)
+        if self.support.shape != (count,):
+            raise ReflectanceError(f"reflectance model: support is {self.support.shape}, expected ({count},)")
+        for part, name in _PARTS.items():
+            one: LinearModel = getattr(self, part)
+            one.check(f"reflectance model: {name}", (count,) if part == "total" else (count, 3))
+            if one.components != self.components:
+                raise ReflectanceError(
+                    f"reflectance model: {name} basis has {one.components} directions, expected "
+                    f"{self.components} as diffuse basis"
+                )
 
     @classmethod
     def from_samples(
@@ -148,8 +134,8 @@ class MorphableReflectanceModel:
     ) -> MorphableReflectanceModel:
         """Learn a model from K reflectances of one topology.
 
-        The deviations X (K x 3V) of the albedo from its mean have the Gram matrix X X^T = U diag(e) U^T;
-        direction i is X^T u_i / sqrt(K - 1), and the deviations of s and w' use the same u_i.
+        The directions are those of the albedo's deviations from its mean (`principal_directions`); the
+        deviations of s and w' are summed with the same weights.
 
         Raises `ReflectanceError` when there is no sample, topologies differ, or no vertex has the support;
         `ValueError` for options out of range.
@@ -178,29 +164,45 @@ class MorphableReflectanceModel:
             raise ValueError(f"components must be 0 or more, got {components}")
         if not 0 < least_support <= 1:
             raise ValueError(f"least_support must be above 0 and at most 1, got {least_support}")
-        stack = stack_samples(samples)
-        support = stack.known.sum(0)
+        if not samples:
+            raise ReflectanceError("there is no sample to learn from; give one or more")
+        sizes = [len(sample.known) for sample in samples]
+        if len(set(sizes)) > 1:
+            odd = next(k for k, size in enumerate(sizes) if size != sizes[0])
+            raise ReflectanceError(
+                f"sample {odd} has {sizes[odd]} vertices and sample 0 has {sizes[0]}; bring all to one "
+                "topology"
+            )
+        there = np.stack([sample.known for sample in samples])
+        support = there.sum(0)
         known = support >= np.ceil(least_support * len(samples) - 1e-9)
         if not known.any():
             raise ReflectanceError(
                 f"no vertex is known to {100 * least_support:.0f} % of the {len(samples)} samples; give more "
                 "complete ones or a smaller least_support"
             )
-        trust = (stack.known & known) * _checked_weights(weights, stack.known.shape)
-        diffuse, diffuse_off = mean_and_deviations(stack.diffuse, trust, 0.0)
-        total, total_off = mean_and_deviations(stack.total, trust, 0.0)
-        share, share_off = mean_and_deviations(stack.share, trust * stack.shared, 1 / 3)
-        directions = principal_directions(diffuse_off, components, size=float(np.sum(diffuse**2)))
+        trust = (there & known).astype(np.float64)
+        if weights is not None:
+            given = np.asarray([np.asarray(one, np.float64) for one in weights])
+            if given.shape != there.shape or not ((given >= 0) & (given <= 1)).all():
+                raise ValueError(
+                    f"weights must be numbers from 0 to 1 of shape {there.shape}, got {given.shape}"
+                )
+            trust *= given
+        diffuse = np.where(there[..., None], np.stack([one.diffuse_linear for one in samples]), 0.0)
+        lobes = np.where(there[..., None], np.stack([one.weights for one in samples]), 0.0)
+        total = lobes.sum(2)
+        share = np.divide(lobes, total[..., None], out=np.zeros_like(lobes), where=total[..., None] > 0)
+        mean, off = _mean_and_deviations(diffuse, trust, 0.0)
+        directions = principal_directions(off, components, size=float(np.sum(mean**2)))
+        sum_mean, sum_off = _mean_and_deviations(total, trust, 0.0)
+        share_mean, share_off = _mean_and_deviations(share, trust * (there & (total > 0)), 1 / 3)
         return cls(
             known,
             support.astype(np.int64),
-            diffuse,
-            directions.of(diffuse_off),
-            total,
-            directions.of(total_off),
-            np.where(known[:, None], share, 0.0),
-            directions.of(share_off),
-            directions.deviation,
+            LinearModel(mean, directions.of(off)),
+            LinearModel(sum_mean, directions.of(sum_off)),
+            LinearModel(np.where(known[:, None], share_mean, 0.0), directions.of(share_off)),
             directions.total_variance,
             len(samples),
         )
@@ -211,7 +213,7 @@ class MorphableReflectanceModel:
         header, arrays = read_npz_record(
             path,
             ReflectanceModelHeader,
-            {name: kind for name, (kind, _) in _ARRAYS.items()},
+            _KINDS,
             what="reflectance model",
             advice="give a file that its `save` wrote (data_schemas/reflectance_model.schema.json)",
             error=ReflectanceError,
@@ -223,8 +225,13 @@ class MorphableReflectanceModel:
                 f"reflectance model {path}: its header says {header.components} components of "
                 f"{header.vertices} vertices, the arrays are {found[0]} and {found[1]}; write the file again"
             )
+        diffuse, total, share = (
+            LinearModel(*(arrays[f"{name}_{array}"].astype(np.float64) for array in ("mean", "basis")))
+            for name in _PARTS.values()
+        )
+        known, support = arrays["known"], arrays["support"]
         try:
-            return cls(**arrays, total_variance=header.total_variance, samples=header.samples)
+            return cls(known, support, diffuse, total, share, header.total_variance, header.samples)
         except ReflectanceError as error:
             raise ReflectanceError(f"{path}: {error}; write the file again") from error
 
@@ -240,36 +247,46 @@ class MorphableReflectanceModel:
             components=self.components,
             total_variance=self.total_variance,
         )
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        arrays = {"known": self.known, "support": self.support, "deviation": self.deviation}
+        for part, name in _PARTS.items():
+            arrays |= {f"{name}_mean": getattr(self, part).mean, f"{name}_basis": getattr(self, part).basis}
         write_npz_record(path, header, arrays, what="reflectance model")
 
     @property
     def components(self) -> int:
         """N, the number of coefficients."""
-        return len(self.deviation)
+        return self.diffuse.components
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(N,): standard deviation of the samples' albedo along each direction; largest first."""
+        return self.diffuse.deviation
 
     @property
     def explained(self) -> FloatArray:
         """(N,) shares of the albedo's variance that the directions hold one by one."""
         return self.deviation**2 / max(self.total_variance, 1e-300)
 
+    def mean_only(self) -> MorphableReflectanceModel:
+        """Return the model without its directions."""
+        parts = self.diffuse, self.total, self.share
+        diffuse, total, share = (LinearModel(part.mean, part.basis[:0]) for part in parts)
+        return replace(self, diffuse=diffuse, total=total, share=share)
+
     def reconstruct(self, coefficients: ArrayLike) -> ModelReflectance:
         """Return the reflectance of coefficients (N,), negatives set to 0 and counted.
 
         Raises `ValueError` when there are not N, `ReflectanceError` when one is not finite.
         """
-        b = checked_coefficients(coefficients, self.components, "coefficients")
-        diffuse = self.diffuse_mean + np.tensordot(b, self.diffuse_basis, 1)
-        total = self.sum_mean + np.tensordot(b, self.sum_basis, 1)
-        share = self.share_mean + np.tensordot(b, self.share_basis, 1)
-        negative = (total[:, None] < -_CLIP_TOLERANCE) | (share < -_CLIP_TOLERANCE)
+        diffuse, total, share = (part.at(coefficients) for part in (self.diffuse, self.total, self.share))
+        total = total[:, None]
+        negative = (diffuse < -_CLIP_TOLERANCE).astype(int)
+        negative += (total < -_CLIP_TOLERANCE) | (share < -_CLIP_TOLERANCE)
+        weights = np.maximum(total, 0) * np.maximum(share, 0)
         return ModelReflectance(
-            VertexReflectance(
-                np.maximum(diffuse, 0), np.maximum(total, 0)[:, None] * np.maximum(share, 0), self.known
-            ),
-            b,
-            int((diffuse[self.known] < -_CLIP_TOLERANCE).sum()),
-            int(negative[self.known].sum()),
+            VertexReflectance(np.maximum(diffuse, 0), weights, self.known),
+            np.array(coefficients, np.float64),
+            float(negative[self.known].sum()) / max(6 * int(self.known.sum()), 1),
         )
 
     def sample(self, seed: int | np.random.Generator = 0, *, scale: float = 1.0) -> ModelReflectance:
@@ -294,27 +311,87 @@ class MorphableReflectanceModel:
         common = self.known & reflectance.known
         if not common.any():
             raise ReflectanceError("no vertex is known to both the model and the reflectance")
-        basis = self.diffuse_basis[:, common].reshape(self.components, 3 * int(common.sum()))
-        off = (reflectance.diffuse_linear[common] - self.diffuse_mean[common]).ravel()
+        basis = self.diffuse.basis[:, common].reshape(self.components, 3 * int(common.sum()))
+        off = (reflectance.diffuse_linear[common] - self.diffuse.mean[common]).ravel()
         normal = basis @ basis.T + prior * np.eye(self.components)
         nearest = self.reconstruct(np.linalg.lstsq(normal, basis @ off, rcond=1e-12)[0])
         made = nearest.reflectance
-        return Projection(
-            nearest,
-            _rms(made.diffuse_linear[common] - reflectance.diffuse_linear[common]),
-            _rms(made.weights[common] - reflectance.weights[common]),
+        errors = (
+            made.diffuse_linear[common] - reflectance.diffuse_linear[common],
+            made.weights[common] - reflectance.weights[common],
         )
+        return Projection(nearest, *(float(np.sqrt(np.mean(error**2))) for error in errors))
 
 
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _mean_and_deviations(
+    values: FloatArray, weight: FloatArray, otherwise: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean (V, ...) of samples of `weight` (K, V), and weighted deviations (K, V, ...).
+
+    The weight is 0 at gaps; the mean is `otherwise` where no sample knows the vertex.
+    """
+    part = weight.reshape(weight.shape + (1,) * (values.ndim - 2))
+    total = part.sum(0)
+    mean = np.where(total > 0, (values * part).sum(0) / np.where(total > 0, total, 1.0), otherwise)
+    return mean, part * (values - mean)
 
 
-def _checked_weights(weights: Sequence[ArrayLike] | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return weights (K, V), ones when there are none; raises `ValueError` for others than 0 to 1."""
-    if weights is None:
-        return np.ones(shape)
-    given = np.asarray([np.asarray(one, np.float64) for one in weights])
-    if given.shape != shape or not ((given >= 0) & (given <= 1)).all():
-        raise ValueError(f"weights must be numbers from 0 to 1 of shape {shape}, got {given.shape}")
-    return given
+def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray:
+    """Return (V,) the weight of each vertex of a sample: t^2 / (t^2 + s^2), 0 where it is not known.
+
+    s is the largest of the standard deviations of its albedos, columns of `std` (V, 6), and t how much people
+    differ, a part of the sample's median albedo. Without `std` all that is known counts fully.
+    """
+    weight = sample.known.astype(np.float64)
+    if std is not None and sample.known.any():
+        differ = _PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
+        square = np.nan_to_num(std[:, :3]).max(1) ** 2
+        weight *= differ**2 / np.maximum(differ**2 + square, 1e-300)
+    return weight
+
+
+def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLike) -> int:
+    """Return the fewest directions that predict one half of people's faces from the other half well.
+
+    A model is learned from four of five samples. Of each other face, every second block of 25 mm gives the
+    most probable coefficients, with what the kept directions leave out as noise, and the albedo of the other
+    blocks is compared. The fewest directions are taken whose error (RMS) is within 1 % of the least: more of
+    them describe the samples and not people, and make every fit slower.
+
+    Raises `ReflectanceError` for fewer than 10 samples or another number of vertices.
+
+    Parameters
+    ----------
+    samples : sequence of VertexReflectance
+    vertices : (V, 3) array_like of float
+        Millimetres: of any of the faces, or their mean.
+    """
+    if len(samples) < _LEAST_SAMPLES:
+        raise ReflectanceError(
+            f"{len(samples)} samples do not show how many directions to keep; give {_LEAST_SAMPLES} or more"
+        )
+    xyz = np.asarray(vertices, np.float64)
+    tested = list(samples[_HELD_OUT - 1 :: _HELD_OUT])
+    model = MorphableReflectanceModel.from_samples(
+        [sample for k, sample in enumerate(samples) if k % _HELD_OUT != _HELD_OUT - 1]
+    )
+    if xyz.shape != (len(model.known), 3):
+        raise ReflectanceError(f"vertices is {xyz.shape}, expected ({len(model.known)}, 3)")
+    # Neighbouring cubes differ in this sum by one, so that they fall into different halves.
+    first = np.floor(xyz / _BLOCK_MM).sum(1) % 2 == 0
+    counts = [count for count in _COUNTS if count < model.components] + [model.components]
+    size, deviation, errors = 3 * int(model.known.sum()), model.deviation, np.zeros(len(counts))
+    for sample in tested:
+        both = model.known & sample.known
+        off = np.where(both[:, None], sample.diffuse_linear - model.diffuse.mean, 0.0)
+        for given in (first, ~first):
+            seen, hidden = np.flatnonzero(both & given), np.flatnonzero(both & ~given)
+            basis = model.diffuse.basis[:, seen].reshape(model.components, -1)
+            gram, towards = basis @ basis.T, basis @ off[seen].ravel()
+            for number, count in enumerate(counts):
+                left = max(model.total_variance - float(np.sum(deviation[:count] ** 2)), 0.0)
+                noise = max(left, 1e-9 * model.total_variance) / size
+                b = np.linalg.solve(gram[:count, :count] + noise * np.eye(count), towards[:count])
+                made = np.tensordot(b, model.diffuse.basis[:count, hidden], 1)
+                errors[number] += np.sum((made - off[hidden]) ** 2)
+    return counts[int(np.argmax(errors <= _AS_GOOD**2 * errors.min()))]

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.picture_samples import linear_values, picture_values
 
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]
 
@@ -95,6 +94,9 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the other two are
     not.
 
+    Raises `ValueError` when shapes disagree; `ReflectanceError` when there are no pairs, when values are
+    beyond white, or when every pair is darker with its flash.
+
     Parameters
     ----------
     flash : (J, H, W, 3) array or sequence of (H, W, 3) arrays
@@ -103,44 +105,54 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
         Likewise; one picture of the room's light serves all.
     options : OlatOptions
 
-    Raises
-    ------
-    ValueError
-        When shapes disagree.
-    ReflectanceError
-        When there are no pairs, when values are beyond white, or when every pair is darker with its flash.
-
     Examples
     --------
     >>> pair = extract_olat(np.full((1, 2, 2, 3), 0.5), np.full((2, 2, 3), 0.1))
     >>> print(pair.linear[0, 0, 0, 0].round(4), pair.sigma[0, 0, 0, 0].round(4))
     0.3722 0.0129
     """
-    rooms = _pictures(room, "room")
-    pictures = _pictures(flash, "flash")
-    shape = _shape(pictures, rooms)
+    rooms, pictures = _pictures(room, "room"), _pictures(flash, "flash")
+    shapes = {picture.shape for picture in (*pictures, *rooms)}
+    if len(rooms) not in (1, len(pictures)) or len(shapes) != 1 or len(pictures[0].shape) != 3:
+        raise ValueError(
+            f"there are {len(pictures)} flash and {len(rooms)} room pictures of shapes {sorted(shapes)}, "
+            "expected (H, W, 3) all, and as many of each or one of the room"
+        )
+    height, width, channels = pictures[0].shape
+    if channels != 3 or 0 in (height, width):
+        raise ValueError(f"pictures are {pictures[0].shape}, expected (H, W, 3)")
+    # How many pairs have a picture of the room equal to each pair's own, itself among them.
+    digests = [hashlib.blake2b(one.tobytes()).digest() for one in rooms]
+    count = Counter(digests)
+    sharing = [count[one] for one in digests] if len(rooms) > 1 else [len(pictures)] * len(pictures)
+    shape = (len(pictures), height, width, 3)
     linear, sigma = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     saturated, valid = np.zeros(shape, bool), np.zeros(shape, bool)
     diagnostics: list[CaptureDiagnostic] = []
-    sharing = _sharing(rooms, shape[0])
-    for j in range(shape[0]):
+    for j in range(len(pictures)):
         lit = picture_values(pictures[j], f"flash picture {j}", options.saturation)
         ambient = picture_values(rooms[j % len(rooms)], f"room picture {j}", options.saturation)
         finite = np.isfinite(lit) & np.isfinite(ambient)
         lit, ambient = np.where(finite, lit, 0.0), np.where(finite, ambient, 0.0)
         difference = linear_values(lit, options.gamma) - linear_values(ambient, options.gamma)
-        noise, noise_of_room = _variance(lit, options), _variance(ambient, options)
-        deviation = np.sqrt(noise + noise_of_room)
+        slopes = (
+            options.gamma * np.maximum(np.abs(one), options.noise) ** (options.gamma - 1)
+            for one in (lit, ambient)
+        )
+        noise, noise_of_room = ((options.noise * slope) ** 2 for slope in slopes)
         saturated[j] = finite & ((lit >= options.saturation) | (ambient >= options.saturation))
         usable = (finite & ~saturated[j]).all(-1)
-        changed = (np.abs(difference) > _SIGMAS * deviation).all(-1) & usable
+        changed = (np.abs(difference) > _SIGMAS * np.sqrt(noise + noise_of_room)).all(-1) & usable
         darker, brighter = changed & (difference < 0).all(-1), changed & (difference > 0).all(-1)
-        found = _diagnostics(j, finite, saturated[j])
-        found += _room_diagnostics(j, usable.sum(), darker.sum(), brighter.sum())
+        found = _diagnostics(
+            j, finite, saturated[j], int(usable.sum()), int(darker.sum()), int(brighter.sum())
+        )
         diagnostics += found
         valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
         linear[j], sigma[j] = np.where(valid[j], difference, 0.0), np.sqrt(noise + sharing[j] * noise_of_room)
-    _check_some_pair_usable(diagnostics, shape[0])
+    left_out = [one for one in diagnostics if one.left_out]
+    if len({one.pair for one in left_out}) == len(pictures):
+        raise ReflectanceError(f"no pair of pictures can be used; {left_out[0].message}")
     return OlatImages(linear, sigma, valid, saturated, tuple(diagnostics))
 
 
@@ -152,34 +164,9 @@ def _pictures(given: Pictures, name: str) -> list[NDArray[Any]]:
     return [np.asarray(picture) for picture in pictures]
 
 
-def _sharing(rooms: list[NDArray[Any]], pairs: int) -> list[int]:
-    """Return for each pair how many have a picture of the room equal to its own, itself among them."""
-    if len(rooms) == 1:
-        return [pairs] * pairs
-    digests = [hashlib.blake2b(room.tobytes()).digest() for room in rooms]
-    count = Counter(digests)
-    return [count[digest] for digest in digests]
-
-
-def _shape(flash: list[NDArray[Any]], room: list[NDArray[Any]]) -> tuple[int, int, int, int]:
-    shapes = {picture.shape for picture in (*flash, *room)}
-    if len(room) not in (1, len(flash)) or len(shapes) != 1 or len(flash[0].shape) != 3:
-        raise ValueError(
-            f"there are {len(flash)} flash and {len(room)} room pictures of shapes {sorted(shapes)}, "
-            "expected (H, W, 3) all, and as many of each or one of the room"
-        )
-    height, width, channels = flash[0].shape
-    if channels != 3 or 0 in (height, width):
-        raise ValueError(f"pictures are {flash[0].shape}, expected (H, W, 3)")
-    return len(flash), height, width, channels
-
-
-def _variance(values: FloatArray, options: OlatOptions) -> FloatArray:
-    slope = options.gamma * np.maximum(np.abs(values), options.noise) ** (options.gamma - 1)
-    return (options.noise * slope) ** 2
-
-
-def _diagnostics(pair: int, finite: BoolArray, saturated: BoolArray) -> list[CaptureDiagnostic]:
+def _diagnostics(
+    pair: int, finite: BoolArray, saturated: BoolArray, usable: int, darker: int, brighter: int
+) -> list[CaptureDiagnostic]:
     found = []
     missing, clipped = 1 - float(finite.all(-1).mean()), float(saturated.any(-1).mean())
     if missing > 0:
@@ -188,24 +175,41 @@ def _diagnostics(pair: int, finite: BoolArray, saturated: BoolArray) -> list[Cap
     if clipped > 0:
         text = f"pair {pair}: {100 * clipped:.3g} % of the pixels are saturated and their channels left out"
         found.append(CaptureDiagnostic("saturated", pair, clipped, False, text))
+    part, swapped = darker / max(usable, 1), darker > brighter
+    if part > _BRIGHTER_ROOM_PART:
+        advice = (
+            "left out, were the pictures exchanged?"
+            if swapped
+            else "did head or exposure change between them?"
+        )
+        text = (
+            f"pair {pair}: {100 * part:.3g} % of the pixels are brighter in the room's light than "
+            f"with the flash: {advice}"
+        )
+        found.append(CaptureDiagnostic("room_brighter_than_flash", pair, part, swapped, text))
     return found
 
 
-def _room_diagnostics(pair: int, usable: int, darker: int, brighter: int) -> list[CaptureDiagnostic]:
-    part, swapped = float(darker / max(usable, 1)), bool(darker > brighter)
-    if part <= _BRIGHTER_ROOM_PART:
-        return []
-    advice = (
-        "left out, were the pictures exchanged?" if swapped else "did head or exposure change between them?"
-    )
-    text = (
-        f"pair {pair}: {100 * part:.3g} % of the pixels are brighter in the room's light than "
-        f"with the flash: {advice}"
-    )
-    return [CaptureDiagnostic("room_brighter_than_flash", pair, part, swapped, text)]
+def picture_values(picture: NDArray[Any], name: str, saturation: float) -> FloatArray:
+    """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits.
+
+    Raises `ReflectanceError` for another dtype, or when floats reach twice the saturation.
+    """
+    array = np.asarray(picture)
+    if array.dtype in (np.uint8, np.uint16):
+        return np.asarray(array / float(np.iinfo(array.dtype).max))
+    if not np.issubdtype(array.dtype, np.floating):
+        raise ReflectanceError(f"{name} is {array.dtype}, expected floats with white = 1, uint8 or uint16")
+    values = array.astype(np.float64)
+    largest = float(np.max(values, where=np.isfinite(values), initial=0.0))
+    if largest > 2 * saturation:
+        raise ReflectanceError(
+            f"{name} reaches {largest:.4g}, expected values with white = 1: divide by the largest value the "
+            "camera can give, or set `saturation` in the options for pictures beyond white"
+        )
+    return values
 
 
-def _check_some_pair_usable(diagnostics: list[CaptureDiagnostic], count: int) -> None:
-    left_out = [one for one in diagnostics if one.left_out]
-    if len({one.pair for one in left_out}) == count:
-        raise ReflectanceError(f"no pair of pictures can be used; {left_out[0].message}")
+def linear_values(values: FloatArray, gamma: float) -> FloatArray:
+    """Return values^gamma, odd, so that noise around 0 keeps its mean."""
+    return np.copysign(np.abs(values) ** gamma, values)

@@ -1,4 +1,4 @@
-"""A photograph of a face whose geometry and camera are known, as an `ImageObservation`."""
+"""`ImageObservation`: colours of one image at the vertices of a face; and how to get it from a photograph."""
 
 from __future__ import annotations
 
@@ -13,45 +13,91 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
-from scan2albedo.reflectance.image_observation import ImageObservation
+from scan2albedo.reflectance.environment_shading import HARMONICS, LightResponse, light_response, unit_vectors
 from scan2albedo.reflectance.light_transfer import light_transfer
-from scan2albedo.reflectance.picture_samples import (
+from scan2albedo.reflectance.olat import linear_values, picture_values
+from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
+from scan2albedo.reflectance.vertex_visibility import (
+    VertexVisibility,
     bilinear_samples,
     checked_mesh,
     checked_normals,
-    linear_values,
-    picture_values,
 )
-from scan2albedo.reflectance.vertex_visibility import VertexVisibility
-
-_VIEW_COSINE = 0.1
-"""n.v must be above this."""
 
 
 @dataclass(frozen=True)
-class PhotographOptions:
-    """How displayed values become light, and when a vertex counts as seen.
+class ImageObservation:
+    """Radiance of V vertices in one image, with their normals and the directions to the camera.
 
-    Raises `ValueError` when a value is outside its range.
+    Raises `ReflectanceError` when a seen vertex has no finite colour or no unit vectors, nothing is seen, it
+    is black there, or its transfer is not finite or lets no light come; `ValueError` when shapes disagree.
     """
 
-    gamma: float = 1.2
-    """Light is value^gamma; 1 for pictures that are linear already."""
-    saturation: float = 0.98
-    """Values from here on are clipped, or may be; inf for pictures that cannot clip."""
-    margin_px: float = 1.5
-    """Distance in the picture from edges of the surface; 0 asks for none."""
-    shadow_directions: int = 1024
-    """Directions of `light_transfer`; 0 leaves shadows out."""
+    observed_linear: ArrayLike
+    """(V, 3): linear colour at each vertex, of any exposure; unused where not seen."""
+    normals: ArrayLike
+    toward_camera: ArrayLike
+    """`normals`, `toward_camera`: (V, 3): unit vectors in one frame, the one that light is wanted in; unused
+    where not seen."""
+    seen: ArrayLike
+    """(V,): vertices that count: not occluded, skin, not saturated."""
+    transfer: LightResponse | None = None
+    """Of the V vertices with the shadows that the surface casts on itself, from `light_transfer`; none are
+    cast when omitted. Unused where not seen."""
 
     def __post_init__(self) -> None:
-        if not 0 < self.gamma < math.inf:
-            raise ValueError(f"gamma is {self.gamma}, expected > 0 and finite")
-        if not self.saturation > 0:
-            raise ValueError(f"saturation is {self.saturation}, expected > 0")
-        for name in ("margin_px", "shadow_directions"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected 0 or more")
+        seen = np.asarray(self.seen)
+        if seen.dtype != np.bool_ or seen.ndim != 1:
+            raise ValueError(f"seen must be bool (V,), got {seen.dtype} {seen.shape}")
+        for name in ("observed_linear", "normals", "toward_camera"):
+            array = np.asarray(getattr(self, name), np.float64)
+            if array.shape != (len(seen), 3):
+                raise ValueError(f"{name} must have shape ({len(seen)}, 3), got {array.shape}")
+            bad = seen & ~np.isfinite(array).all(1)
+            if bad.any():
+                raise ReflectanceError(
+                    f"{name} of vertex {int(np.flatnonzero(bad)[0])} holds NaN or infinite values "
+                    f"({bad.sum()} vertices); take such vertices out of `seen`"
+                )
+            object.__setattr__(self, name, array)
+        for name in ("normals", "toward_camera"):
+            unit_vectors(np.where(seen[:, None], np.asarray(getattr(self, name)), (0.0, 0.0, 1.0)), name)
+        object.__setattr__(self, "seen", seen)
+        if not seen.any():
+            raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")
+        brightness = float(np.asarray(self.observed_linear)[seen].mean())
+        if not brightness > 0:
+            raise ReflectanceError(
+                f"the image is black where the face is (mean {brightness:.3g}); check exposure and pose"
+            )
+        if self.transfer is None:
+            return
+        diffuse, specular = self.transfer.diffuse, self.transfer.specular
+        shapes = (len(seen), HARMONICS), (len(seen), 3, HARMONICS)
+        if (diffuse.shape, specular.shape) != shapes:
+            raise ValueError(
+                f"transfer has shapes {diffuse.shape} and {specular.shape}, expected {shapes[0]} and "
+                f"{shapes[1]}"
+            )
+        rows = np.concatenate([diffuse[seen], specular[seen].reshape(seen.sum(), -1)], axis=1)
+        bad = ~np.isfinite(rows).all(1)
+        if bad.any():
+            raise ReflectanceError(
+                f"the transfer of vertex {int(np.flatnonzero(seen)[bad][0])} holds NaN or infinite values "
+                f"({bad.sum()} vertices); take such vertices out of `seen`"
+            )
+        if not rows.any():
+            raise ReflectanceError(
+                "the transfer lets no light reach any vertex that is seen; check that normals point out of "
+                "the surface and that no other surface encloses it"
+            )
+
+    def response(self, used: ArrayLike) -> LightResponse:
+        """Return how seen vertices `used` (U,) respond to light: rows of the transfer, or without shadows."""
+        rows = np.asarray(used)
+        if self.transfer is not None:
+            return LightResponse(self.transfer.diffuse[rows], self.transfer.specular[rows])
+        return light_response(np.asarray(self.normals)[rows], np.asarray(self.toward_camera)[rows])
 
 
 def observe_photograph(
@@ -62,14 +108,19 @@ def observe_photograph(
     *,
     normals: ArrayLike | None = None,
     mask: ArrayLike | None = None,
-    options: PhotographOptions = PhotographOptions(),
+    gamma: float = 1.2,
+    saturation: float = 0.98,
 ) -> ImageObservation:
     """Look up a face's vertices in a photograph, where the camera sees them well.
 
-    A vertex counts when nothing hides it, it is not seen at too flat an angle nor near an edge in depth, and
-    the four pixels around it are skin, finite and not saturated in any channel. Their light, value^gamma, is
-    interpolated. Cost: three rays and a half a vertex and camera, and `light_transfer`: 3,700 vertices take
-    about a second.
+    A vertex counts when nothing hides it, it is not seen at too flat an angle nor within 1.5 pixels of an
+    edge in depth, and the four pixels around it are skin, finite and not saturated in any channel. Their
+    light, value^gamma, is interpolated. Cost: three rays and a half a vertex and camera, and
+    `light_transfer`: 3,700 vertices take about a second.
+
+    Raises `ReflectanceError` when no vertex counts (names the step at which the last ones were lost), the
+    image is black there, holds numbers of another type, or the camera or the mesh cannot be used;
+    `ValueError` when shapes disagree, or gamma or saturation are out of range.
 
     Parameters
     ----------
@@ -85,53 +136,44 @@ def observe_photograph(
         Unit; those of the mesh when omitted. A vertex whose normal is 0 is never seen.
     mask : (H, W) array_like of bool, optional
         True on skin; all pixels when omitted.
-    options : PhotographOptions
+    gamma : float
+        Light is value^gamma; 1 for pictures that are linear already.
+    saturation : float
+        Values from here on are clipped, or may be; inf for pictures that cannot clip.
 
     Returns
     -------
     ImageObservation
         In the frame of the mesh, with its transfer.
-
-    Raises
-    ------
-    ReflectanceError
-        When no vertex counts (names the step at which the last ones were lost), the image is black there,
-        holds numbers of another type, or the camera or the mesh cannot be used.
-    ValueError
-        When shapes disagree.
     """
+    if not 0 < gamma < math.inf or not saturation > 0:
+        raise ValueError(f"gamma is {gamma} and saturation {saturation}, expected > 0 and gamma finite")
     xyz, index = checked_mesh(vertices, faces)
     normal = normalized(checked_normals(xyz, index, normals))
-    matrix = _checked_camera(camera)
-    linear, finite, saturated = _light(image, options)
-    skin = _checked_mask(mask, linear.shape[:2])
-    center = camera_centers(matrix[None])[0]
-    toward = normalized(center - xyz)
-    visibility = VertexVisibility(xyz, index, normal)
-    seen = visibility.seen(matrix, _VIEW_COSINE, options.margin_px)
+    matrix = np.asarray(camera, np.float64)
+    if matrix.shape != (3, 4):
+        raise ValueError(f"camera is {matrix.shape}, expected (3, 4)")
+    try:
+        matrix = normalized_cameras(matrix[None])[0]
+    except ValueError as error:
+        raise ReflectanceError(f"the camera cannot be used: {error}") from error
+    if np.ndim(image) != 3 or np.shape(image)[2] != 3 or np.size(image) == 0:
+        raise ValueError(f"image is {np.shape(image)}, expected (H, W, 3)")
+    values = picture_values(np.asarray(image), "the image", saturation)
+    finite = np.asarray(np.isfinite(values).all(-1))
+    values = np.where(finite[..., None], values, 0.0)
+    skin = np.ones(finite.shape, bool) if mask is None else np.asarray(mask)
+    if skin.shape != finite.shape or skin.dtype != np.bool_:
+        raise ValueError(f"mask is {skin.dtype} {skin.shape}, expected bool {finite.shape} as the image")
+    linear = linear_values(values, gamma).astype(np.float32)
+    toward = normalized(camera_centers(matrix[None])[0] - xyz)
+    seen = VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
     pixels, _ = project(matrix, xyz)
-    color, found = _usable(linear, skin, finite, saturated, pixels, seen)
-    observed = np.where(found[:, None], color, np.nan)
-    if not options.shadow_directions:
-        return ImageObservation(observed, normal, toward, found)
-    transfer = light_transfer(xyz, index, normal, toward, directions=options.shadow_directions)
-    return ImageObservation(observed, normal, toward, found, transfer)
-
-
-def _usable(
-    linear: NDArray[np.float32],
-    skin: BoolArray,
-    finite: BoolArray,
-    saturated: BoolArray,
-    pixels: FloatArray,
-    seen: BoolArray,
-) -> tuple[FloatArray, BoolArray]:
-    """Return colours (V, 3) and which vertices (V,) can be used; raise, with the reason, when none can."""
     steps = {
         "inside the picture": np.ones_like(skin),
         "on the mask": skin,
         "with finite colours": skin & finite,
-        "not saturated": skin & finite & ~saturated,
+        "not saturated": skin & finite & ~np.asarray((values >= saturation).any(-1)),
     }
     color, found = _samples(linear, steps["not saturated"], pixels, seen)
     if not found.any():
@@ -141,7 +183,8 @@ def _usable(
             f"no vertex of {len(seen)} can be used: {seen.sum()} are seen by the camera, {left}; check "
             "camera, mask and exposure in this order"
         )
-    return color, found
+    observed = np.where(found[:, None], color, np.nan)
+    return ImageObservation(observed, normal, toward, found, light_transfer(xyz, index, normal, toward))
 
 
 def _samples(
@@ -154,35 +197,3 @@ def _samples(
     noiseless = np.zeros_like(linear)
     bilinear_samples(linear, noiseless, channels, pixels, seen, 0.0, value, variance, found)
     return value, np.asarray(found.all(1))
-
-
-def _light(
-    image: NDArray[Any], options: PhotographOptions
-) -> tuple[NDArray[np.float32], BoolArray, BoolArray]:
-    """Return light (H, W, 3), 0 where there is none, and which pixels are finite and saturated (H, W)."""
-    if np.ndim(image) != 3 or np.shape(image)[2] != 3 or np.size(image) == 0:
-        raise ValueError(f"image is {np.shape(image)}, expected (H, W, 3)")
-    values = picture_values(np.asarray(image), "the image", options.saturation)
-    finite = np.asarray(np.isfinite(values).all(-1))
-    values = np.where(finite[..., None], values, 0.0)
-    saturated = np.asarray((values >= options.saturation).any(-1))
-    return linear_values(values, options.gamma).astype(np.float32), finite, saturated
-
-
-def _checked_mask(mask: ArrayLike | None, shape: tuple[int, ...]) -> BoolArray:
-    if mask is None:
-        return np.ones(shape, bool)
-    skin = np.asarray(mask)
-    if skin.shape != shape or skin.dtype != np.bool_:
-        raise ValueError(f"mask is {skin.dtype} {skin.shape}, expected bool {shape} as the image")
-    return skin
-
-
-def _checked_camera(camera: ArrayLike) -> FloatArray:
-    matrix = np.asarray(camera, np.float64)
-    if matrix.shape != (3, 4):
-        raise ValueError(f"camera is {matrix.shape}, expected (3, 4)")
-    try:
-        return np.asarray(normalized_cameras(matrix[None])[0])
-    except ValueError as error:
-        raise ReflectanceError(f"the camera cannot be used: {error}") from error

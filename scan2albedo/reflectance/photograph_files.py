@@ -87,16 +87,8 @@ class PhotographFiles:
 def read_photograph(path: str | Path) -> PhotographFiles:
     """Return what a photograph file says, with its image, mask and mesh.
 
-    Parameters
-    ----------
-    path : str or Path
-
-    Raises
-    ------
-    ReflectanceError
-        When the file is invalid, or mask and image differ in size; names it and the first fault.
-    ScanError
-        When image, mask or mesh cannot be read.
+    Raises `ReflectanceError` when the file is invalid, or mask and image differ in size; names it and the
+    first fault; `ScanError` when image, mask or mesh cannot be read.
     """
     file = Path(path)
     content = read_record(
@@ -124,18 +116,7 @@ def read_photograph(path: str | Path) -> PhotographFiles:
 
 
 def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
-    """Write a photograph file, whole or not at all; image, mask and mesh are the caller's.
-
-    Parameters
-    ----------
-    path : str or Path
-    content : FacePhotographFile
-
-    Raises
-    ------
-    OutputError
-        When it cannot be written.
-    """
+    """Write a photograph file, whole or not at all; the rest is the caller's. Raises `OutputError`."""
     write_record(path, content, indent=1)
 
 

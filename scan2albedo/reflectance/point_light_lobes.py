@@ -7,7 +7,6 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.reflectance.tilt_kernels import fill_slopes
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
 PEAKS = tuple((s + 2) / (8 * np.pi) for s in EXPONENTS)
@@ -26,6 +25,8 @@ def point_light_lobes(
 
     As in the released code of Han, Wang and Xu, lobes have no factor n.l.
 
+    Raises `ValueError` when shapes disagree.
+
     Parameters
     ----------
     vertices, normals : (V, 3) array_like of float
@@ -39,11 +40,6 @@ def point_light_lobes(
     -------
     (J, V, 4) float64
         All 0 where the light is behind the vertex. Cast shadows are not tested.
-
-    Raises
-    ------
-    ValueError
-        When shapes disagree.
 
     Examples
     --------
@@ -102,7 +98,7 @@ def lobe_slopes(
         np.ascontiguousarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
     ]
     slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
-    fill_slopes(*arrays, slopes)
+    _fill_slopes(*arrays, slopes)
     return slopes
 
 
@@ -159,8 +155,69 @@ def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: 
                 lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power64
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_slopes(vertices, normals, cameras, lights, slopes):  # type: ignore[no-untyped-def]
+    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2; 0 where n.l or n.h is not above 0.
+
+    The tangents of a unit normal are those of Duff et al., "Building an Orthonormal Basis, Revisited".
+    """
+    for j in range(len(cameras)):
+        for i in range(len(vertices)):
+            slopes[j, i, :] = 0.0
+            x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
+            l0, l1, l2 = (
+                lights[j, 0] - vertices[i, 0],
+                lights[j, 1] - vertices[i, 1],
+                lights[j, 2] - vertices[i, 2],
+            )
+            along = x * l0 + y * l1 + z * l2
+            if along <= 0.0:
+                continue
+            sign = 1.0 if z >= 0.0 else -1.0
+            a = -1.0 / (sign + z)
+            b = x * y * a
+            e0, e1, e2 = 1.0 + sign * x * x * a, sign * b, -sign * x
+            f0, f1, f2 = b, sign + y * y * a, -y
+            slopes[j, i, 0] = (e0 * l0 + e1 * l1 + e2 * l2) / along
+            slopes[j, i, 1] = (f0 * l0 + f1 * l1 + f2 * l2) / along
+            v0, v1, v2 = (
+                cameras[j, 0] - vertices[i, 0],
+                cameras[j, 1] - vertices[i, 1],
+                cameras[j, 2] - vertices[i, 2],
+            )
+            ratio = np.sqrt((l0 * l0 + l1 * l1 + l2 * l2) / max(v0 * v0 + v1 * v1 + v2 * v2, 1e-300))
+            h0, h1, h2 = l0 + ratio * v0, l1 + ratio * v1, l2 + ratio * v2
+            along = x * h0 + y * h1 + z * h2
+            if along > 0.0:
+                slopes[j, i, 2] = (e0 * h0 + e1 * h1 + e2 * h2) / along
+                slopes[j, i, 3] = (f0 * h0 + f1 * h1 + f2 * h2) / along
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-def]
+    """Fill turned (J, V, 4), lobes of normals tilted by `tilt` (V, 2), of the vertices `rows` (N,)."""
+    for j in range(lobes.shape[0]):
+        for i in range(len(rows)):
+            v = rows[i]
+            t0, t1 = tilt[v, 0], tilt[v, 1]
+            length = 1.0 / np.sqrt(1.0 + t0 * t0 + t1 * t1)
+            near = max(1.0 + t0 * slopes[j, v, 0] + t1 * slopes[j, v, 1], 0.0) * length
+            half = max(1.0 + t0 * slopes[j, v, 2] + t1 * slopes[j, v, 3], 0.0) * length
+            power = half * half
+            power *= power
+            power8 = power * power
+            power = power8 * power8
+            power *= power
+            turned[j, v, 0] = lobes[j, v, 0] * near
+            turned[j, v, 1] = lobes[j, v, 1] * half
+            turned[j, v, 2] = lobes[j, v, 2] * power8
+            turned[j, v, 3] = lobes[j, v, 3] * power * power
+
+
 def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> FloatArray:
     """Return (J, V, 3) linear radiance of vertices whose lobes (J, V, 4) are lit; NaN where not known.
+
+    Raises `ValueError` when the lobes have another shape.
 
     Parameters
     ----------
@@ -168,11 +225,6 @@ def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> Fl
         Of V vertices.
     lobes : (J, V, 4) array_like of float
         From `point_light_lobes`.
-
-    Raises
-    ------
-    ValueError
-        When the lobes have another shape.
 
     Examples
     --------

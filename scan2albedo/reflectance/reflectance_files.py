@@ -52,7 +52,7 @@ class MeshReflectance:
     std: FloatArray | None = None
     """(V, 6): standard deviations of albedos and weights where a fit gave them, NaN where not known."""
     seen: BoolArray | None = None
-    """(V,): which vertices a photograph shows, where a model gave the others; None where nothing is told."""
+    """(V,): which vertices a photograph shows, where a model gave the others; None where it is not known."""
 
     def __post_init__(self) -> None:
         vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces)
@@ -92,20 +92,7 @@ class MeshReflectanceHeader(BaseModel):
 def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: ReflectanceFit | None = None) -> None:
     """Write a mesh's reflectance as an .npz file, whole or not at all, with the figures of its fit if given.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ends in .npz.
-    mesh : MeshReflectance
-    fit : ReflectanceFit, optional
-        That found it.
-
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
-    OutputError
-        When the file cannot be written.
+    Raises `ValueError` when the name does not end in .npz, `OutputError` when the file cannot be written.
     """
     one = mesh.reflectance
     header = MeshReflectanceHeader(exponents=EXPONENTS, vertices=len(mesh.vertices), faces=len(mesh.faces))
@@ -120,17 +107,9 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
 
 
 def read_reflectance(path: str | Path) -> MeshReflectance:
-    """Return a mesh's reflectance from its file.
+    """Return a mesh's reflectance from its file, or from the folder that `fit` or `fit-image` wrote.
 
-    Parameters
-    ----------
-    path : str or Path
-        The file, or the folder that the command `fit` or `fit-image` wrote.
-
-    Raises
-    ------
-    ReflectanceError
-        When the file is missing, damaged or something else; names it.
+    Raises `ReflectanceError` when the file is missing, damaged or something else; names it.
     """
     if Path(path).is_dir():
         path = Path(path) / RESULT_FILE
@@ -147,7 +126,7 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
     check_exponents(header.exponents, f"reflectance {path}")
     try:
         reflectance = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
-        told = arrays.get("std"), arrays.get("seen")
-        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance, *told)
+        more = arrays.get("std"), arrays.get("seen")
+        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance, *more)
     except ReflectanceError as error:
         raise ReflectanceError(f"reflectance {path}: {error}; write the file again") from error

@@ -13,18 +13,18 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.sample_statistics import checked_coefficients, principal_directions
+from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
 
 LANDMARKS = 68
 """In iBUG-68 order."""
-_ARRAYS = {
+_KINDS = {
     "mean": "f",
     "identity_basis": "f",
     "expression_basis": "f",
     "faces": "iu",
     "landmark_vertices": "iu",
 }
-"""Names of the arrays in a file and their kinds."""
+"""Of the arrays in a file."""
 
 
 class ShapeModelHeader(BaseModel):
@@ -44,11 +44,13 @@ class ShapeModelHeader(BaseModel):
 
 
 @dataclass(frozen=True)
-class MorphableShapeModel:
+class MorphableShapeModel(LinearModel):
     """Shape x = mean + sum a_i identity_i + sum b_i expression_i, coefficients of unit variance.
 
-    After Blanz, Vetter, "A Morphable Model for the Synthesis of 3D Faces", SIGGRAPH 1999. Raises
-    `ReflectanceError` when shapes disagree, a number is not finite, or an index points outside the vertices.
+    `mean` is (V, 3) in mm, `basis` (N_S + N_E, V, 3) with the directions of identity first; those of
+    expression begin at the neutral face. After Blanz, Vetter, "A Morphable Model for the Synthesis of 3D
+    Faces", SIGGRAPH 1999. Raises `ReflectanceError` when shapes disagree, a number is not finite, or an index
+    points outside the vertices.
 
     Examples
     --------
@@ -60,12 +62,8 @@ class MorphableShapeModel:
     (100, 3)
     """
 
-    mean: FloatArray
-    """(V, 3): millimetres."""
-    identity_basis: FloatArray
-    """(N_S, V, 3)."""
-    expression_basis: FloatArray
-    """(N_E, V, 3): from the neutral face; coefficients 0 are the neutral expression."""
+    identity_components: int
+    """N_S."""
     faces: IntArray
     """(F, 3): counter-clockwise seen from outside."""
     landmark_vertices: IntArray
@@ -73,16 +71,7 @@ class MorphableShapeModel:
 
     def __post_init__(self) -> None:
         count = len(self.mean)
-        for name, leading in (
-            ("mean", ()),
-            ("identity_basis", self.identity_basis.shape[:1]),
-            ("expression_basis", self.expression_basis.shape[:1]),
-        ):
-            array, expected = getattr(self, name), (*leading, count, 3)
-            if array.shape != expected:
-                raise ReflectanceError(f"shape model: {name} is {array.shape}, expected {expected}")
-            if not np.isfinite(array).all():
-                raise ReflectanceError(f"shape model: {name} holds NaN or infinite values")
+        self.check("shape model:", (count, 3))
         if self.faces.ndim != 2 or self.faces.shape[1:] != (3,) or not len(self.faces):
             raise ReflectanceError(f"shape model: faces is {self.faces.shape}, expected (F, 3) with F > 0")
         if self.landmark_vertices.shape != (LANDMARKS,):
@@ -110,9 +99,9 @@ class MorphableShapeModel:
     ) -> MorphableShapeModel:
         """Learn a model from shapes of one topology, rigidly aligned to each other.
 
-        The deviations X (K x 3V) of the neutral faces from their mean have the Gram matrix
-        X X^T = U diag(e) U^T; direction i is X^T u_i / sqrt(K - 1). Of expressions an offset and its opposite
-        count as equally likely, so that no expression is the mean one. Cost: (K^2 + 4 E^2) V.
+        The directions are those of `principal_directions`: of the neutral faces' deviations from their mean,
+        and of the expressions' offsets, where an offset and its opposite count as equally likely, so that no
+        expression is the mean one. Cost: (K^2 + 4 E^2) V.
 
         Raises `ReflectanceError` when there is no face, topologies differ, or numbers are not finite;
         `ValueError` when a number of components is negative.
@@ -135,21 +124,27 @@ class MorphableShapeModel:
         neutral = _checked_stack(neutral_vertices, "neutral_vertices")
         if len(neutral) == 0:
             raise ReflectanceError("there is no face to learn shapes from; give one or more")
-        count = neutral.shape[1]
-        offsets = np.zeros((0, count, 3))
+        count, mean = neutral.shape[1], neutral.mean(0)
+        identity = principal_directions(
+            neutral - mean, identity_components, size=float(np.sum(neutral**2))
+        ).of(neutral - mean)
+        expression = np.zeros((0, count, 3))
         if expression_offsets is not None:
             offsets = _checked_stack(expression_offsets, "expression_offsets")
-        if offsets.shape[1] != count:
-            raise ReflectanceError(
-                f"expression_offsets have {offsets.shape[1]} vertices and neutral_vertices {count}; bring "
-                "all to one topology"
-            )
-        mean = neutral.mean(0)
-        both = np.concatenate([offsets, -offsets])
+            if offsets.shape[1] != count:
+                raise ReflectanceError(
+                    f"expression_offsets have {offsets.shape[1]} vertices and neutral_vertices {count}; "
+                    "bring all to one topology"
+                )
+            both = np.concatenate([offsets, -offsets])
+            if len(both):
+                expression = principal_directions(
+                    both, expression_components, size=float(np.sum(both**2))
+                ).of(both)
         return cls(
             mean,
-            _directions(neutral - mean, identity_components, float(np.sum(neutral**2))),
-            _directions(both, expression_components, float(np.sum(both**2))),
+            np.concatenate([identity, expression]),
+            len(identity),
             np.asarray(faces, np.int64),
             np.asarray(landmark_vertices, np.int64),
         )
@@ -160,20 +155,31 @@ class MorphableShapeModel:
         header, arrays = read_npz_record(
             path,
             ShapeModelHeader,
-            _ARRAYS,
+            _KINDS,
             what="shape model",
             advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
             error=ReflectanceError,
         )
-        found = tuple(len(np.atleast_1d(arrays[n])) for n in ("mean", "identity_basis", "expression_basis"))
+        parts = [np.atleast_1d(arrays[name]).astype(np.float64) for name in tuple(_KINDS)[:3]]
+        found = tuple(len(part) for part in parts)
         expected = header.vertices, header.identity_components, header.expression_components
         if found != expected:
             raise ReflectanceError(
                 f"shape model {path}: its header says (vertices, identity, expression) = {expected}, the "
                 f"arrays hold {found}; write the file again"
             )
+        for name, part in zip(_KINDS, parts, strict=False):
+            shape = (*part.shape[: part.ndim - 2], header.vertices, 3)
+            if part.shape != shape or part.ndim != (2 if name == "mean" else 3):
+                raise ReflectanceError(f"{path}: {name} is {part.shape}, expected {shape}; write it again")
         try:
-            return cls(**arrays)
+            return cls(
+                parts[0],
+                np.concatenate(parts[1:]),
+                header.identity_components,
+                arrays["faces"],
+                arrays["landmark_vertices"],
+            )
         except ReflectanceError as error:
             raise ReflectanceError(f"{path}: {error}; write the file again") from error
 
@@ -187,23 +193,14 @@ class MorphableShapeModel:
             identity_components=self.identity_components,
             expression_components=self.expression_components,
         )
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        write_npz_record(path, header, arrays, what="shape model")
-
-    @property
-    def identity_components(self) -> int:
-        """N_S."""
-        return len(self.identity_basis)
+        identity, expression = np.split(self.basis, [self.identity_components])
+        values = self.mean, identity, expression, self.faces, self.landmark_vertices
+        write_npz_record(path, header, dict(zip(_KINDS, values, strict=True)), what="shape model")
 
     @property
     def expression_components(self) -> int:
         """N_E."""
-        return len(self.expression_basis)
-
-    @property
-    def basis(self) -> FloatArray:
-        """(N_S + N_E, V, 3), identity first."""
-        return np.concatenate([self.identity_basis, self.expression_basis])
+        return self.components - self.identity_components
 
     def shape(self, identity: ArrayLike, expression: ArrayLike) -> FloatArray:
         """Return the vertices (V, 3) in mm of coefficients (N_S,) and (N_E,).
@@ -212,14 +209,7 @@ class MorphableShapeModel:
         """
         a = checked_coefficients(identity, self.identity_components, "identity")
         b = checked_coefficients(expression, self.expression_components, "expression")
-        moved = np.tensordot(a, self.identity_basis, 1) + np.tensordot(b, self.expression_basis, 1)
-        return np.asarray(self.mean + moved)
-
-
-def _directions(deviations: FloatArray, most: int, size: float) -> FloatArray:
-    if len(deviations) == 0:
-        return deviations
-    return principal_directions(deviations, most, size=size).of(deviations)
+        return self.at(np.concatenate([a, b]))
 
 
 def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:

@@ -4,7 +4,7 @@ With unit tangents e_1, e_2 the true normal is (n + t_1 e_1 + t_2 e_2) / |.|, so
 
     n.l -> n.l (1 + t.p) / z,   n.h -> n.h (1 + t.q) / z,   z = sqrt(1 + t.t),
 
-with the slopes p_i = e_i.l / n.l and q_i = e_i.h / n.h of `fill_slopes`. Lobes turn by these factors and
+with the slopes p_i = e_i.l / n.l and q_i = e_i.h / n.h of `lobe_slopes`. Lobes turn by these factors and
 their powers, so the turned ones need no geometry, whatever the lobes are in units of.
 """
 
@@ -15,65 +15,6 @@ from numba import njit
 
 TILT_EQUATIONS = 17
 """Numbers of `add_tilt_equations` a vertex."""
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fill_slopes(vertices, normals, cameras, lights, slopes):  # type: ignore[no-untyped-def]
-    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2; 0 where n.l or n.h is not above 0.
-
-    The tangents of a unit normal are those of Duff et al., "Building an Orthonormal Basis, Revisited".
-    """
-    for j in range(len(cameras)):
-        for i in range(len(vertices)):
-            slopes[j, i, :] = 0.0
-            x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
-            l0, l1, l2 = (
-                lights[j, 0] - vertices[i, 0],
-                lights[j, 1] - vertices[i, 1],
-                lights[j, 2] - vertices[i, 2],
-            )
-            along = x * l0 + y * l1 + z * l2
-            if along <= 0.0:
-                continue
-            sign = 1.0 if z >= 0.0 else -1.0
-            a = -1.0 / (sign + z)
-            b = x * y * a
-            e0, e1, e2 = 1.0 + sign * x * x * a, sign * b, -sign * x
-            f0, f1, f2 = b, sign + y * y * a, -y
-            slopes[j, i, 0] = (e0 * l0 + e1 * l1 + e2 * l2) / along
-            slopes[j, i, 1] = (f0 * l0 + f1 * l1 + f2 * l2) / along
-            v0, v1, v2 = (
-                cameras[j, 0] - vertices[i, 0],
-                cameras[j, 1] - vertices[i, 1],
-                cameras[j, 2] - vertices[i, 2],
-            )
-            ratio = np.sqrt((l0 * l0 + l1 * l1 + l2 * l2) / max(v0 * v0 + v1 * v1 + v2 * v2, 1e-300))
-            h0, h1, h2 = l0 + ratio * v0, l1 + ratio * v1, l2 + ratio * v2
-            along = x * h0 + y * h1 + z * h2
-            if along > 0.0:
-                slopes[j, i, 2] = (e0 * h0 + e1 * h1 + e2 * h2) / along
-                slopes[j, i, 3] = (f0 * h0 + f1 * h1 + f2 * h2) / along
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-def]
-    """Fill turned (J, V, 4), lobes of normals tilted by `tilt` (V, 2), of the vertices `rows` (N,)."""
-    for j in range(lobes.shape[0]):
-        for i in range(len(rows)):
-            v = rows[i]
-            t0, t1 = tilt[v, 0], tilt[v, 1]
-            length = 1.0 / np.sqrt(1.0 + t0 * t0 + t1 * t1)
-            near = max(1.0 + t0 * slopes[j, v, 0] + t1 * slopes[j, v, 1], 0.0) * length
-            half = max(1.0 + t0 * slopes[j, v, 2] + t1 * slopes[j, v, 3], 0.0) * length
-            power = half * half
-            power *= power
-            power8 = power * power
-            power = power8 * power8
-            power *= power
-            turned[j, v, 0] = lobes[j, v, 0] * near
-            turned[j, v, 1] = lobes[j, v, 1] * half
-            turned[j, v, 2] = lobes[j, v, 2] * power8
-            turned[j, v, 3] = lobes[j, v, 3] * power * power
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,37 +1,34 @@
-"""Albedo and highlights of each vertex from pictures lit by one flash each."""
+"""Albedo and highlights of each vertex from pictures lit by one flash each; how well they predict others."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.normal_errors import normal_sigma
-from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes
-from scan2albedo.reflectance.robust_fit import (
-    Observations,
-    ReflectanceFitOptions,
-    ReflectancePrior,
-    RobustFit,
-    fit_rows,
-)
+from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes, point_light_radiance
+from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
-_TWO_SIDED_95 = 1.959964
-_SINGULAR = 1e-14
-"""Part of the largest eigenvalue of the normal matrix that rounding leaves of 0."""
 PARAMETERS = ("red", "green", "blue", "weight_1", "weight_8", "weight_64")
 """Columns of everything (V, 6)."""
+PRIOR_MEAN, PRIOR_STD = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1), (1.0, 1.0, 1.0, 0.3, 0.3, 0.3)
+"""Gaussian prior of a vertex before its pictures, in units of the albedos' level: keeps lobes that no picture
+shows from fitting noise."""
+_TWO_SIDED_95 = 1.959964
 _IDENTIFIED_BELOW = 0.3
 """Posterior over prior standard deviation below which a number counts as identified."""
 _LEAST_COSINE = 0.05
 """Where all light grazes more, intervals do not widen further."""
-_LEAST_GAIN, _MOST_GAIN = 1e-3, 1e3
-"""Gains are kept between these: a flash that lit only black pixels would have none."""
+_GAIN_ROUNDS, _GAIN_VERTICES, _GAIN_TOLERANCE = 50, 2000, 1e-5
+"""Most alternations, vertices (evenly chosen) that gains are found from, and change that ends them."""
+_GAMMA = 1.2
+"""Of the display, for errors in decibels."""
 
 
 @dataclass(frozen=True)
@@ -49,14 +46,11 @@ class ReflectanceFit:
     pair_count: IntArray
     """(V,): pictures used; 0 for unseen vertices."""
     condition: FloatArray
-    """(V,): condition number of the observations' matrix, columns not scaled, without the prior; inf where it
-    is singular."""
+    """(V,): condition number of the observations' matrix, without the prior; inf where it is singular."""
     activation: FloatArray
-    """(V, 3): largest value over the pictures of each lobe, over its peak: max(0, n.h)^s. 0 for unseen
-    vertices."""
+    """(V, 3): largest value over the pictures of each lobe over its peak, max(0, n.h)^s; 0 where unseen."""
     identifiability: FloatArray
-    """(V, 6): posterior over prior standard deviation, the former before the misfit: 1 where pictures add
-    nothing."""
+    """(V, 6): posterior over prior standard deviation: 1 where pictures add nothing."""
     identified: BoolArray
     """(V, 6): identifiability is small enough; False where not known, or where an albedo is impossible."""
     impossible: BoolArray
@@ -65,20 +59,19 @@ class ReflectanceFit:
     """(V,): root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where
     there are not more observations than unknowns."""
     tilt: FloatArray
-    """(V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles; 0 where normals are
-    taken as right."""
+    """(V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles."""
     normal_sigma_degrees: FloatArray
     """(V,): deviation of the normals along each tangent that the fit assumed."""
     light_gain: FloatArray
     """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
     level: float
-    """Unit of the prior."""
+    """Unit of the prior: the median albedo without highlights."""
     bounded_albedos: int
     """Vertices where an albedo is held at 0."""
     settled: BoolArray
     """(V,): known and done when the fit ended."""
     converged: bool
-    """All known vertices are, and the gains; False when the budget or the iterations ended the fit first."""
+    """All known vertices and the gains are; False when the budget or the iterations ended the fit first."""
     iterations: int
     """Reweightings."""
     residual: float
@@ -93,10 +86,7 @@ class ReflectanceFit:
 
     @property
     def drawn(self) -> BoolArray:
-        """(V,) vertices that pictures show as found: all albedos identified; others are filled from them.
-
-        All that are known where the albedos of fewer than half of them are identified.
-        """
+        """(V,) vertices to draw as found: with identified albedos; all known if these are fewer than half."""
         known = self.reflectance.known
         sure = known & self.identified[:, :3].all(1)
         return sure if 2 * sure.sum() >= known.sum() else known
@@ -119,6 +109,8 @@ def fit_reflectance(
     given robust weights c is eliminated and the eight sets of weights at 0 are tried; where an albedo would
     be negative, all 64 sets.
 
+    Raises `ReflectanceError` when there are no pictures, or no vertex is seen in enough of them.
+
     Parameters
     ----------
     samples : VertexSamples
@@ -128,11 +120,6 @@ def fit_reflectance(
         Evaluations are passes over all vertices still moving.
     on_progress : callable, optional
         Called with every row of the trace.
-
-    Raises
-    ------
-    ReflectanceError
-        When there are no pictures, or no vertex is seen in enough of them.
 
     Notes
     -----
@@ -160,25 +147,6 @@ def fit_reflectance(
     >>> fit_reflectance(samples).parameters.round(3) + 0.0
     array([[0.5, 0.5, 0.5, 0. , 0. , 0.1]])
     """
-    meter = Meter("reflectance", "loss per observation", Budget.of(budget), on_progress)
-    rows = _known_rows(samples, options)
-    precision = np.zeros(samples.observed_linear.shape)
-    np.divide(1.0, samples.sigma**2, out=precision, where=samples.valid)
-    level = options.prior.level or _level(samples.observed_linear, precision, samples.lobes, rows)
-    data = Observations(samples.observed_linear, precision, samples.lobes, *_gaussian(options.prior, level))
-    gain, gains_settled = _unit_gain(samples, rows), True
-    if options.light_gains:
-        gain, gains_settled = find_light_gains(data, samples.light, rows, options, meter)
-        data = divided_by_gain(data, samples.light, gain)
-    if samples.slopes is not None and options.normal_sigma_degrees != 0:
-        data = replace(data, slopes=samples.slopes)
-        data = replace(data, tilt_sigma=normal_sigma(data, samples.normal_spread, rows, options, meter))
-    fitted = fit_rows(data, rows, options, meter)
-    return _result(samples, data, rows, fitted, options, gain, level, gains_settled, meter)
-
-
-def _known_rows(samples: VertexSamples, options: ReflectanceFitOptions) -> IntArray:
-    """Return the vertices with enough pictures of every channel."""
     if len(samples.observed_linear) == 0:
         raise ReflectanceError("there are no pictures, give one pair at least")
     facing = samples.valid & (samples.lobes[..., :1] > 0)
@@ -188,117 +156,87 @@ def _known_rows(samples: VertexSamples, options: ReflectanceFitOptions) -> IntAr
             f"there are {pictures} pictures, but a vertex shall be seen in {options.least_pairs}: take more, "
             "or give a smaller least_pairs"
         )
-    seen = facing.sum(0).min(-1)
-    rows = np.flatnonzero(seen >= options.least_pairs)
+    often = facing.sum(0).min(-1)
+    rows = np.flatnonzero(often >= options.least_pairs)
     if len(rows) == 0:
         raise ReflectanceError(
             f"none of {count} vertices is seen in {options.least_pairs} or more of {pictures} pictures (at "
-            f"most in {seen.max(initial=0)}): do cameras, flashes and mesh share one frame and unit (mm), do "
-            "masks show the face, are pictures saturated or missing?"
+            f"most in {often.max(initial=0)}): do cameras, flashes and mesh share one frame and unit (mm), "
+            "do masks show the face, are pictures saturated or missing?"
         )
-    return rows
-
-
-def _unit_gain(samples: VertexSamples, rows: IntArray) -> FloatArray:
-    """Return ones (L, 3), NaN for flashes that lit no vertex."""
-    gain = np.full((int(samples.light.max()) + 1, 3), np.nan)
-    gain[samples.light[samples.valid[:, rows].any((1, 2))]] = 1.0
-    return gain
-
-
-def _level(observed: FloatArray, precision: FloatArray, lobes: FloatArray, rows: IntArray) -> float:
-    """Return the median albedo that squares without lobes give, all channels; 1 if that is not above 0."""
-    diffuse = lobes[..., :1]
+    meter = Meter("reflectance", "loss per observation", Budget.of(budget), on_progress)
+    precision = np.zeros(samples.observed_linear.shape)
+    np.divide(1.0, samples.sigma**2, out=precision, where=samples.valid)
+    # The median albedo that squares without lobes give, all channels.
+    diffuse = samples.lobes[..., :1]
     below = (precision * diffuse**2).sum(0)[rows]
-    above = (precision * observed * diffuse).sum(0)[rows]
+    above = (precision * samples.observed_linear * diffuse).sum(0)[rows]
     level = float(np.median(above / below))
-    return level if level > 0 else 1.0
+    level = level if level > 0 else 1.0
+    mean, std = level * np.array(PRIOR_MEAN), level * np.array(PRIOR_STD)
+    data = Observations(samples.observed_linear, precision, samples.lobes, mean, 1 / std**2)
+    gain, gains_settled = np.full((int(samples.light.max()) + 1, 3), np.nan), True
+    gain[samples.light[samples.valid[:, rows].any((1, 2))]] = 1.0
+    if options.light_gains:
+        gain, gains_settled = find_light_gains(data, samples.light, rows, options, meter)
+        data = divided_by_gain(data, samples.light, gain)
+    if samples.slopes is not None and options.normal_sigma_degrees != 0:
+        data = replace(data, slopes=samples.slopes)
+        data = replace(data, tilt_sigma=normal_sigma(data, samples.normal_spread, rows, options, meter))
+    fitted = RobustFit(data, options.loss).fit(rows, meter)
+    estimate, misfit = fitted.estimate[rows], fitted.misfit[rows]
 
+    def spread(values: FloatArray) -> FloatArray:
+        """Return values of `rows` among all vertices, NaN elsewhere."""
+        whole = np.full((count, *values.shape[1:]), np.nan)
+        whole[rows] = values
+        return whole
 
-def _gaussian(prior: ReflectancePrior, level: float) -> tuple[FloatArray, FloatArray]:
-    """Return means and precisions (6,)."""
-    mean = np.array([prior.diffuse_mean] * 3 + list(prior.weights_mean)) * level
-    std = np.array([prior.diffuse_std] * 3 + list(prior.weights_std)) * level
-    return mean, 1 / std**2
-
-
-def _result(
-    samples: VertexSamples,
-    data: Observations,
-    rows: IntArray,
-    fitted: RobustFit,
-    options: ReflectanceFitOptions,
-    gain: FloatArray,
-    level: float,
-    gains_settled: bool,
-    meter: Meter,
-) -> ReflectanceFit:
-    count = samples.observed_linear.shape[1]
-    known = np.zeros(count, bool)
-    known[rows] = True
-    estimate = _spread(fitted.estimate, rows, count)
-    misfit = _misfit(fitted.misfit, (samples.valid[:, rows]).sum((0, 2)))
+    # Root mean squared residual over sigma; NaN without a degree of freedom left.
+    observations, freedom = samples.valid[:, rows].sum((0, 2)), misfit[:, 1] - 6
+    enough = (observations > 6) & (freedom > 0)
+    misfit = np.sqrt(np.where(enough, misfit[:, 0] / np.where(enough, freedom, 1.0), np.nan))
     seen = np.asarray(samples.valid.any(-1))
     n_l, n_h = cosines_of_lobes(samples.lobes)
     steepest = np.max(n_l, axis=0, where=seen, initial=_LEAST_COSINE)
     deviation = fitted.deviation / np.minimum(steepest[rows], 1.0)[:, None]
     std = deviation * np.fmax(misfit, 1.0)[:, None]
-    low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, fitted.estimate)
-    high = np.fmax(fitted.center + _TWO_SIDED_95 * std, fitted.estimate)
+    low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, estimate)
     identifiability = np.minimum(deviation * np.sqrt(data.prior), 1.0)
-    identified, settled = np.zeros((count, 6), bool), np.zeros(count, bool)
-    settled[rows] = fitted.settled
-    identified[rows] = identifiability < _IDENTIFIED_BELOW
-    impossible = np.zeros(count, bool)
+    known, impossible, settled = np.zeros((3, count), bool)
+    identified = np.zeros((count, 6), bool)
+    known[rows], settled[rows], identified[rows] = True, fitted.settled, identifiability < _IDENTIFIED_BELOW
     if options.most_albedo is not None:
-        too_bright = (fitted.estimate[:, :3] > options.most_albedo).any(1)
+        too_bright = (estimate[:, :3] > options.most_albedo).any(1)
         impossible[rows] = too_bright
-        identified[impossible] = False
-        low[too_bright] = 0.0
+        identified[impossible], low[too_bright] = False, 0.0
+    # Lobes over their peaks, max(0, n.h)^s, whatever the strength of the light.
+    broad = samples.lobes[..., 1]
+    scale = np.divide(PEAKS[0] * n_h, broad, out=np.zeros_like(broad), where=broad > 0)
+    over_peak = np.asarray(samples.lobes[..., 1:] / PEAKS * scale[..., None])
     return ReflectanceFit(
-        reflectance=VertexReflectance(estimate[:, :3], estimate[:, 3:], known),
-        std=_spread(std, rows, count),
-        low=_spread(low, rows, count),
-        high=_spread(high, rows, count),
+        reflectance=VertexReflectance(spread(estimate[:, :3]), spread(estimate[:, 3:]), known),
+        std=spread(std),
+        low=spread(low),
+        high=spread(np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)),
         pair_count=samples.pair_count,
-        condition=_spread(_condition(fitted.normal), rows, count),
-        activation=np.max(_over_peak(samples.lobes, n_h), axis=0, where=seen[..., None], initial=0.0),
-        identifiability=_spread(identifiability, rows, count),
+        condition=spread(_condition(fitted.normal)),
+        activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0),
+        identifiability=spread(identifiability),
         identified=identified,
         impossible=impossible,
-        misfit=_spread(misfit, rows, count),
-        tilt=_spread(fitted.tilt, rows, count),
+        misfit=spread(misfit),
+        tilt=spread(fitted.tilt[rows]),
         normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
         light_gain=gain,
         level=level,
-        bounded_albedos=fitted.bounded_albedos,
+        bounded_albedos=int((estimate[:, :3] == 0).any(1).sum()),
         settled=settled,
         converged=bool(fitted.settled.all()) and gains_settled,
         iterations=fitted.iterations,
         residual=fitted.residual,
         trace=meter.trace,
     )
-
-
-def _over_peak(lobes: FloatArray, n_h: FloatArray) -> FloatArray:
-    """Return lobes over their peaks (J, V, 3), max(0, n.h)^s, whatever the strength of the light."""
-    broad = lobes[..., 1]
-    scale = np.divide(PEAKS[0] * n_h, broad, out=np.zeros_like(broad), where=broad > 0)
-    return np.asarray(lobes[..., 1:] / PEAKS * scale[..., None])
-
-
-def _spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
-    """Return values of `rows` among `count` vertices, NaN elsewhere."""
-    spread = np.full((count, *values.shape[1:]), np.nan)
-    spread[rows] = values
-    return spread
-
-
-def _misfit(sums: FloatArray, observations: IntArray) -> FloatArray:
-    """Return (N,) root mean squared residual over sigma; NaN without a degree of freedom left."""
-    freedom = sums[:, 1] - 6
-    enough = (observations > 6) & (freedom > 0)
-    return np.sqrt(np.where(enough, sums[:, 0] / np.where(enough, freedom, 1.0), np.nan))
 
 
 def _condition(normal: FloatArray) -> FloatArray:
@@ -313,7 +251,7 @@ def _condition(normal: FloatArray) -> FloatArray:
     matrix[:, 3 + column, 3 + row] = lobes
     values = np.linalg.eigvalsh(matrix)
     smallest = values[:, 0]
-    singular = smallest <= _SINGULAR * values[:, -1]
+    singular = smallest <= 64 * np.finfo(float).eps * values[:, -1]
     return np.sqrt(np.where(singular, np.inf, values[:, -1] / np.where(singular, 1.0, smallest)))
 
 
@@ -331,31 +269,121 @@ def find_light_gains(
     Alternates between reflectance for fixed gains and gains for fixed reflectance, g = sum u p y m /
     sum u p m^2 over a flash's observations y of radiance m, with robust weights u. The mean fixes the scale.
     """
-    few = rows[:: max(1, len(rows) // options.gain_vertices)]
+    few = rows[:: max(1, len(rows) // _GAIN_VERTICES)]
     subset = data.of_vertices(few)
-    every = np.arange(len(few))
     gain = np.ones((int(light.max()) + 1, 3))
-    for _ in range(options.gain_iterations):
-        fitted = fit_rows(divided_by_gain(subset, light, gain), every, options, meter.untraced())
+    for _ in range(_GAIN_ROUNDS):
+        divided = RobustFit(divided_by_gain(subset, light, gain), options.loss)
+        fitted = divided.fit(np.arange(len(few)), meter.untraced())
         meter.count()
-        new = _gains(subset, light, fitted, len(gain))
+        estimate, precision = fitted.estimate, subset.precision * fitted.weight[..., None]
+        gloss = np.einsum("jvs,vs->jv", subset.lobes[..., 1:], estimate[:, 3:])
+        radiance = subset.lobes[..., :1] * estimate[:, :3] + gloss[..., None]
+        above, below = np.zeros((2, *gain.shape))
+        np.add.at(above, light, (precision * subset.observed * radiance).sum(1))
+        np.add.at(below, light, (precision * radiance**2).sum(1))
+        # A flash that lit only black pixels would have no gain.
+        least = np.finfo(float).eps
+        new = np.where(below > 0, np.maximum(above / np.where(below > 0, below, 1.0), least), np.nan)
+        new /= np.nanmean(new, axis=0)
         step = float(np.nanmax(np.abs(new - gain)))
         gain = new
-        if step < options.gain_tolerance:
+        if step < _GAIN_TOLERANCE:
             return gain, True
         if meter.exhausted:
             break
     return gain, False
 
 
-def _gains(data: Observations, light: IntArray, fitted: RobustFit, count: int) -> FloatArray:
-    estimate, precision = fitted.estimate, data.precision * fitted.weight[..., None]
-    above, below = np.zeros((count, 3)), np.zeros((count, 3))
-    gloss = np.einsum("jvs,vs->jv", data.lobes[..., 1:], estimate[:, 3:])
-    radiance = data.lobes[..., :1] * estimate[:, :3] + gloss[..., None]
-    np.add.at(above, light, (precision * data.observed * radiance).sum(1))
-    np.add.at(below, light, (precision * radiance**2).sum(1))
-    gain = np.where(
-        below > 0, np.clip(above / np.where(below > 0, below, 1.0), _LEAST_GAIN, _MOST_GAIN), np.nan
+@dataclass(frozen=True)
+class RelightingError:
+    """Error over the observations of pictures left out of a fit, all channels together."""
+
+    relative_rmse: float
+    """Root mean square of observed minus predicted radiance, over that of the observed."""
+    psnr_db: float
+    """Of displayed values, radiance^(1 / 1.2) with the 99th percentile of the observed as white."""
+    noise_part: float
+    """The part of `relative_rmse` that the observations' own sigma explains."""
+    of_picture: FloatArray
+    """(J,): relative RMSE of each picture; NaN where it was not left out or shows no known vertex."""
+    observations: int
+    """Their number."""
+    fit: ReflectanceFit
+    """Of the other pictures."""
+
+
+def relighting_error(
+    samples: VertexSamples,
+    held_out: ArrayLike,
+    *,
+    options: ReflectanceFitOptions = ReflectanceFitOptions(),
+) -> RelightingError:
+    """Return how well a fit to the pictures that are not `held_out` predicts those that are.
+
+    Raises `ReflectanceError` when nothing is left to fit, or nothing to predict.
+
+    Parameters
+    ----------
+    samples : VertexSamples
+        J pictures.
+    held_out : (J,) array_like of bool
+        At least one, and not all.
+    options : ReflectanceFitOptions
+        With light gains, a flash that lit none of the others has gain 1.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> lobes = rng.random((8, 20, 4))
+    >>> observed = 0.4 * lobes[..., :1] + 0.1 * lobes[..., 1:].sum(-1, keepdims=True) * np.ones(3)
+    >>> every = np.ones(observed.shape, bool)
+    >>> samples = VertexSamples(observed, np.full(observed.shape, 1e-6), every, lobes, np.arange(8))
+    >>> bool(relighting_error(samples, np.arange(8) < 2).relative_rmse < 1e-4)
+    True
+    """
+    left_out = np.asarray(held_out)
+    if left_out.dtype != np.bool_ or left_out.shape != samples.light.shape:
+        raise ReflectanceError(
+            f"held_out is {left_out.dtype} {left_out.shape}, expected bool {samples.light.shape}"
+        )
+    if not 0 < left_out.sum() < len(left_out):
+        raise ReflectanceError(
+            f"{left_out.sum()} of {len(left_out)} pictures are held out: neither none nor all"
+        )
+    fit = fit_reflectance(samples.of_pairs(~left_out), options=options)
+    unseen = samples.of_pairs(left_out)
+    gains = np.ones((int(unseen.light.max()) + 1, 3))
+    both = min(len(gains), len(fit.light_gain))
+    gains[:both] = np.where(np.isfinite(fit.light_gain[:both]), fit.light_gain[:both], 1.0)
+    radiance = point_light_radiance(fit.reflectance, unseen.turned_lobes(fit.tilt))
+    predicted = gains[unseen.light][:, None] * radiance
+    seen = unseen.valid & fit.reflectance.known[:, None]
+    if not seen.any():
+        raise ReflectanceError("the pictures held out show no vertex that the others do: hold out others")
+    of_picture = np.full(len(left_out), np.nan)
+    of_picture[left_out] = [
+        _relative(unseen.observed_linear[j][seen[j]], predicted[j][seen[j]]) if seen[j].any() else np.nan
+        for j in range(len(seen))
+    ]
+    observed, made = unseen.observed_linear[seen], predicted[seen]
+    if not observed.any():
+        raise ReflectanceError(
+            "the pictures held out are black where the face is: there is nothing to predict"
+        )
+    white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
+    displayed = [np.clip(linear / white, 0, 1) ** (1 / _GAMMA) for linear in (observed, made)]
+    off = float(np.mean((displayed[0] - displayed[1]) ** 2))
+    return RelightingError(
+        _relative(observed, made),
+        float(-10 * np.log10(max(off, np.finfo(float).tiny))),
+        float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / np.mean(observed**2))),
+        of_picture,
+        int(seen.sum()),
+        fit,
     )
-    return np.asarray(gain / np.nanmean(gain, axis=0), np.float64)
+
+
+def _relative(observed: FloatArray, predicted: FloatArray) -> float:
+    power = max(float(np.mean(observed**2)), np.finfo(float).tiny)
+    return float(np.sqrt(np.mean((observed - predicted) ** 2) / power))

@@ -138,50 +138,34 @@ def _albedos(normal, mean, prior, zero, w0, w1, w2, c):  # type: ignore[no-untyp
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _least(normal, mean, prior, m, r, c, best):  # type: ignore[no-untyped-def]
+def _least(normal, mean, prior, black, m, r, c, best):  # type: ignore[no-untyped-def]
     """Fill best (6,) with the least objective with weights >= 0, of eight sets of weights at 0.
 
-    Albedos are not bounded here: if none is negative, it is the least objective with all six >= 0.
+    Where `black`, albedos are bounded too, and all 64 sets of albedos and weights at 0 are tried; else they
+    may be negative: if none is, it is the least objective with all six >= 0.
     """
-    _reduce(normal, mean, prior, 0, m, r)
-    largest = -np.inf
-    for fixed in range(8):
-        w0, w1, w2 = _with_fixed(m, r, prior, fixed)
-        if w0 < 0.0 or w1 < 0.0 or w2 < 0.0:
-            continue
-        fall = r[0] * w0 + r[1] * w1 + r[2] * w2
-        if fall > largest:
-            largest = fall
-            best[3], best[4], best[5] = w0, w1, w2
-        if fixed == 0:
-            break  # the unbounded minimum obeys the bounds
-    _albedos(normal, mean, prior, 0, best[3], best[4], best[5], c)
-    best[:3] = c
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _least_of_all(normal, mean, prior, m, r, c, best):  # type: ignore[no-untyped-def]
-    """Try all 64 sets of albedos and weights at 0 and fill best (6,)."""
     right = np.empty(3)
     for n in range(3):
         right[n] = prior[3 + n] * mean[3 + n]
         for k in range(3):
             right[n] += normal[k, 11 + n]
     largest = -np.inf
-    for zero in range(8):
+    for zero in range(8 if black else 1):
         _reduce(normal, mean, prior, zero, m, r)
         for fixed in range(8):
             w0, w1, w2 = _with_fixed(m, r, prior, fixed)
             if w0 < 0.0 or w1 < 0.0 or w2 < 0.0:
                 continue
             fall = _albedos(normal, mean, prior, zero, w0, w1, w2, c)
-            if c[0] < 0.0 or c[1] < 0.0 or c[2] < 0.0:
+            if black and (c[0] < 0.0 or c[1] < 0.0 or c[2] < 0.0):
                 continue
             fall += right[0] * w0 + right[1] * w1 + right[2] * w2
             if fall > largest:
                 largest = fall
                 best[:3] = c
                 best[3], best[4], best[5] = w0, w1, w2
+            if fixed == 0 and not black:
+                break  # the unbounded minimum obeys the bounds
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -194,9 +178,9 @@ def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def
     black = 0
     for i in range(len(normal)):
         best[:] = np.nan  # what overflows stays visible
-        _least(normal[i], mean, prior, m, r, c, best)
+        _least(normal[i], mean, prior, False, m, r, c, best)
         if best[0] < 0.0 or best[1] < 0.0 or best[2] < 0.0:
-            _least_of_all(normal[i], mean, prior, m, r, c, best)
+            _least(normal[i], mean, prior, True, m, r, c, best)
             black += 1
         estimate[i] = best
     return black

@@ -71,17 +71,14 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
     least squares with w >= 0 over half vectors at angles a = 0 ... pi / 4 from the normal, by solid angle.
     The factor pi of the light (an albedo estimate's is the radiance of a white surface) has been divided out.
 
+    Raises `ReflectanceError` when a number is out of its range.
+
     Parameters
     ----------
     strength : float
         Of the highlight, 0 or more; `specular_strength` of an albedo estimate.
     exponent : float
         Phong's, more than 0; `specular_exponent` of an albedo estimate.
-
-    Raises
-    ------
-    ReflectanceError
-        When a number is out of its range.
 
     Notes
     -----
@@ -115,6 +112,9 @@ def reflectance_from_albedo(
 ) -> VertexReflectance:
     """Return the reflectance of vertices with an albedo and weights of the lobes.
 
+    Raises `ReflectanceError` when shapes disagree, or a vertex said to be known has a negative number or
+    none.
+
     Parameters
     ----------
     albedo_linear : (V, 3) array_like of float
@@ -123,11 +123,6 @@ def reflectance_from_albedo(
         Of the lobes with `EXPONENTS`, one set for all or one a vertex; see `lobe_weights_of_phong`.
     known : (V,) array_like of bool, optional
         Vertices to keep, those with a finite albedo when omitted.
-
-    Raises
-    ------
-    ReflectanceError
-        When shapes disagree, or a vertex said to be known has a negative number or none.
 
     Examples
     --------

@@ -14,44 +14,21 @@ from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance.capture_rig import CaptureRig
 from scan2albedo.reflectance.olat import OlatImages
-from scan2albedo.reflectance.picture_samples import bilinear_samples, checked_mesh, checked_normals
-from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes
-from scan2albedo.reflectance.tilt_kernels import turn_lobes
-from scan2albedo.reflectance.vertex_visibility import VertexVisibility
+from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, turn_lobes
+from scan2albedo.reflectance.vertex_visibility import (
+    VertexVisibility,
+    bilinear_samples,
+    checked_mesh,
+    checked_normals,
+)
 
 _LEAST_SIGMA = 1e-100
 """Its square's inverse must be a number."""
-
-
-@dataclass(frozen=True)
-class SamplingOptions:
-    """When a vertex counts as seen and lit.
-
-    Raises `ValueError` when a value is outside its range.
-    """
-
-    view_cosine: float = 0.1
-    light_cosine: float = 0.0
-    """`view_cosine`, `light_cosine`: n.v and n.l must be above these."""
-    margin_px: float = 1.5
-    """Distance in the picture from edges of the surface; 0 asks for none."""
-    position_sigma_px: float = 0.3
-    """Standard deviation of where a vertex is in the picture, along each axis: where pixels differ, a
-    vertex's sigma is larger."""
-    reference_distance_mm: float | None = None
-    """Distance at which light has fallen off to 1, with its square; None is no falloff."""
-
-    def __post_init__(self) -> None:
-        for name in ("view_cosine", "light_cosine"):
-            if not 0 <= getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected in [0, 1)")
-        for name in ("margin_px", "position_sigma_px"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
-        if self.reference_distance_mm is not None and not 0 < self.reference_distance_mm < math.inf:
-            raise ValueError(
-                f"reference_distance_mm is {self.reference_distance_mm}, expected > 0 and finite"
-            )
+VIEW_COSINE = 0.1
+"""n.v must be above this."""
+_POSITION_SIGMA_PX = 0.3
+"""Standard deviation of where a vertex is in the picture, along each axis: where pixels differ, a vertex's
+sigma is larger."""
 
 
 @dataclass(frozen=True)
@@ -152,13 +129,18 @@ def sample_vertices(
     faces: ArrayLike,
     *,
     normals: ArrayLike | None = None,
-    options: SamplingOptions = SamplingOptions(),
+    reference_distance_mm: float | None = None,
 ) -> VertexSamples:
     """Return what pictures show of vertices, where the camera sees and the flash lights them.
 
     Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
     pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
     vertices and cast shadows are found by rays against the mesh, cast once for each camera and each flash.
+    Vertices nearer than 1.5 pixels to an edge of the surface are left out.
+
+    Raises `ValueError` when shapes disagree, or the reference distance is not above 0 and finite;
+    `ReflectanceError` when there are not as many cameras as pictures, or vertices or normals are not finite
+    or not unit.
 
     Parameters
     ----------
@@ -171,23 +153,17 @@ def sample_vertices(
     faces : (F, 3) array_like of int
     normals : (V, 3) array_like of float, optional
         Unit; those of the mesh when omitted. A vertex whose normal is 0 is never seen.
-    options : SamplingOptions
-
-    Raises
-    ------
-    ValueError
-        When shapes disagree.
-    ReflectanceError
-        When there are not as many cameras as pictures, or vertices or normals are not finite or not unit.
+    reference_distance_mm : float, optional
+        Distance at which light has fallen off to 1, with its square; no falloff when omitted.
     """
     xyz, index = checked_mesh(vertices, faces)
+    if reference_distance_mm is not None and not 0 < reference_distance_mm < math.inf:
+        raise ValueError(f"reference_distance_mm is {reference_distance_mm}, expected > 0 and finite")
     if len(rig) != len(olat):
         raise ReflectanceError(f"there are {len(olat)} pictures but {len(rig)} cameras in the rig")
     normal = checked_normals(xyz, index, normals)
-    positions = rig.camera_positions
-    lobes = point_light_lobes(
-        xyz, normal, positions, rig.light_positions, reference_distance_mm=options.reference_distance_mm
-    )
+    views = xyz, normal, rig.camera_positions, rig.light_positions
+    lobes = point_light_lobes(*views, reference_distance_mm=reference_distance_mm)
     shape = (len(olat), len(xyz), 3)
     observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
     visibility = VertexVisibility(xyz, index, normal)
@@ -197,31 +173,22 @@ def sample_vertices(
         camera, light = rig.cameras[j], rig.light_positions[j]
         key, light_key = camera.tobytes(), light.tobytes()
         if key not in seen:
-            seen[key] = visibility.seen(camera, options.view_cosine, options.margin_px)
+            seen[key] = visibility.seen(camera, VIEW_COSINE)
         if light_key not in lit:
-            lit[light_key] = visibility.lit(light) & _facing(xyz, normal, light, options.light_cosine)
+            lit[light_key] = visibility.lit(light) & (np.einsum("vc,vc->v", normal, light - xyz) > 0)
         pixels, _ = project(camera, xyz)
         usable = seen[key] & lit[light_key]
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
-        spread = options.position_sigma_px**2
+        spread = _POSITION_SIGMA_PX**2
         bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
-    slopes = lobe_slopes(xyz, normal, positions, rig.light_positions)
-    normal_spread = _normal_spread(xyz, index, normal)
-    return VertexSamples(observed, np.sqrt(variance), valid, lobes, rig.light, slopes, normal_spread)
-
-
-def _normal_spread(xyz: FloatArray, faces: IntArray, normal: FloatArray) -> FloatArray:
-    """Return (V,) root mean square angles between normals of vertices and of their triangles, by area."""
-    across, corners = face_cross_products(xyz, faces), faces.ravel()
+    # Root mean square angles between normals of vertices and of their triangles, by area.
+    across, corners = face_cross_products(xyz, index), index.ravel()
     area = np.linalg.norm(across, axis=1)
     flat = np.divide(across, area[:, None], out=np.zeros_like(across), where=area[:, None] > 0)
-    angle = np.arccos(np.clip(np.einsum("fkc,fc->fk", normal[faces], flat), -1, 1))
+    angle = np.arccos(np.clip(np.einsum("fkc,fc->fk", normal[index], flat), -1, 1))
     weight = np.repeat(area, 3)
-    total = np.bincount(corners, weight, len(xyz))
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
-    return np.sqrt(square / np.maximum(total, 1e-300))
-
-
-def _facing(xyz: FloatArray, normal: FloatArray, light: FloatArray, cosine: float) -> BoolArray:
-    toward = light - xyz
-    return np.einsum("vc,vc->v", normal, toward) > cosine * np.linalg.norm(toward, axis=1)
+    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), 1e-300))
+    return VertexSamples(
+        observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread
+    )

@@ -1,26 +1,55 @@
-"""Which vertices each camera sees, and each flash lights, away from edges."""
+"""Which vertices cameras see and flashes light, away from edges, and what pictures show of them."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.mesh import edges_with_faces
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.reflectance.environment_shading import unit_vectors
 
-_SIDES = np.array([[1.0, 0], [-1, 0], [0, 1], [0, -1]])
 RAY_OFFSET_MM = 0.2
 """Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`."""
-_DEPTH_STEP_MM = 3.0
-"""A step in depth above this, and above what the slope explains, is an edge."""
-_SHADOW_RINGS = 1
-"""Edges of the mesh between a lit vertex and the nearest one in cast shadow."""
-_MOST_SLOPE = 5.0
-"""Of the surface's depth against the picture plane: a steeper step is an edge."""
+_DEPTH_STEP_MM, _MOST_SLOPE = 3.0, 5.0
+"""A step in depth above this, and above what the slope of the surface against the picture plane explains, is
+an edge; a steeper slope explains no more than this one."""
+MARGIN_PX = 1.5
+"""Distance in the picture from edges of the surface at which vertices count."""
+
+
+def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, IntArray]:
+    """Return vertices (V, 3) and faces (F, 3), or raise `ValueError` for other shapes."""
+    xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
+    if xyz.ndim != 2 or xyz.shape[1] != 3 or index.ndim != 2 or index.shape[1] != 3:
+        raise ValueError(f"vertices is {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)")
+    return xyz, index
+
+
+def checked_normals(xyz: FloatArray, faces: IntArray, normals: ArrayLike | None) -> FloatArray:
+    """Return the normals (V, 3) given, or those of the mesh; 0 where there are none.
+
+    Raises `ValueError` for another shape, `ReflectanceError` when vertices or normals are not finite, normals
+    not unit, or faces hold no triangles of the vertices.
+    """
+    if not np.isfinite(xyz).all():
+        raise ReflectanceError("vertices are not all finite")
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(xyz):
+        raise ReflectanceError(f"faces hold no triangles, or others than of the {len(xyz)} vertices")
+    if normals is None:
+        return vertex_normals(xyz, faces)
+    given = np.ascontiguousarray(normals, np.float64)
+    if given.shape != xyz.shape:
+        raise ValueError(f"normals is {given.shape}, expected {xyz.shape} as vertices")
+    unit_vectors(np.where(given.any(1, keepdims=True), given, (0.0, 0.0, 1.0)), "normals")
+    return given
 
 
 class VertexVisibility:
@@ -34,30 +63,27 @@ class VertexVisibility:
         self._caster = RayCaster(local, faces)
         self._map = ShadowMap(self._caster, local, normals, RAY_OFFSET_MM)
         self._edges, _ = edges_with_faces(faces)
-        self._seen: dict[bytes, BoolArray] = {}
+        self._reached: dict[bytes, BoolArray] = {}
 
     def reached(self, position: FloatArray) -> BoolArray:
         """Return (V,) whether nothing stands between a vertex that faces `position` (3,) and it."""
         key = position.tobytes()
-        if key not in self._seen:
+        if key not in self._reached:
             toward = position - self._center
             distance = float(np.linalg.norm(toward))
-            self._seen[key] = self._map.visible(toward / (distance or 1.0), distance or 1e-9) > 0
-        return self._seen[key]
+            self._reached[key] = self._map.visible(toward / (distance or 1.0), distance or 1e-9) > 0
+        return self._reached[key]
 
     def lit(self, light: FloatArray) -> BoolArray:
-        """Return (V,) vertices that the light at (3,) reaches, away from cast shadows."""
+        """Return (V,) vertices that the light at (3,) reaches, none of them beside a cast shadow."""
         reached = self.reached(light)
-        facing = np.einsum("vc,vc->v", self._normals, light - self._vertices) > 0
-        hidden = facing & ~reached
-        for _ in range(_SHADOW_RINGS):
-            wider = hidden.copy()
-            wider[self._edges[hidden[self._edges[:, 1]], 0]] = True
-            wider[self._edges[hidden[self._edges[:, 0]], 1]] = True
-            hidden = wider
-        return reached & ~hidden
+        hidden = (np.einsum("vc,vc->v", self._normals, light - self._vertices) > 0) & ~reached
+        beside = hidden.copy()
+        beside[self._edges[hidden[self._edges[:, 1]], 0]] = True
+        beside[self._edges[hidden[self._edges[:, 0]], 1]] = True
+        return reached & ~beside
 
-    def seen(self, camera: FloatArray, cosine: float, margin_px: float) -> BoolArray:
+    def seen(self, camera: FloatArray, cosine: float, margin_px: float = MARGIN_PX) -> BoolArray:
         """Return (V,) vertices that a camera (3, 4) sees, normals at least `cosine` to the line of sight.
 
         The surface must continue `margin_px` to all four sides, without a hole or a depth step beyond its
@@ -68,30 +94,65 @@ class VertexVisibility:
         distance = np.linalg.norm(sight, axis=1)
         n_v = np.einsum("vc,vc->v", self._normals, sight) / np.maximum(distance, 1e-12)
         result = self.reached(position) & (n_v > cosine)
-        if margin_px > 0 and result.any():
-            rows = np.flatnonzero(result)
-            result[rows] = self._inside(camera, position, rows, n_v[rows], margin_px)
-        return result
-
-    def _inside(
-        self,
-        camera: FloatArray,
-        position: FloatArray,
-        rows: IntArray,
-        n_v: FloatArray,
-        margin_px: float,
-    ) -> BoolArray:
+        if not result.any():
+            return result
+        rows = np.flatnonzero(result)
+        n_v = n_v[rows]
         pixels, depth = project(camera, self._vertices[rows])
         good = np.asarray(np.isfinite(pixels).all(1))
         pixels = np.where(good[:, None], pixels, 0.0)
-        forward = camera[2, :3]
         pixel_mm = depth / math.sqrt(abs(float(np.linalg.det(camera[:, :3]))))
         slope = np.minimum(np.sqrt(np.maximum(1 - n_v**2, 0)) / n_v, _MOST_SLOPE)
         allowed = _DEPTH_STEP_MM + 2 * margin_px * pixel_mm * slope
-        for side in _SIDES:
-            along = pixel_directions(camera, pixels + margin_px * side)
+        for side in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            along = pixel_directions(camera, pixels + margin_px * np.array(side, np.float64))
             hits = self._caster.first_hit(np.broadcast_to(position - self._center, along.shape), along)
             missed = hits.face < 0
-            other = np.where(missed, 0.0, hits.distance) * (along @ forward)
+            other = np.where(missed, 0.0, hits.distance) * (along @ camera[2, :3])
             good &= ~missed & (np.abs(other - depth) <= allowed)
-        return good
+        result[rows] = good
+        return result
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bilinear_samples(picture, sigma, valid, pixels, usable, spread, value, variance, found):  # type: ignore[no-untyped-def]
+    """Fill value, variance and found (V, 3) of the `usable` vertices at pixels (V, 2).
+
+    `spread` is the variance of a vertex's position, px^2.
+    """
+    height, width = picture.shape[:2]
+    for i in range(len(pixels)):
+        x, y = pixels[i, 0], pixels[i, 1]
+        if not usable[i] or not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
+            continue
+        left, top = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
+        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
+        fx, fy = x - left, y - top
+        for k in range(3):
+            if not (
+                valid[top, left, k]
+                and valid[top, right, k]
+                and valid[bottom, left, k]
+                and valid[bottom, right, k]
+            ):
+                continue
+            a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
+            p, q = picture[top, left, k], picture[top, right, k]
+            r, s = picture[bottom, left, k], picture[bottom, right, k]
+            value[i, k] = a * p + b * q + c * r + d * s
+            across, down = (q - p + s - r) / 2, (r - p + s - q) / 2
+            # Each slope's own noise has this variance.
+            noise = (
+                sigma[top, left, k] ** 2
+                + sigma[top, right, k] ** 2
+                + sigma[bottom, left, k] ** 2
+                + sigma[bottom, right, k] ** 2
+            ) / 4
+            variance[i, k] = (
+                (a * sigma[top, left, k]) ** 2
+                + (b * sigma[top, right, k]) ** 2
+                + (c * sigma[bottom, left, k]) ** 2
+                + (d * sigma[bottom, right, k]) ** 2
+                + spread * max(across * across + down * down - 2 * noise, 0.0)
+            )
+            found[i, k] = True

@@ -60,7 +60,7 @@ def relative_rmse(found, truth):
 
 def test_the_albedo_of_texels_is_that_of_vertices(true_face, true_albedo):
     found = reflectance_of_processed(true_face)
-    assert found.vertices.shape == found.reflectance.diffuse_linear.shape == true_albedo.shape
+    assert found.mesh.vertices.shape == found.reflectance.diffuse_linear.shape == true_albedo.shape
     assert found.reflectance.known.all()
     # What is left are the edges of brows and lips between 128 x 128 texels.
     assert relative_rmse(found.reflectance.diffuse_linear, true_albedo) < 0.065
@@ -167,7 +167,7 @@ def test_scans_of_one_model_make_a_morphable_one(scene):
 
 def test_a_folder_gives_what_its_result_gives(result, stored):
     of_folder, of_result = reflectance_of_processed(stored), reflectance_of_processed(result)
-    np.testing.assert_array_equal(of_folder.faces, result.fitted.faces)
+    np.testing.assert_array_equal(of_folder.mesh.faces, result.fitted.faces)
     np.testing.assert_array_equal(of_folder.reflectance.known, of_result.reflectance.known)
     known = of_result.reflectance.known
     np.testing.assert_allclose(

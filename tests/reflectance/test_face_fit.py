@@ -10,7 +10,6 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
-    FaceFitOptions,
     ImageObservation,
     MorphableReflectanceModel,
     VertexReflectance,
@@ -110,10 +109,10 @@ def test_a_person_that_explains_less_than_the_mean_face_is_left_out(model, light
     assert (found.fit.face.coefficients == np.zeros(model.components)).all()
 
 
-def test_nothing_is_believed_where_the_photograph_stays_unexplained(model, lighting):
+def test_nothing_is_believed_where_the_photograph_stays_unexplained(model, lighting, monkeypatch):
     taken = picture(model.reconstruct(1.5 * np.ones(model.components)).reflectance, 3)
-    options = FaceFitOptions(most_unexplained=0.001)
-    found = fit_face(taken, model, VERTICES, FACES, lighting, options=options)
+    monkeypatch.setattr("scan2albedo.reflectance.face_fit.MOST_UNEXPLAINED", 0.001)
+    found = fit_face(taken, model, VERTICES, FACES, lighting)
     person = found.evidence[1]
     assert person.objective_after < person.objective_before
     assert found.badly_explained
@@ -124,10 +123,11 @@ def test_nothing_is_believed_where_the_photograph_stays_unexplained(model, light
     assert all("relative RMSE of all blocks" in step.evidence for step in found.plan)
 
 
-def test_too_little_of_a_face_gives_the_mean(model, lighting):
+def test_too_little_of_a_face_gives_the_mean(model, lighting, monkeypatch):
+    monkeypatch.setattr("scan2albedo.reflectance.face_fit._BLOCK_MM", 20.0)
     near = SEEN & (np.linalg.norm(VERTICES - [0, 0, 80], axis=1) < 15)
     taken = dataclasses.replace(picture(skin(np.zeros((len(NORMALS), 3))), 3), seen=near)
-    found = fit_face(taken, model, VERTICES, FACES, lighting, options=FaceFitOptions(block_mm=20.0))
+    found = fit_face(taken, model, VERTICES, FACES, lighting)
     assert not found.beats_mean
     assert all("too little of the face" in step.reason for step in found.plan)
 
@@ -138,9 +138,3 @@ def test_another_mesh_is_refused(model, lighting):
         fit_face(taken, model, VERTICES[:9], [[0, 1, 2]], lighting)
     with pytest.raises(ReflectanceError, match="1 vertices of the mesh are NaN"):
         fit_face(taken, model, np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES), FACES)
-
-
-@pytest.mark.parametrize("options", [{"block_mm": 0.0}, {"folds": 1}, {"margin": -1.0}])
-def test_options_out_of_range_are_refused(options):
-    with pytest.raises(ValueError, match=next(iter(options))):
-        FaceFitOptions(**options)

@@ -1,6 +1,7 @@
 """Fine-tuning: the closed form against plain ridge regression, truth approached, harm refused."""
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
-    FineTuneOptions,
     ImageObservation,
+    LinearModel,
     MorphableReflectanceModel,
     VertexReflectance,
     finetune,
@@ -22,9 +23,9 @@ from scan2albedo.reflectance import (
     shade_environment,
 )
 from scan2albedo.reflectance.environment_shading import light_response
-from scan2albedo.reflectance.finetune import is_improvement
-from scan2albedo.reflectance.finetune_step import best_change, neighbour_smoothing, no_change
+from scan2albedo.reflectance.finetune import best_change, is_improvement, smoothed
 
+finetune_module = sys.modules["scan2albedo.reflectance.finetune"]
 POINTS = distant_directions(500)
 POINTS = POINTS[POINTS[:, 2] > 0]
 WAVES = np.random.default_rng(5).normal(size=(2, 3, 3)) * 6
@@ -87,10 +88,11 @@ def albedo_error(model, lighting, faces, shots):
 
 
 @pytest.mark.slow
-def test_images_of_others_bring_the_model_nearer_to_the_truth(model, lighting):
+def test_images_of_others_bring_the_model_nearer_to_the_truth(model, lighting, monkeypatch):
+    monkeypatch.setattr(finetune_module, "ROUNDS", 3)
     shots = pictures(people(14, 1, BEARD), 1)
     held_out = pictures(people(5, 2, BEARD), 2)
-    tuned = finetune(model, shots, held_out, FACES, lighting=lighting, options=FineTuneOptions(rounds=3))
+    tuned = finetune(model, shots, held_out, FACES, 100 * POINTS, lighting=lighting)
     assert tuned.accepted_steps
     assert tuned.held_out_after < 0.92 * tuned.held_out_before
     assert [row.error for row in tuned.trace] == sorted((r.error for r in tuned.trace), reverse=True)
@@ -99,17 +101,18 @@ def test_images_of_others_bring_the_model_nearer_to_the_truth(model, lighting):
     unseen = pictures(faces, 3)
     before, after = (albedo_error(m, lighting, faces, unseen) for m in (model, tuned.model))
     assert after < 0.95 * before
-    np.testing.assert_array_equal(tuned.model.share_basis, model.share_basis)
-    norms = np.sqrt(np.sum(tuned.model.diffuse_basis**2, axis=(1, 2)))
+    np.testing.assert_array_equal(tuned.model.share.basis, model.share.basis)
+    norms = np.sqrt(np.sum(tuned.model.diffuse.basis**2, axis=(1, 2)))
     np.testing.assert_allclose(tuned.model.deviation, norms, rtol=1e-12)
 
 
 @pytest.mark.slow
-def test_a_change_that_harms_is_not_taken(model, lighting):
+def test_a_change_that_harms_is_not_taken(model, lighting, monkeypatch):
+    for name, value in {"ROUNDS": 2, "MEAN_CHANGE": 5.0, "SMOOTHING_MM": 0.0}.items():
+        monkeypatch.setattr(finetune_module, name, value)
     right = pictures(people(4, 2), 2)
     wrong = pictures(people(4, 1, 0.4 + 1.2 * (np.arange(len(POINTS)) % 2)), 1)
-    options = FineTuneOptions(rounds=2, mean_change=5.0, smoothing_steps=0)
-    tuned = finetune(model, wrong, right, FACES, lighting=lighting, options=options)
+    tuned = finetune(model, wrong, right, FACES, 100 * POINTS, lighting=lighting)
     assert tuned.accepted_steps == ()
     assert tuned.converged
     assert tuned.model is model
@@ -130,9 +133,9 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
             prediction = np.full((len(POINTS), 3), np.nan)
             light = response.diffuse @ fit.light, response.specular @ fit.light
             used = light_response(NORMALS[SEEN], VIEW[SEEN])
-            albedo = model.diffuse_mean + np.tensordot(b, model.diffuse_basis, 1)
-            total = model.sum_mean + np.tensordot(b, model.sum_basis, 1)
-            share = model.share_mean + np.tensordot(b, model.share_basis, 1)
+            albedo = model.diffuse.mean + np.tensordot(b, model.diffuse.basis, 1)
+            total = model.total.mean + np.tensordot(b, model.total.basis, 1)
+            share = model.share.mean + np.tensordot(b, model.share.basis, 1)
             lobes = np.einsum("vk,vkj->vj", share[SEEN], used.specular @ fit.light)
             prediction[SEEN] = albedo[SEEN] * (used.diffuse @ fit.light) + total[SEEN, None] * lobes
             residual = shot.observed_linear - prediction
@@ -145,52 +148,36 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
                 rows.append(row.ravel())
                 off.append(residual[vertex, j])
                 noise.append(spread * max(abs(residual[vertex, j]), spread))
-        scale = m * np.array([model.diffuse_mean.mean()] * 3 + [model.sum_mean.mean()])
+        scale = m * np.array([model.diffuse.mean.mean()] * 3 + [model.total.mean.mean()])
         prior = np.outer(scale, deviations).ravel()
         a, weight = np.array(rows), 1 / np.array(noise)
         expected = np.linalg.solve(a.T @ (weight[:, None] * a) + np.diag(prior**-2), a.T @ (weight * off))
         expected = expected.reshape(4, 9)
-        np.testing.assert_allclose(change.diffuse_mean[vertex], expected[:3, 0], rtol=1e-6, atol=1e-12)
-        np.testing.assert_allclose(change.diffuse_basis[:, vertex].T, expected[:3, 1:], rtol=1e-6, atol=1e-12)
-        np.testing.assert_allclose(change.sum_mean[vertex], expected[3, 0], rtol=1e-6, atol=1e-12)
-        np.testing.assert_allclose(change.sum_basis[:, vertex], expected[3, 1:], rtol=1e-6, atol=1e-12)
-    assert (change.diffuse_mean[~SEEN] == 0).all()
+        np.testing.assert_allclose(change[0, vertex], expected[:, 0], rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(change[1:, vertex].T, expected[:, 1:], rtol=1e-6, atol=1e-12)
+    assert (change[:, ~SEEN] == 0).all()
 
 
-def test_smoothing_keeps_what_is_even_and_what_stands_alone(model):
+def test_smoothing_keeps_what_is_even_and_what_stands_alone():
     count = len(POINTS)
-    ones = dataclasses.replace(no_change(model), sum_mean=np.ones(count))
-    peak = dataclasses.replace(
-        no_change(model),
-        sum_mean=np.eye(count)[40],
-        diffuse_basis=np.tile(np.eye(count)[40, :, None], (8, 1, 3)),
-    )
+    change = np.ones((9, count, 4))
+    change[1:] = np.eye(count)[40, :, None]
+    smooth = smoothed(change, surface_diffusion(POINTS, FACES, 0.3))
+    np.testing.assert_allclose(smooth[0], 1, rtol=1e-12)
+    assert smooth[1:].max() < 0.5
+    np.testing.assert_allclose(smooth[4, :, 1], smooth[2, :, 3])
     rest = FACES[(FACES != 40).all(1)]
-    for make in (
-        lambda faces: neighbour_smoothing(count, faces, 5),
-        lambda faces: surface_diffusion(POINTS, faces, 0.3),
-    ):
-        np.testing.assert_allclose(ones.smoothed(make(FACES)).sum_mean, 1, rtol=1e-12)
-        smooth = peak.smoothed(make(FACES))
-        assert smooth.sum_mean.max() < 0.5
-        np.testing.assert_allclose(smooth.diffuse_basis[3, :, 1], smooth.sum_mean)
-        assert peak.smoothed(make(rest)).sum_mean[40] == 1
-    np.testing.assert_array_equal(no_change(model).smoothed(make(FACES)).diffuse_basis, 0)
+    assert (smoothed(change, surface_diffusion(POINTS, rest, 0.3))[1:, 40] == 1).all()
+    assert not smoothed(0 * change, surface_diffusion(POINTS, FACES, 0.3)).any()
 
 
 @pytest.mark.slow
-def test_what_the_model_does_not_know_stays_zero(model, lighting):
+def test_what_the_model_does_not_know_stays_zero(model, lighting, monkeypatch):
+    monkeypatch.setattr(finetune_module, "ROUNDS", 1)
     known = POINTS[:, 1] < 0.6
-    part = {"diffuse_mean": 0, "diffuse_basis": 1, "sum_mean": 0, "sum_basis": 1}
-    arrays = {
-        name: np.where(
-            known.reshape((1,) * axis + (-1,) + (1,) * (getattr(model, name).ndim - axis - 1)),
-            getattr(model, name),
-            0,
-        )
-        for name, axis in part.items()
-    }
-    partial = dataclasses.replace(model, known=known, **arrays)
+    diffuse = LinearModel(model.diffuse.mean * known[:, None], model.diffuse.basis * known[:, None])
+    total = LinearModel(model.total.mean * known, model.total.basis * known)
+    partial = dataclasses.replace(model, known=known, diffuse=diffuse, total=total)
     tuned = finetune(
         partial,
         pictures(people(2, 1, BEARD), 1),
@@ -198,55 +185,34 @@ def test_what_the_model_does_not_know_stays_zero(model, lighting):
         FACES,
         vertices=100 * POINTS,
         lighting=lighting,
-        options=FineTuneOptions(rounds=1),
     )
     assert tuned.accepted_steps
-    assert (tuned.model.diffuse_mean[~known] == 0).all()
-    assert (tuned.model.sum_basis[:, ~known] == 0).all()
+    assert (tuned.model.diffuse.mean[~known] == 0).all()
+    assert (tuned.model.total.basis[:, ~known] == 0).all()
 
 
-def test_smoothing_in_mm_does_not_depend_on_the_resolution(model):
-    blank = dataclasses.replace(
-        no_change(model), diffuse_basis=np.zeros((0, 1, 3)), sum_basis=np.zeros((0, 1))
-    )
-    for in_mm in (True, False):
-        heights = []
-        for count in (21, 41):
-            x, y = np.meshgrid(np.linspace(-50, 50, count), np.linspace(-50, 50, count))
-            vertices = np.stack([x.ravel(), y.ravel(), np.zeros(count**2)], 1)
-            corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
-            square = corner[:, None] + [0, 1, count, count + 1]
-            faces = np.concatenate([square[:, [0, 1, 2]], square[:, [2, 1, 3]]])
-            wave = np.cos(2 * np.pi * vertices[:, 0] / 25)
-            change = dataclasses.replace(blank, diffuse_mean=np.zeros((count**2, 3)), sum_mean=wave)
-            smooth = (
-                surface_diffusion(vertices, faces, 4.0) if in_mm else neighbour_smoothing(count**2, faces, 4)
-            )
-            middle = np.abs(vertices[:, :2]).max(1) < 25
-            heights.append(np.abs(change.smoothed(smooth).sum_mean[middle]).max())
-        assert (abs(heights[0] - heights[1]) < 0.05) == in_mm
-
-
-def test_a_gain_counts_that_images_share():
-    options, before = FineTuneOptions(), np.array([[0.2], [0.3], [0.4], [0.25]])
-    assert is_improvement(before, 0.98 * before, options)
-    assert not is_improvement(before, before, options)
-    assert not is_improvement(before, 0.9995 * before, options)
+def test_a_gain_counts_that_images_share(monkeypatch):
+    before = np.array([[0.2], [0.3], [0.4], [0.25]])
+    assert is_improvement(before, 0.98 * before)
+    assert not is_improvement(before, before)
+    assert not is_improvement(before, 0.9995 * before)
     one_alone = before * [[0.8], [1.01], [1.0], [1.02]]
     assert one_alone.mean() < 0.999 * before.mean()
-    assert not is_improvement(before, one_alone, options)
-    assert is_improvement(before, one_alone, FineTuneOptions(significance_level=0.5))
-    assert is_improvement(before[:1], 0.9 * before[:1], options)
-    assert not is_improvement(np.zeros((2, 1)), np.zeros((2, 1)), options)
+    assert not is_improvement(before, one_alone)
+    assert is_improvement(before[:1], 0.9 * before[:1])
+    assert not is_improvement(np.zeros((2, 1)), np.zeros((2, 1)))
     two_kinds = np.repeat(before, 2, axis=1)
-    assert is_improvement(two_kinds, 0.9 * two_kinds, options)
-    assert not is_improvement(two_kinds, two_kinds * [0.9, 1.01], options)
+    assert is_improvement(two_kinds, 0.9 * two_kinds)
+    assert not is_improvement(two_kinds, two_kinds * [0.9, 1.01])
+    monkeypatch.setattr(finetune_module, "SIGNIFICANCE_LEVEL", 0.5)
+    assert is_improvement(before, one_alone)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("pattern", [BEARD, 1.0], ids=["off", "right"])
-def test_images_that_no_step_saw_are_never_explained_worse(lighting, seed, pattern):
+def test_images_that_no_step_saw_are_never_explained_worse(lighting, seed, pattern, monkeypatch):
+    monkeypatch.setattr(finetune_module, "ROUNDS", 2)
     model = MorphableReflectanceModel.from_samples(people(20, 100 * seed), components=8)
     first = 10 * (seed + 1)
     shots = pictures(people(10, first + 1, pattern), first + 1)
@@ -258,7 +224,6 @@ def test_images_that_no_step_saw_are_never_explained_worse(lighting, seed, patte
         FACES,
         vertices=100 * POINTS,
         lighting=lighting,
-        options=FineTuneOptions(rounds=2),
     )
     third = pictures(people(20, first + 3, pattern), first + 3)
     before, after = (
@@ -271,7 +236,7 @@ def test_images_that_no_step_saw_are_never_explained_worse(lighting, seed, patte
 
 def test_seconds_that_end_at_once_leave_the_model_as_it_is(model, lighting):
     shots, held_out = pictures(people(4, 1, BEARD), 1), pictures(people(2, 2, BEARD), 2)
-    tuned = finetune(model, shots, held_out, FACES, lighting=lighting, budget=1e-6)
+    tuned = finetune(model, shots, held_out, FACES, 100 * POINTS, lighting=lighting, budget=1e-6)
     assert tuned.model is model
     assert not tuned.converged
     assert tuned.held_out_before == tuned.held_out_after
@@ -279,18 +244,21 @@ def test_seconds_that_end_at_once_leave_the_model_as_it_is(model, lighting):
 
 def test_a_budget_that_ends_keeps_what_was_accepted(model, lighting):
     shots, held_out = pictures(people(4, 1, BEARD), 1), pictures(people(2, 2, BEARD), 2)
-    tuned = finetune(model, shots, held_out, FACES, lighting=lighting, budget=Budget(evaluations=2))
+    tuned = finetune(
+        model, shots, held_out, FACES, 100 * POINTS, lighting=lighting, budget=Budget(evaluations=2)
+    )
     assert not tuned.converged
     assert tuned.model is model
     assert len(tuned.trace) == 1
 
 
 @pytest.mark.slow
-def test_models_without_directions_have_their_mean_tuned(lighting):
+def test_models_without_directions_have_their_mean_tuned(lighting, monkeypatch):
+    monkeypatch.setattr(finetune_module, "ROUNDS", 1)
+    monkeypatch.setattr(finetune_module, "SIGNIFICANCE_LEVEL", 0.5)
     alone = MorphableReflectanceModel.from_samples(people(1, 0))
     shots, held_out = pictures(people(6, 1, BEARD), 1), pictures(people(3, 2, BEARD), 2)
-    options = FineTuneOptions(rounds=1, significance_level=0.5)
-    tuned = finetune(alone, shots, held_out, FACES, lighting=lighting, options=options)
+    tuned = finetune(alone, shots, held_out, FACES, 100 * POINTS, lighting=lighting)
     assert tuned.held_out_after < tuned.held_out_before
     assert tuned.model.components == 0
 
@@ -298,22 +266,12 @@ def test_models_without_directions_have_their_mean_tuned(lighting):
 def test_what_cannot_be_tuned_with_is_refused(model):
     shots = pictures(people(1, 1), 1)
     with pytest.raises(ReflectanceError, match="0 held out"):
-        finetune(model, shots, [], FACES)
+        finetune(model, shots, [], FACES, POINTS)
     with pytest.raises(ReflectanceError, match="0 images"):
-        finetune(model, [], shots, FACES)
+        finetune(model, [], shots, FACES, POINTS)
     with pytest.raises(ValueError, match="point outside"):
-        finetune(model, shots, shots, [[0, 1, len(POINTS)]])
-    with pytest.raises(ValueError, match="vertices must have shape"):
+        finetune(model, shots, shots, [[0, 1, len(POINTS)]], POINTS)
+    with pytest.raises(ValueError, match="vertices"):
         finetune(model, shots, shots, FACES, vertices=POINTS[1:])
     with pytest.raises(ReflectanceError, match="vertices hold NaN"):
         finetune(model, shots, shots, FACES, vertices=np.full_like(POINTS, np.nan))
-    with pytest.raises(ValueError, match="mean_change"):
-        FineTuneOptions(mean_change=0)
-    for wrong in ((), (-0.1, 0.1)):
-        with pytest.raises(ValueError, match="basis_changes"):
-            FineTuneOptions(basis_changes=wrong)
-    for level in (0.0, 0.6, np.nan):
-        with pytest.raises(ValueError, match="significance_level"):
-            FineTuneOptions(significance_level=level)
-    with pytest.raises(ValueError, match="rounds"):
-        FineTuneOptions(rounds=-1)

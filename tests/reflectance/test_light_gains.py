@@ -7,11 +7,16 @@ import pytest
 from benchmarks.reflectance_captures import head_capture, relative_rmse, samples_of
 
 from scan2albedo.core import Budget
-from scan2albedo.reflectance import ReflectanceFitOptions, fit_reflectance
+from scan2albedo.reflectance import ReflectanceFitOptions, fit_reflectance, vertex_fit
 from scan2albedo.reflectance.robust_fit import Observations
 from scan2albedo.reflectance.vertex_fit import divided_by_gain
 
-GAINS = ReflectanceFitOptions(light_gains=True, gain_vertices=300)
+GAINS = ReflectanceFitOptions(light_gains=True)
+
+
+@pytest.fixture(autouse=True)
+def few_vertices(monkeypatch):
+    monkeypatch.setattr(vertex_fit, "_GAIN_VERTICES", 300)
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +54,10 @@ def test_gains_are_found(capture, gain, shadowed):
     assert np.nanmedian(without.misfit) > np.nanmedian(fit.misfit)
 
 
-def test_gains_without_noise_are_exact(capture, gain):
-    options = replace(GAINS, gain_iterations=300, gain_tolerance=1e-9, loss="squares")
+def test_gains_without_noise_are_exact(capture, gain, monkeypatch):
+    monkeypatch.setattr(vertex_fit, "_GAIN_ROUNDS", 300)
+    monkeypatch.setattr(vertex_fit, "_GAIN_TOLERANCE", 1e-9)
+    options = replace(GAINS, loss="squares")
     fit = fit_reflectance(lit_by(capture, gain, said_noise=1e-6), options=options)
     np.testing.assert_allclose(fit.light_gain, gain, rtol=1e-5)
 

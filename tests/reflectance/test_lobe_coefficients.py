@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import eval_legendre
 
-from scan2albedo.reflectance.lobe_coefficients import lambert_coefficients, lobe_coefficients, tilted_lobe
+from scan2albedo.reflectance.environment_shading import lambert_coefficients, lobe_coefficients, tilted_lobe
 
 FULL = {
     1: [1, 0.2, -0.02857, 0.00952, -0.00433, 0.00233, -0.0014, 0.0009, -0.00062],

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from build_reflectance_model import PEOPLE, packed
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import VertexReflectance
-from scan2albedo.reflectance.model_choice import held_out_components
-from scan2albedo.runs.reflectance.model_run import synthetic_model
+from scan2albedo.reflectance.morphable_model import held_out_components
+from scan2albedo.runs.reflectance.model_run import DEFAULT_MODEL_FILE, default_model, synthetic_model
 
 RNG = np.random.default_rng(0)
 VERTICES = RNG.uniform(-100, 100, (800, 3))
@@ -39,6 +40,38 @@ def test_the_model_of_synthetic_people_has_reflectance_and_shape():
     assert built.shape is not None
     assert len(built.shape.mean) == len(built.model.known) == len(built.mean.vertices)
     again = synthetic_model(20, components=built.model.components)
-    np.testing.assert_array_equal(again.model.diffuse_basis, built.model.diffuse_basis)
+    np.testing.assert_array_equal(again.model.diffuse.basis, built.model.diffuse.basis)
     with pytest.raises(ReflectanceError, match="2 or more"):
         synthetic_model(1)
+
+
+def test_the_model_of_the_package_is_whole():
+    built = default_model()
+    assert built.model.samples == 200
+    assert built.shape is not None
+    assert built.shape.mean.shape == built.model.diffuse.mean.shape == (3663, 3)
+    np.testing.assert_allclose(built.model.share.mean.sum(1), 1, rtol=1e-12)
+    np.testing.assert_allclose(built.model.share.basis.sum(2), 0, atol=1e-12)
+    assert built.model.sample(0).clipped_share < 0.05
+    assert DEFAULT_MODEL_FILE.stat().st_size < 800_000
+
+
+@pytest.mark.slow
+def test_the_model_of_the_package_is_what_the_command_builds():
+    made, built = synthetic_model(PEOPLE), default_model()
+    with np.load(DEFAULT_MODEL_FILE) as stored:
+        for name, array in packed(made).items():
+            if array.dtype == np.int8:  # rounding may fall to either side on other machines
+                assert np.abs(array.astype(int) - stored[name]).max() <= 1
+            else:
+                np.testing.assert_allclose(stored[name], array, rtol=1e-5, atol=1e-6)
+    off = [
+        np.sqrt(np.mean(np.sum((a - b) ** 2, axis=0)))
+        for a, b in (
+            (made.model.diffuse.basis, built.model.diffuse.basis),
+            (made.model.total.basis, built.model.total.basis),
+            (made.model.share.basis, built.model.share.basis),
+            (made.shape.basis, built.shape.basis),
+        )
+    ]
+    assert np.all(np.array(off) < [0.002, 1e-4, 1e-3, 0.05])

@@ -7,7 +7,7 @@ import pytest
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
-from scan2albedo.reflectance.sample_statistics import reliability
+from scan2albedo.reflectance.morphable_model import reliability
 
 
 def faces(count, vertices=60, rank=None, seed=0, known=None):
@@ -33,8 +33,8 @@ def test_directions_are_those_of_a_singular_value_decomposition():
     _, values, rows = np.linalg.svd(x - x.mean(0), full_matrices=False)
     assert model.components == 6
     np.testing.assert_allclose(model.deviation, values[:6] / np.sqrt(6), rtol=1e-10)
-    np.testing.assert_allclose(model.diffuse_mean.ravel(), x.mean(0), rtol=1e-12)
-    unit = model.diffuse_basis.reshape(6, -1) / model.deviation[:, None]
+    np.testing.assert_allclose(model.diffuse.mean.ravel(), x.mean(0), rtol=1e-12)
+    unit = model.diffuse.basis.reshape(6, -1) / model.deviation[:, None]
     np.testing.assert_allclose(np.abs(np.einsum("ip,ip->i", unit, rows[:6])), 1, rtol=1e-10)
     np.testing.assert_allclose(model.explained.sum(), 1, rtol=1e-12)
 
@@ -59,8 +59,8 @@ def test_samples_come_back_with_their_weights():
 
 def test_shares_sum_to_one_wherever_the_model_is_evaluated():
     model = MorphableReflectanceModel.from_samples(faces(5))
-    np.testing.assert_allclose(model.share_mean.sum(1), 1, rtol=1e-12)
-    np.testing.assert_allclose(model.share_basis.sum(2), 0, atol=1e-14)
+    np.testing.assert_allclose(model.share.mean.sum(1), 1, rtol=1e-12)
+    np.testing.assert_allclose(model.share.basis.sum(2), 0, atol=1e-14)
 
 
 def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
@@ -73,7 +73,7 @@ def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
 def test_fewer_components_are_the_first_ones():
     samples = faces(8)
     full, cut = (MorphableReflectanceModel.from_samples(samples, components=n) for n in (None, 3))
-    np.testing.assert_allclose(cut.diffuse_basis, full.diffuse_basis[:3], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(cut.diffuse.basis, full.diffuse.basis[:3], rtol=0, atol=1e-14)
     assert cut.explained.sum() < full.explained.sum()
 
 
@@ -103,7 +103,7 @@ def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
     assert np.flatnonzero(~model.known).tolist() == [11]
     assert model.support[[9, 10, 11]].tolist() == [6, 4, 2]
     mean = np.mean([s.diffuse_linear[10] for s in samples[2:]], axis=0)
-    np.testing.assert_allclose(model.diffuse_mean[10], mean, rtol=1e-12)
+    np.testing.assert_allclose(model.diffuse.mean[10], mean, rtol=1e-12)
     made = model.project(samples[4]).nearest.reflectance
     assert np.isnan(made.diffuse_linear[11]).all()
     np.testing.assert_allclose(made.diffuse_linear[10], samples[4].diffuse_linear[10], rtol=1e-9)
@@ -132,7 +132,7 @@ def test_faces_without_lobes_and_black_channels_stay_so():
     made = model.sample(1)
     assert (made.reflectance.weights == 0).all()
     assert (made.reflectance.diffuse_linear[:, 2] == 0).all()
-    assert made.clipped_weights == 0
+    assert made.clipped_share == 0
     all_black = VertexReflectance(np.zeros((30, 3)), np.zeros((30, 3)), np.ones(30, bool))
     assert MorphableReflectanceModel.from_samples([all_black] * 3).components == 0
 
@@ -144,8 +144,8 @@ def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():
     samples[0] = dataclasses.replace(samples[0], weights=weights)
     model = MorphableReflectanceModel.from_samples(samples)
     share = np.mean([s.weights[7] / s.weights[7].sum() for s in samples[1:]], axis=0)
-    np.testing.assert_allclose(model.share_mean[7], share, rtol=1e-12)
-    assert model.sum_mean[7] == pytest.approx(np.mean([s.weights[7].sum() for s in samples]))
+    np.testing.assert_allclose(model.share.mean[7], share, rtol=1e-12)
+    assert model.total.mean[7] == pytest.approx(np.mean([s.weights[7].sum() for s in samples]))
     np.testing.assert_allclose(model.project(samples[0]).nearest.reflectance.weights[7], 0, atol=1e-12)
 
 
@@ -154,9 +154,10 @@ def test_samples_are_reproducible_and_tell_what_was_clipped():
     np.testing.assert_array_equal(model.sample(5).coefficients, model.sample(5).coefficients)
     assert model.sample(5).clipped_share == 0
     far = model.sample(5, scale=40.0)
-    raw = model.diffuse_mean + np.tensordot(far.coefficients, model.diffuse_basis, 1)
-    assert far.clipped_diffuse == (raw < -1e-9).sum() > 0
-    assert far.clipped_weights > 0
+    diffuse, total, share = (part.at(far.coefficients) for part in (model.diffuse, model.total, model.share))
+    clipped = (diffuse < -1e-9).sum(), ((total[:, None] < -1e-9) | (share < -1e-9)).sum()
+    assert min(clipped) > 0
+    assert far.clipped_share == pytest.approx(sum(clipped) / (6 * len(diffuse)))
     assert (far.reflectance.diffuse_linear >= 0).all()
     assert (far.reflectance.weights >= 0).all()
 
@@ -166,8 +167,11 @@ def test_a_model_comes_back_from_its_file(tmp_path):
     model = MorphableReflectanceModel.from_samples(faces(5, known=known), components=3)
     model.save(tmp_path / "a.npz")
     back = MorphableReflectanceModel.load(tmp_path / "a.npz")
-    for field in dataclasses.fields(model):
-        np.testing.assert_array_equal(getattr(back, field.name), getattr(model, field.name))
+    for name in ("known", "support", "total_variance", "samples"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(model, name))
+    for name in ("diffuse", "total", "share"):
+        np.testing.assert_array_equal(getattr(back, name).mean, getattr(model, name).mean)
+        np.testing.assert_array_equal(getattr(back, name).basis, getattr(model, name).basis)
     model.save(tmp_path / "b.npz")
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
@@ -246,11 +250,11 @@ def test_vertices_with_little_weight_count_little():
     plain, trusting = (
         MorphableReflectanceModel.from_samples(wild, weights=given) for given in (None, weights)
     )
-    off = [np.abs(model.diffuse_mean - right.diffuse_mean)[:10].max() for model in (plain, trusting)]
+    off = [np.abs(model.diffuse.mean - right.diffuse.mean)[:10].max() for model in (plain, trusting)]
     assert off[1] < 0.01 < 0.5 < off[0]
     assert plain.deviation[0] > 5 * trusting.deviation[0]
     same = MorphableReflectanceModel.from_samples(samples, weights=np.ones((6, 60)))
-    assert np.array_equal(same.diffuse_mean, MorphableReflectanceModel.from_samples(samples).diffuse_mean)
+    assert np.array_equal(same.diffuse.mean, MorphableReflectanceModel.from_samples(samples).diffuse.mean)
     with pytest.raises(ValueError, match="weights must be"):
         MorphableReflectanceModel.from_samples(samples, weights=2 * weights)
 

@@ -23,7 +23,7 @@ def albedo_errors(cases, lighting, with_transfer):
 
 
 def of_mean(cases):
-    return np.mean([albedo_error(learned(60, 40).diffuse_mean, face) for face in cases.faces])
+    return np.mean([albedo_error(learned(60, 40).diffuse.mean, face) for face in cases.faces])
 
 
 def test_faces_of_the_model_are_found_in_shadow(lighting):

@@ -159,12 +159,11 @@ def _weights(quick: bool) -> BudgetedStage:
 
 
 def _glasses(quick: bool) -> BudgetedStage:
-    from benchmarks.glasses import QUICK_WEARER, registered, rms_mm, worn_glasses
+    from benchmarks.glasses import QUICK_WEARER_PX, registered, rms_mm, worn_glasses
     from scan2albedo.core import Budget
     from scan2albedo.eyeglasses import FaceRegistrationOptions
-    from scan2albedo.synthetic import WearerOptions
 
-    scene = worn_glasses(0, QUICK_WEARER if quick else WearerOptions())
+    scene = worn_glasses(0, *QUICK_WEARER_PX) if quick else worn_glasses(0)
     options = FaceRegistrationOptions()
 
     def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:
@@ -191,7 +190,7 @@ def _fit_image() -> BudgetedStage:
     def error(albedo: FloatArray) -> float:
         return 100 * albedo_error(albedo, face)
 
-    return BudgetedStage("fit_image", "%", run, error, error(model.diffuse_mean))
+    return BudgetedStage("fit_image", "%", run, error, error(model.diffuse.mean))
 
 
 def _refine_geometry() -> BudgetedStage:

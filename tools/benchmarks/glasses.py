@@ -16,10 +16,11 @@ from scan2albedo.eyeglasses import (
     bounded_biharmonic_weights,
     register_on_face,
 )
-from scan2albedo.synthetic import Wearer, WearerOptions, wearer
+from scan2albedo.synthetic import Wearer, wearer
 
 _SCENES, _QUICK_SCENES = 4, 1
-QUICK_WEARER = WearerOptions(picture_size=256, focal_px=450.0)
+QUICK_WEARER_PX = (256, 450.0)
+"""Size of the pictures and focal length of a wearer for quick runs; 1024 and 1800 by default."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,9 @@ class WornGlasses:
 
 
 @cache
-def worn_glasses(seed: int, options: WearerOptions = WearerOptions()) -> WornGlasses:
+def worn_glasses(seed: int, picture_size: int = 1024, focal_px: float = 1800.0) -> WornGlasses:
     """Return a wearer with the weights of the frame, which the registration is given."""
-    worn = wearer(seed, options=options)
+    worn = wearer(seed, picture_size=picture_size, focal_px=focal_px)
     glasses = worn.glasses
     weights = bounded_biharmonic_weights(glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
     return WornGlasses(worn, weights)
@@ -89,7 +90,7 @@ def _peers(quick: bool) -> list[Peer]:
 
 def _scenes(quick: bool) -> list[WornGlasses]:
     if quick:
-        return [worn_glasses(seed, QUICK_WEARER) for seed in range(_QUICK_SCENES)]
+        return [worn_glasses(seed, *QUICK_WEARER_PX) for seed in range(_QUICK_SCENES)]
     return [worn_glasses(seed) for seed in range(_SCENES)]
 
 

@@ -8,8 +8,7 @@ from typing import Any
 from benchmarks.sweep import Setting
 from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES
 from scan2albedo.eyeglasses.weighting.weights import TOLERANCE
-from scan2albedo.pipeline.quality import PRESETS
-from scan2albedo.sampling import LookupOptions
+from scan2albedo.pipeline.options import PRESETS
 
 STANDARD = "standard"
 WEIGHTS: dict[str, dict[str, Any]] = {
@@ -25,7 +24,6 @@ class SizeOptions:
     """What a geometry image is made with."""
 
     size: int = 512
-    lookup: LookupOptions = LookupOptions()
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.reflectance import (
     ReflectanceFit,
     ReflectanceFitOptions,
-    SamplingOptions,
     fit_reflectance,
     sample_vertices,
 )
@@ -113,9 +112,13 @@ def accuracy_on_head(
     options: ReflectanceFitOptions = ReflectanceFitOptions(least_pairs=LEAST_PAIRS, most_albedo=1.0),
 ) -> tuple[HeadAccuracy, ReflectanceFit]:
     """Fit the capture on a mesh of `vertices` and compare."""
-    sampling = SamplingOptions(reference_distance_mm=DISTANCE_MM)
     samples = sample_vertices(
-        capture.olat, capture.rig, vertices, capture.faces, normals=normals, options=sampling
+        capture.olat,
+        capture.rig,
+        vertices,
+        capture.faces,
+        normals=normals,
+        reference_distance_mm=DISTANCE_MM,
     )
     samples = replace(samples, lobes=capture.strength * samples.lobes)
     fit_reflectance(samples.of_pairs([0, 1, 2]), options=replace(options, least_pairs=1))  # compiles

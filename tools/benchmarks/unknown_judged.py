@@ -50,7 +50,7 @@ class JudgedFace:
 
 def judged(face: UnknownFace, model: MorphableReflectanceModel, folder: str | None) -> JudgedFace:
     """Fit a photograph, and compare with the truth."""
-    taken = photographed(face, model.diffuse_mean, None if folder is None else Path(folder))
+    taken = photographed(face, model.diffuse.mean, None if folder is None else Path(folder))
     image = observe_photograph(taken.image, taken.camera, taken.vertices, taken.faces, mask=taken.skin)
     transfer = image.transfer
     assert transfer is not None
@@ -88,7 +88,7 @@ def sheet(found: list[JudgedFace]) -> NDArray[np.uint8]:
     """Return a row for each face: photograph, true albedo, mean face, fit alone, what was chosen."""
     rows = []
     for one in found:
-        taken, mean = one.photograph, one.model.diffuse_mean
+        taken, mean = one.photograph, one.model.diffuse.mean
         pixels, depth = project(taken.camera, taken.vertices)
         raster = rasterize(pixels, -depth, taken.faces, (SIZE, SIZE))
         row = [taken.image]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from benchmarks.reflectance_captures import Capture, head_capture, of_pairs, relative_rmse, samples_of
@@ -20,13 +21,11 @@ from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.lighting.environment import DistantLights, distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_distant_lights, project_environment
 from scan2albedo.reflectance import (
-    FineTuneOptions,
     GeometryFit,
     ImageFit,
     ImageObservation,
     MorphableReflectanceModel,
     MorphableShapeModel,
-    PhotographOptions,
     ReflectanceFit,
     ReflectanceFitOptions,
     VertexReflectance,
@@ -402,7 +401,7 @@ for _count in (1, 2):
 @CASES.extreme(STAGE, "model of identical subjects")
 def _clones() -> str:
     model = MorphableReflectanceModel.from_samples(_faces(1) * 5)
-    assert_finite(model.diffuse_mean, model.deviation, model.share_mean)
+    assert_finite(model.diffuse.mean, model.deviation, model.share.mean)
     error = model.project(_faces(1)[0]).diffuse_rmse
     assert model.components == 0
     assert error < 1e-12
@@ -426,7 +425,7 @@ def _gaps() -> str:
         diffuse[~known], weights[~known] = math.nan, math.nan
         samples.append(VertexReflectance(diffuse, weights, known))
     model = MorphableReflectanceModel.from_samples(samples)
-    assert_finite(model.diffuse_mean[model.known], model.diffuse_basis[:, model.known], model.deviation)
+    assert_finite(model.diffuse.mean[model.known], model.diffuse.basis[:, model.known], model.deviation)
     return f"{model.components} directions, {int(model.known.sum())} of 60 vertices known to the model"
 
 
@@ -437,7 +436,7 @@ def _strangers() -> str:
         known = np.arange(60) % 2 == k
         samples.append(VertexReflectance(face.diffuse_linear, face.weights, known))
     model = MorphableReflectanceModel.from_samples(samples)
-    assert_finite(model.diffuse_mean)
+    assert_finite(model.diffuse.mean)
     assert model.components == 0
     assert model.support.max() == 1
     return Measured("0 directions; `support` says that each vertex was seen of one subject")
@@ -548,7 +547,7 @@ for _name, _scale in (("1e-6", 1e-6), ("1e6", 1e6)):
         fit = _image_fit(replace(plain, observed_linear=scale * np.asarray(plain.observed_linear)))
         error, without = _image_error(fit), _image_error(_image_fit(plain))
         assert abs(error - without) < 1e-6
-        assert error < 0.8 * relative_rmse(_model().diffuse_mean, _people(1, 3)[0].diffuse_linear)
+        assert error < 0.8 * relative_rmse(_model().diffuse.mean, _people(1, 3)[0].diffuse_linear)
         return f"albedo off by {100 * error:.1f} %, as without the factor"
 
 
@@ -608,9 +607,7 @@ for _name, _budget in (("1e-3 s", Budget(seconds=1e-3)), ("1 evaluation", Budget
 def _observed(image: FloatArray, **changes: Any) -> ImageObservation:
     scene = _scene()
     camera = changes.get("camera", look_at([0, 0, 900.0], [0, 0, 0], focal_px=100.0, shape=image.shape[:2]))
-    return observe_photograph(
-        image, camera, changes.get("vertices", scene.vertices), scene.faces, options=PhotographOptions()
-    )
+    return observe_photograph(image, camera, changes.get("vertices", scene.vertices), scene.faces)
 
 
 GREY = np.full((64, 64, 3), 0.5)
@@ -760,11 +757,11 @@ def _skin_faces() -> IntArray:
 
 
 def _tuned(observations: list[ImageObservation], held_out: list[ImageObservation], **given: Any) -> str:
-    options = FineTuneOptions(rounds=1)
-    tuning = _quiet(
-        lambda: finetune(_model(), observations, held_out, _skin_faces(), options=options, **given)
-    )
-    assert_finite(tuning.model.diffuse_mean, tuning.model.deviation, tuning.held_out_after)
+    with patch("scan2albedo.reflectance.finetune.ROUNDS", 1):
+        tuning = _quiet(
+            lambda: finetune(_model(), observations, held_out, _skin_faces(), vertices=100 * NORMALS, **given)
+        )
+    assert_finite(tuning.model.diffuse.mean, tuning.model.deviation, tuning.held_out_after)
     assert tuning.held_out_after <= tuning.held_out_before
     return (
         f"{len(tuning.accepted_steps)} steps taken, held-out error {tuning.held_out_before:.4f} -> "

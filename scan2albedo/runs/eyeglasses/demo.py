@@ -22,7 +22,6 @@ from scan2albedo.eyeglasses import (
     write_labels,
     write_masks,
 )
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers
@@ -42,7 +41,8 @@ from scan2albedo.runs.eyeglasses.inputs import (
 )
 from scan2albedo.runs.eyeglasses.lenses_run import run_lenses
 from scan2albedo.runs.eyeglasses.register_run import PlacedFrame, register_frame, write_registration_files
-from scan2albedo.synthetic import RawScanOptions, Wearer, WearerOptions, raw_scan, wearer
+from scan2albedo.synthetic import Scanner, Wearer, raw_scan, wearer
+from scan2albedo.templates import AnnotatedFaceModel
 
 Mesh = tuple[FloatArray, IntArray]
 
@@ -53,7 +53,7 @@ INPUT = "input"
 LENSES = "lenses"
 """Folder with the picture through lenses."""
 _MESHES = (".obj", ".glb")
-_SHAPE_ONLY = RawScanOptions(size=64, picture_size=64)
+_SHAPE_ONLY = Scanner(size=64, picture_size=64)
 """Neither registration nor fit look at the scan's pictures."""
 
 
@@ -140,7 +140,7 @@ def run_glasses_demo(
     *,
     seed: int = 0,
     head: Head = "fitted",
-    options: WearerOptions = WearerOptions(),
+    person: Wearer | None = None,
     dioptres: float | None = -6.0,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
@@ -151,13 +151,14 @@ def run_glasses_demo(
     `LENSES`; None, or no head to see through them, for no lenses. `out` gets the results, and in `INPUT` the
     files they were made from. The head is "fitted": the face that `register` and `fit` find in a raw scan of
     the person, brought into the cameras' frame by the scan's true pose, as a calibrated rig knows it; "true":
-    the person's own; or "none". `say` is called with lines on the lenses.
+    the person's own; or "none". A `person` takes the place of that of `seed`.
+    `say` is called with lines on the lenses.
     """
     folder = Path(out)
     check_writable(folder)
     RunFolder(folder, register_run.FILES).check()
     RunFolder(folder / LENSES, lenses_run.FILES).check()
-    person = wearer(seed, options=options)
+    person = person or wearer(seed)
     mesh = (person.head_vertices, person.head_faces) if head == "true" else None
     mesh = fitted_face(seed, on_progress) if head == "fitted" else mesh
     given = write_wearer(person, mesh, folder)
@@ -175,7 +176,7 @@ def run_glasses_demo(
 
 def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
     """Return the face fitted to a raw scan of the person of `wearer(seed)`, in that wearer's world."""
-    scan, truth = raw_scan(seed, options=_SHAPE_ONLY)
+    scan, truth = raw_scan(seed, scanner=_SHAPE_ONLY)
     model = AnnotatedFaceModel.default()
     pose = register(scan, model, seed=seed, on_progress=on_progress)
     fitted = fit(scan, model, pose, on_progress=on_progress)

@@ -16,16 +16,16 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.images import write_exr
+from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_EXTENT_MM, largest_extent
 from scan2albedo.reflectance import (
+    PARAMETERS,
     CaptureFiles,
     MeshReflectance,
     OlatImages,
     ReflectanceFit,
     ReflectanceFitOptions,
     RelightingError,
-    SamplingOptions,
     VertexSamples,
     fit_reflectance,
     relighting_error,
@@ -42,10 +42,10 @@ from scan2albedo.report.reflectance_views import (
     reflectance_panels,
     relit_panels,
 )
-from scan2albedo.runs.reflectance.output import folder_of_results
+from scan2albedo.runs.reflectance import results_in
 
 HELD_OUT_EVERY = 10
-"""One of so many pairs is left out of the fit that is tested on it."""
+"""One pair of this many is left out of the fit that is tested on it."""
 _LEAST_FOR_HELD_OUT = 5
 _SHOWN_PAIRS = 4
 _COLUMNS_OF_SHEET = 11
@@ -66,57 +66,27 @@ class FittedCapture:
     error: RelightingError | None
     notes: tuple[str, ...] = ()
 
-    def metrics(self) -> dict[str, Any]:
-        """Return the figures for `reflectance.json`."""
-        fit = self.fit
-        known = fit.reflectance.known
-        identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
-        figures: dict[str, Any] = {
-            "pairs": int(np.asarray(self.samples.valid).any((1, 2)).sum()),
-            "pairs_of_capture": len(self.samples.light),
-            "vertices": len(known),
-            "known_vertices": int(known.sum()),
-            "pictures_per_vertex_median": float(np.median(fit.pair_count)),
-            "identified_share": dict(
-                zip(("red", "green", "blue", "weight_1", "weight_8", "weight_64"), identified, strict=True)
-            ),
-            "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
-            "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
-            "impossible_vertices": int(fit.impossible.sum()),
-            "level": fit.level,
-            "converged": fit.converged,
-            "iterations": fit.iterations,
-            "light_gain": fit.light_gain,
-        }
-        if self.error is not None:
-            figures["held_out"] = {
-                "pairs": int(self.held_out.sum()),
-                "relative_rmse": self.error.relative_rmse,
-                "noise_part": self.error.noise_part,
-                "psnr_db": self.error.psnr_db,
-            }
-        return figures
-
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
     with _naming(capture):
         olat = capture.extract_olat()
-    names = capture.pair_names()
     figures = {
         "pairs": len(olat),
         "saturated_share": float(olat.saturated.any(-1).mean()),
         "valid_share": float(olat.valid.all(-1).mean()),
         "pairs_left_out": [d.pair for d in olat.diagnostics if d.left_out],
     }
-    with folder_of_results(out, "olat", (capture.path,)) as results:
+    with results_in(out, (capture.path,)).publishing() as results:
         for number, linear in enumerate(olat.linear):
             write_exr(results.folder / f"olat_{number:03d}.exr", linear)
-        results.picture("olat.png", _sheet(olat, lights=len(set(capture.rig.light.tolist()))))
+        write_png(results.folder / "olat.png", _sheet(olat, lights=len(set(capture.rig.light.tolist()))))
         results.write_record(
-            figures,
+            command="olat",
+            inputs=(str(capture.path),),
             options={"gamma": capture.content.gamma},
-            notes=(*_notes_of_file(capture), *_notes(olat, names)),
+            metrics=figures,
+            notes=(*_notes_of_file(capture), *_notes_of_pairs(capture, olat)),
         )
     return figures
 
@@ -139,19 +109,27 @@ def fit_capture(
         options = replace(options, most_albedo=1.0)
     with _naming(capture):
         olat = capture.extract_olat()
-        sampling = SamplingOptions(reference_distance_mm=capture.reference_distance_mm)
-        samples = sample_vertices(olat, capture.rig, capture.vertices, capture.faces, options=sampling)
+        samples = sample_vertices(
+            olat,
+            capture.rig,
+            capture.vertices,
+            capture.faces,
+            reference_distance_mm=capture.reference_distance_mm,
+        )
         samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
         fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
-    notes = (*_notes_of_file(capture), *_notes_of_fit(fit))
-    held_out = _held_out(np.asarray(samples.valid.any((1, 2))), held_out_every)
-    error = None
+    notes, error = _notes_of_file(capture), None
+    # One of `held_out_every` pairs that can be used; none where too few would remain.
+    usable, held_out = np.flatnonzero(samples.valid.any((1, 2))), np.zeros(len(samples.light), bool)
+    if held_out_every > 0 and len(usable) >= _LEAST_FOR_HELD_OUT:
+        step = min(held_out_every, len(usable))
+        held_out[usable[step // 2 :: step]] = True
     if held_out.any():
         try:
             error = relighting_error(samples, held_out, options=options)
         except ReflectanceError as cause:
             notes += (f"the fit was not tested on pictures left out: {cause}",)
-    notes += _notes_of_doubt(fit, error, capture.content.gamma)
+    notes += tuple(_notes_of_fit(fit, error, capture.content.gamma))
     return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
 
 
@@ -170,17 +148,51 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
     """Write reflectance, trace, overview and relit pictures; returns figures as in `reflectance.json`."""
     capture, fit = done.capture, done.fit
     mesh = MeshReflectance(capture.vertices, capture.faces, fit.reflectance)
-    figures = done.metrics()
-    with folder_of_results(out, "fit", (capture.path,)) as results:
+    known = fit.reflectance.known
+    identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
+    figures: dict[str, Any] = {
+        "pairs": int(np.asarray(done.samples.valid).any((1, 2)).sum()),
+        "pairs_of_capture": len(done.samples.light),
+        "vertices": len(known),
+        "known_vertices": int(known.sum()),
+        "pictures_per_vertex_median": float(np.median(fit.pair_count)),
+        "identified_share": dict(zip(PARAMETERS, identified, strict=True)),
+        "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
+        "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
+        "impossible_vertices": int(fit.impossible.sum()),
+        "level": fit.level,
+        "converged": fit.converged,
+        "iterations": fit.iterations,
+        "light_gain": fit.light_gain,
+    }
+    title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
+    if done.error is not None:
+        figures["held_out"] = {
+            "pairs": int(done.held_out.sum()),
+            "relative_rmse": done.error.relative_rmse,
+            "noise_part": done.error.noise_part,
+            "psnr_db": done.error.psnr_db,
+        }
+        title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
+    with results_in(out, (capture.path,)).publishing() as results:
         write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
         fit.trace.to_csv(results.folder / "trace.csv")
         results.figure("error_vs_time.png", fit.trace.plot())
-        results.figure("overview.png", overview_figure(_title(figures), reflectance_panels(mesh, fit), 5))
+        results.figure("overview.png", overview_figure(title, reflectance_panels(mesh, fit), 5))
         if done.error is not None:
-            results.figure("relit.png", overview_figure(_relit_title(done.error), relit_held_out(done), 6))
+            relit = (
+                f"photographs left out of the fit: relative RMSE {100 * done.error.relative_rmse:.1f} % at "
+                f"vertices, {done.error.psnr_db:.1f} dB"
+            )
+            results.figure("relit.png", overview_figure(relit, relit_held_out(done), 6))
         write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
-        notes = (*done.notes, *_notes(done.olat, capture.pair_names()))
-        results.write_record(figures, options=options, notes=notes)
+        results.write_record(
+            command="fit",
+            inputs=(str(capture.path),),
+            options=options,
+            metrics=figures,
+            notes=(*done.notes, *_notes_of_pairs(capture, done.olat)),
+        )
     return figures
 
 
@@ -232,32 +244,21 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     return linear, capture.content.flash_strength * made, known
 
 
-def _held_out(usable: BoolArray, every: int) -> BoolArray:
-    """Return (J,) pairs to leave out of those that can be used: none where too few would remain."""
-    pairs, chosen = np.flatnonzero(usable), np.zeros(len(usable), bool)
-    if every > 0 and len(pairs) >= _LEAST_FOR_HELD_OUT:
-        step = min(every, len(pairs))
-        chosen[pairs[step // 2 :: step]] = True
-    return chosen
-
-
 def _notes_of_file(capture: CaptureFiles) -> tuple[str, ...]:
-    gamma = () if capture.gamma_given else (gamma_note(capture.path, capture.content.gamma),)
-    return (*gamma, *_notes_of_size(capture))
-
-
-def _notes_of_size(capture: CaptureFiles) -> tuple[str, ...]:
-    """Return the caveat of a mesh that is no head's size in the file's unit; it may be of something else."""
-    unit, (low, high) = capture.content.unit, PLAUSIBLE_EXTENT_MM
+    """Return the caveats of a file without gamma, and of a mesh that is not of a head's size in its unit."""
+    content = capture.content
+    notes = () if capture.gamma_given else (gamma_note(capture.path, content.gamma),)
+    unit, (low, high) = content.unit, PLAUSIBLE_EXTENT_MM
     components = vertex_components(len(capture.vertices), capture.faces)
     extent_mm = largest_extent(capture.vertices, components)
     if low <= extent_mm < high:
-        return ()
+        return notes
     extent = extent_mm / MM_PER_UNIT[unit]
     others = [f'"{name}"' for name, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
     advice = f'give "unit": {" or ".join(others)}' if others else "correct the mesh"
     return (
-        f"{capture.content.mesh} is {extent:.3g} {unit} long, and a head measures {low:g} to {high:g} mm: if "
+        *notes,
+        f"{content.mesh} is {extent:.3g} {unit} long, and a head measures {low:g} to {high:g} mm: if "
         f"it is of a head, {advice}, and see that the translations and falloff_distance are in the same unit",
     )
 
@@ -270,24 +271,18 @@ def gamma_note(path: Path, gamma: float) -> str:
     )
 
 
-def _notes_of_fit(fit: ReflectanceFit) -> tuple[str, ...]:
-    notes: tuple[str, ...] = () if fit.converged else ("the fit stopped before it had converged",)
+def _notes_of_fit(fit: ReflectanceFit, error: RelightingError | None, gamma: float) -> Iterator[str]:
+    """Yield the caveats of a fit; the last, that mesh, poses, masks or gamma may not fit the pictures."""
+    if not fit.converged:
+        yield "the fit stopped before it had converged"
     if fit.impossible.any():
-        notes += (
+        yield (
             f"{fit.impossible.sum()} vertices have an albedo above 1, which is impossible, and count as not "
-            "identified: creases, or mesh, poses or flash_strength are off there",
+            "identified: creases, or mesh, poses or flash_strength are off there"
         )
-    return notes
-
-
-def _notes_of_doubt(fit: ReflectanceFit, error: RelightingError | None, gamma: float) -> tuple[str, ...]:
-    """Return in one note what shows that mesh, poses, masks or gamma are not those of the pictures."""
-    known = fit.reflectance.known
-    if not known.any():
-        return ()
-    sigma = float(np.median(fit.normal_sigma_degrees[known]))
+    known, signs = fit.reflectance.known, []
+    sigma = float(np.median(fit.normal_sigma_degrees[known])) if known.any() else 0.0
     misfit = float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else 0.0
-    signs = []
     if sigma > _DOUBTFUL_SIGMA_DEGREES:
         signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
     if misfit > _DOUBTFUL_MISFIT:
@@ -297,16 +292,16 @@ def _notes_of_doubt(fit: ReflectanceFit, error: RelightingError | None, gamma: f
             f"pictures left out are predicted to {100 * error.relative_rmse:.0f} %, noise alone would be "
             f"{100 * error.noise_part:.0f} %"
         )
-    if not signs:
-        return ()
-    return (
-        f"{'; '.join(signs)}: mesh, poses or masks may be off; it may also come from a wrong gamma (light is "
-        f"taken as value^{gamma:g})",
-    )
+    if signs:
+        yield (
+            f"{'; '.join(signs)}: mesh, poses or masks may be off; it may also come from a wrong gamma "
+            f"(light is taken as value^{gamma:g})"
+        )
 
 
-def _notes(olat: OlatImages, names: tuple[str, ...]) -> tuple[str, ...]:
+def _notes_of_pairs(capture: CaptureFiles, olat: OlatImages) -> tuple[str, ...]:
     """Return the faults of pairs; clipped highlights, which every capture has, only where they are many."""
+    names = capture.pair_names()
     return tuple(
         f"{names[one.pair]}: {one.message}"
         for one in olat.diagnostics
@@ -326,18 +321,3 @@ def _sheet(olat: OlatImages, *, lights: int) -> NDArray[np.uint8]:
     padded[: len(small)] = np.minimum(small / level, 1)
     grid = padded.reshape(rows, columns, *small.shape[1:]).transpose(0, 2, 1, 3, 4)
     return encode_srgb_bytes(grid.reshape(rows * small.shape[1], columns * small.shape[2], 3))
-
-
-def _title(figures: dict[str, Any]) -> str:
-    text = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
-    held_out = figures.get("held_out")
-    if held_out is None:
-        return text
-    return f"{text}; pictures left out: relative RMSE {100 * held_out['relative_rmse']:.1f} %"
-
-
-def _relit_title(error: RelightingError) -> str:
-    return (
-        f"photographs left out of the fit: relative RMSE {100 * error.relative_rmse:.1f} % at vertices, "
-        f"{error.psnr_db:.1f} dB"
-    )

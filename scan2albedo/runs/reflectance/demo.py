@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rigid import procrustes, transform_points
-from scan2albedo.io.atomic import make_folder, result_folder, write_text
+from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
+from scan2albedo.io.records import Record
+from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.reflectance import (
     ReflectanceFitOptions,
     VertexReflectance,
@@ -32,28 +35,27 @@ from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, wri
 from scan2albedo.runs.reflectance.image_run import (
     FittedPhotograph,
     fit_photograph,
+    tune_model,
     write_fitted_photograph,
+    write_tuned_model,
 )
 from scan2albedo.runs.reflectance.model_run import (
-    ModelFolder,
+    FaceModels,
     build_model,
     read_model_folder,
     write_model_folder,
     write_samples,
 )
-from scan2albedo.runs.reflectance.tuning_run import tune_model, write_tuned_model
 from scan2albedo.synthetic import (
     FacePhotograph,
-    FacePhotographOptions,
     FlashCapture,
-    FlashCaptureOptions,
+    Portrait,
     face_photograph,
     flash_capture,
 )
 
-_CAPTURE = FlashCaptureOptions(views=5, flashes=7, picture_size=192, levels=1, hair=False)
-_PHOTOGRAPH = FacePhotographOptions(picture_size=192, lights=128, levels=1, hair=False)
-"""Without hair, whose shadows on the brow are not the mesh's: a model would learn them as skin."""
+_PORTRAIT = Portrait(picture_size=192)
+"""People have no hair: its shadows on the brow are not the mesh's, and a model would learn them as skin."""
 _LEAST_PAIRS = 3
 """As the command `fit` asks for."""
 _NEW_PEOPLE = 1000
@@ -62,7 +64,7 @@ _ALTERNATIONS = 30
 _RIDGE = 1e-9
 """Of the nearest face, found by turns of scale and coefficients; the ridge only keeps the solution unique."""
 _AZIMUTHS_DEG = (0.0, 20.0, -20.0)
-CAPTURE_FILE, PHOTOGRAPH_FILE = "capture.json", "photograph.json"
+CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE = "capture.json", "photograph.json", "landmark_vertices.json"
 _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
 _SATURATION = 0.98
 
@@ -138,7 +140,7 @@ def run_reflectance_demo(
     fits, errors = [], []
     for number in range(people):
         say(f"person {number + 1} of {people}: taking and fitting pictures")
-        capture = flash_capture(seed + number, options=_CAPTURE)
+        capture = flash_capture(seed + number, views=5, flashes=7, hair=False, levels=1, portrait=_PORTRAIT)
         file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
         if number == 0:
             write_olat(read_capture(file), out / "olat")
@@ -147,15 +149,20 @@ def run_reflectance_demo(
         fits.append(out / "fits" / f"person_{number:02d}")
         write_fit(done, fits[-1], {"least_pairs": _LEAST_PAIRS})
         assert done.error is not None
-        errors.append((*_capture_errors(capture, done.fit.reflectance), done.error.relative_rmse))
-    landmark_file = out / "captures" / "landmark_vertices.json"
-    _write_landmark_vertices(landmark_file, capture)
-    write_model_folder(build_model(fits, landmark_vertices=landmark_file), out / "model", {})
+        found, known = done.fit.reflectance.diffuse_linear, done.fit.reflectance.known
+        albedo = capture.diffuse_linear[known]
+        off = found[known] - albedo  # the scale is known
+        rmse, median = np.sqrt(np.mean(off**2) / np.mean(albedo**2)), np.median(np.abs(off / albedo))
+        errors.append((float(rmse), float(median), done.error.relative_rmse))
+    landmarks = out / "captures" / "person_00" / LANDMARKS_FILE
+    write_model_folder(build_model(fits, landmark_vertices=landmarks), out / "model", {})
     write_samples(out / "model", out / "samples", count=6, seed=seed)
     models = read_model_folder(out / "model")
     say("fitting a photograph of another person")
     taken = _photograph(seed + _NEW_PEOPLE, 0)
-    known, marked = (_fit_photograph(taken, models, out, name, on_progress) for name in ("mesh", "landmarks"))
+    with_mesh, marked = (
+        _fit_photograph(taken, models, out, name, on_progress) for name in ("mesh", "landmarks")
+    )
     say("fine-tuning")
     files = [
         write_synthetic_photograph(
@@ -166,13 +173,13 @@ def run_reflectance_demo(
     tuned = tune_model(models, files[::2], files[1::2], on_progress=on_progress)
     write_tuned_model(tuned, out / "tuned", {})
     truth = taken.diffuse_linear
-    seen = np.asarray(known.observation.seen)
+    seen = np.asarray(with_mesh.observation.seen)
     return ReflectanceDemoReport(
         people=people,
         diffuse_error=tuple(one[0] for one in errors),
         diffuse_median_error=tuple(one[1] for one in errors),
         held_out_error=tuple(one[2] for one in errors),
-        mesh_known_error=_scaled_error(known.face.reflectance, truth, seen),
+        mesh_known_error=_scaled_error(with_mesh.face.reflectance, truth, seen),
         landmarks_error=_scaled_error(marked.face.reflectance, truth, seen),
         mean_face_error=_scaled_error(models.mean.reflectance, truth, seen),
         nearest_error=_scaled_error(_nearest(models, truth, seen), truth, seen),
@@ -185,13 +192,13 @@ def run_reflectance_demo(
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
-    options = replace(_PHOTOGRAPH, azimuth_deg=_AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)])
-    return face_photograph(seed, generated_environment(seed), options=options)
+    azimuth, environment = _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)], generated_environment(seed)
+    return face_photograph(seed, environment, azimuth_deg=azimuth, lights=128, hair=False, portrait=_PORTRAIT)
 
 
 def _fit_photograph(
     taken: FacePhotograph,
-    models: ModelFolder,
+    models: FaceModels,
     out: Path,
     name: str,
     on_progress: ProgressCallback | None,
@@ -202,26 +209,12 @@ def _fit_photograph(
     return done
 
 
-def _write_landmark_vertices(path: Path, capture: FlashCapture) -> None:
-    distance = np.linalg.norm(capture.landmarks[:, None] - capture.vertices[None], axis=2)
-    make_folder(path.parent)
-    write_text(path, json.dumps(distance.argmin(1).tolist()) + "\n")
-
-
-def _capture_errors(capture: FlashCapture, found: VertexReflectance) -> tuple[float, float]:
-    """Return relative RMSE and median relative difference of the albedo; its scale is known."""
-    known = found.known
-    off = found.diffuse_linear[known] - capture.diffuse_linear[known]
-    truth = capture.diffuse_linear[known]
-    return float(np.sqrt(np.mean(off**2) / np.mean(truth**2))), float(np.median(np.abs(off / truth)))
-
-
 def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: BoolArray) -> float:
     """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
     return albedo_error(found.diffuse_linear, truth, seen & found.known).relative_rmse
 
 
-def _nearest(models: ModelFolder, truth: FloatArray, seen: BoolArray) -> VertexReflectance:
+def _nearest(models: FaceModels, truth: FloatArray, seen: BoolArray) -> VertexReflectance:
     """Return the model's face whose albedo is nearest to the truth times some scale, where it was seen."""
     mean, used = models.mean.reflectance, seen & models.model.known
     made = mean
@@ -239,25 +232,72 @@ def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: BoolArray) -> fl
     return float(np.linalg.norm(transform_points(procrustes(a, b), a) - b, axis=1).mean())
 
 
+class SyntheticRecord(Record):
+    """The content of `synthetic.json`, beside pictures of synthetic people."""
+
+    format_version: Literal[1] = 1
+    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+
+
+_OWN_FILES = OwnFiles(
+    "synthetic.json",
+    SyntheticRecord,
+    (CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE, _MESH, _IMAGE, "skin*.png", "flash_*.png", "room_*.png"),
+    command="scan2albedo reflectance demo",
+)
+
+
 def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
-    """Write pictures, masks, mesh and capture file of a synthetic capture; return the file's path.
+    """Write pictures, masks, mesh, its landmarks and capture file of a synthetic capture; return its path.
 
     Raises `ValueError` when its pictures are not integers, `OutputError` when a file cannot be written.
     """
-    _check_integers(capture.options.bits)
-    with result_folder(folder, CAPTURE_FILE) as staging:
-        _write_mesh(staging / _MESH, capture.vertices, capture.faces)
+    options = capture.portrait
+    if options.bits is None:
+        raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
+    with RunFolder(folder, _OWN_FILES).publishing() as staging:
+        _write_mesh(staging.folder / _MESH, capture.vertices, capture.faces)
+        distance = np.linalg.norm(capture.landmarks[:, None] - capture.vertices[None], axis=2)
+        write_text(staging.folder / LANDMARKS_FILE, json.dumps(distance.argmin(1).tolist()) + "\n")
         pairs = []
         for j, (view, light) in enumerate(zip(capture.view, capture.light, strict=True)):
             flash, room = f"flash_{view:02d}_{light:02d}.png", f"room_{view:02d}.png"
-            write_png(staging / flash, capture.flash[j])
+            write_png(staging.folder / flash, capture.flash[j])
             if light == 0:
-                write_png(staging / room, capture.room[j])
-                write_png(staging / _mask(view), _white_where(capture.skin[j]))
+                write_png(staging.folder / room, capture.room[j])
+                write_png(staging.folder / f"skin_{view:02d}.png", _white_where(capture.skin[j]))
             pairs.append(
-                PairEntry(camera=_name(view), flash=_name(light), flash_image=flash, room_image=room)
+                PairEntry(
+                    camera=f"place_{view:02d}",
+                    flash=f"place_{light:02d}",
+                    flash_image=flash,
+                    room_image=room,
+                )
             )
-        write_capture(staging / CAPTURE_FILE, _content(capture, tuple(pairs)))
+        poses = [
+            {
+                "name": f"place_{k:02d}",
+                "rotation": rotation.tolist(),
+                "translation": translation.tolist(),
+                "mask": f"skin_{k:02d}.png" if k <= capture.view.max() else None,
+            }
+            for k, (rotation, translation) in enumerate(
+                zip(capture.head_rotations, capture.head_translations, strict=True)
+            )
+        ]
+        content = FlashCaptureFile(
+            mesh=_MESH,
+            gamma=options.gamma,
+            noise=max(options.noise, 0.5 / 255),
+            saturation=_SATURATION,
+            falloff_distance=options.distance_mm,
+            flash_strength=capture.exposure,
+            intrinsics=capture.intrinsics.tolist(),
+            poses=tuple(PoseEntry.model_validate(pose) for pose in poses),
+            pictures=tuple(pairs),
+        )
+        write_capture(staging.folder / CAPTURE_FILE, content)
+        staging.write_record()
     return folder / CAPTURE_FILE
 
 
@@ -266,65 +306,28 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
 
     Raises `ValueError` when the image is not of integers, `OutputError` when a file cannot be written.
     """
-    _check_integers(taken.options.bits)
+    if taken.portrait.bits is None:
+        raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
-    with result_folder(folder, PHOTOGRAPH_FILE) as staging:
-        write_png(staging / _IMAGE, taken.image)
-        write_png(staging / _SKIN, _white_where(taken.skin))
+    with RunFolder(folder, _OWN_FILES).publishing() as staging:
+        write_png(staging.folder / _IMAGE, taken.image)
+        write_png(staging.folder / _SKIN, _white_where(taken.skin))
         if mesh:
-            _write_mesh(staging / _MESH, taken.vertices, taken.faces)
+            _write_mesh(staging.folder / _MESH, taken.vertices, taken.faces)
         content = FacePhotographFile.model_validate(
             {
                 "image": _IMAGE,
                 "mask": _SKIN,
-                "gamma": taken.options.gamma,
+                "gamma": taken.portrait.gamma,
                 "saturation": _SATURATION,
                 "camera": taken.camera.tolist(),
                 "mesh": _MESH if mesh else None,
                 "landmarks": landmarks,
             }
         )
-        write_photograph(staging / PHOTOGRAPH_FILE, content)
+        write_photograph(staging.folder / PHOTOGRAPH_FILE, content)
+        staging.write_record()
     return folder / PHOTOGRAPH_FILE
-
-
-def _content(capture: FlashCapture, pairs: tuple[PairEntry, ...]) -> FlashCaptureFile:
-    options = capture.options
-    poses = [
-        {
-            "name": _name(k),
-            "rotation": rotation.tolist(),
-            "translation": translation.tolist(),
-            "mask": _mask(k) if k < options.views else None,
-        }
-        for k, (rotation, translation) in enumerate(
-            zip(capture.head_rotations, capture.head_translations, strict=True)
-        )
-    ]
-    return FlashCaptureFile(
-        mesh=_MESH,
-        gamma=options.gamma,
-        noise=max(options.noise, 0.5 / 255),
-        saturation=_SATURATION,
-        falloff_distance=options.distance_mm,
-        flash_strength=capture.exposure,
-        intrinsics=capture.intrinsics.tolist(),
-        poses=tuple(PoseEntry.model_validate(pose) for pose in poses),
-        pictures=pairs,
-    )
-
-
-def _check_integers(bits: int | None) -> None:
-    if bits is None:
-        raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
-
-
-def _name(number: int) -> str:
-    return f"place_{number:02d}"
-
-
-def _mask(number: int) -> str:
-    return f"skin_{number:02d}.png"
 
 
 def _white_where(mask: BoolArray) -> NDArray[np.uint8]:

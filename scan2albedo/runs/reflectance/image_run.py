@@ -1,11 +1,12 @@
-"""From photographs in any light to reflectance and light, and their files."""
+"""From photographs in any light to reflectance and light, or to a finer model, and their files."""
 
 from __future__ import annotations
 
+import shutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
     FaceFit,
+    FineTuning,
     GeometryFit,
     ImageFit,
     ImageObservation,
@@ -23,19 +25,23 @@ from scan2albedo.reflectance import (
     MeshReflectance,
     MorphableShapeModel,
     PhotographFiles,
-    PhotographOptions,
+    finetune,
     fit_face,
     fit_image,
     observe_photograph,
+    read_photograph,
     refine_geometry,
     write_reflectance,
 )
-from scan2albedo.reflectance.picture_samples import linear_values, picture_values
+from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
+from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, results_in
 from scan2albedo.runs.reflectance.capture_run import gamma_note, write_colored_mesh
-from scan2albedo.runs.reflectance.model_run import SHAPE_FILE, ModelFolder
-from scan2albedo.runs.reflectance.output import folder_of_results
+from scan2albedo.runs.reflectance.model_run import FaceModels
+
+_ONE_HELD_OUT_OF = 3
+"""Photographs, when none is given to be held out."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +65,10 @@ class FittedPhotograph:
 
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
-        parts = {"shape": self.geometry, "reflectance and light": self.fit}
-        notes = [*notes_of_file(self.photograph)]
-        notes += [
-            f"the fit of {name} stopped before it had converged"
-            for name, part in parts.items()
-            if part is not None and not part.converged
-        ]
+        notes = list(notes_of_file(self.photograph))
+        for name, part in {"shape": self.geometry, "reflectance and light": self.fit}.items():
+            if part is not None and not part.converged:
+                notes.append(f"the fit of {name} stopped before it had converged")
         if self.face.badly_explained:
             notes.append(
                 "light and model explain the photograph badly: relative RMSE "
@@ -113,7 +116,7 @@ class FittedPhotograph:
 
 def fit_photograph(
     photograph: PhotographFiles,
-    models: ModelFolder,
+    models: FaceModels,
     *,
     lighting: LightingModel | None = None,
     budget: Budget | float | None = None,
@@ -146,22 +149,37 @@ def fit_photograph(
 
 def shaped_vertices(
     photograph: PhotographFiles,
-    models: ModelFolder,
+    models: FaceModels,
     lighting: LightingModel,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> tuple[FloatArray, GeometryFit | None, Trace]:
     """Return the vertices (V, 3) of a photograph's mesh, or those that its landmarks and colours give."""
     if photograph.vertices is not None:
-        return _checked_vertices(photograph, models), None, Trace()
-    shape = _shape_model(photograph, models)
-    first = _geometry(photograph, shape, budget=budget, on_progress=on_progress)
+        if len(photograph.vertices) != len(models.mean.vertices):
+            raise ReflectanceError(
+                f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and "
+                f"{models} {len(models.mean.vertices)}; give a mesh in the model's topology"
+            )
+        faces = photograph.faces
+        if faces is not None and len(faces) and not np.array_equal(faces, models.mean.faces):
+            raise ReflectanceError(
+                f"its mesh {photograph.content.mesh} has other triangles than {models}, so "
+                "that vertices do not correspond; give a mesh in the model's topology"
+            )
+        return photograph.vertices, None, Trace()
+    if models.shape is None:
+        raise ReflectanceError(
+            f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
+            "the model with --landmark-vertices"
+        )
+    first = _geometry(photograph, models.shape, budget=budget, on_progress=on_progress)
     with _unconverged_allowed():
         seen = observe(photograph, first.vertices, models.mean.faces)
         skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
     refined = _geometry(
         photograph,
-        shape,
+        models.shape,
         budget=budget,
         on_progress=on_progress,
         reflectance=skin.face.reflectance,
@@ -193,14 +211,19 @@ def _unconverged_allowed() -> Iterator[None]:
 def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) -> ImageObservation:
     """Look up vertices (V, 3) in a photograph."""
     content = photograph.content
-    options = PhotographOptions(gamma=content.gamma, saturation=content.saturation)
     return observe_photograph(
-        photograph.image, photograph.camera, vertices, faces, mask=photograph.mask, options=options
+        photograph.image,
+        photograph.camera,
+        vertices,
+        faces,
+        mask=photograph.mask,
+        gamma=content.gamma,
+        saturation=content.saturation,
     )
 
 
 def write_fitted_photograph(
-    done: FittedPhotograph, models: ModelFolder, out: Path, options: dict[str, Any]
+    done: FittedPhotograph, models: FaceModels, out: Path, options: dict[str, Any]
 ) -> dict[str, Any]:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
     figures = done.metrics()
@@ -208,7 +231,7 @@ def write_fitted_photograph(
     mesh = MeshReflectance(done.vertices, done.faces, done.face.reflectance, seen=seen)
     upright = MeshReflectance(models.mean.vertices, done.faces, done.face.reflectance)
     inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
-    with folder_of_results(out, "fit-image", inputs) as results:
+    with results_in(out, inputs).publishing() as results:
         write_reflectance(results.folder / "reflectance.npz", mesh)
         write_colored_mesh(results.folder / "face.ply", mesh)
         done.trace.to_csv(results.folder / "trace.csv")
@@ -222,9 +245,15 @@ def write_fitted_photograph(
         title = (
             f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         )
-        title += f"\n{told_by(done.face)}"
+        title += f"\n{decided_by(done.face)}"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
-        results.write_record(figures, options=options, notes=done.notes())
+        results.write_record(
+            command="fit-image",
+            inputs=tuple(map(str, inputs)),
+            options=options,
+            metrics=figures,
+            notes=done.notes(),
+        )
     return figures
 
 
@@ -235,7 +264,7 @@ def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
     return (gamma_note(photograph.path, photograph.content.gamma),)
 
 
-def told_by(face: FaceFit) -> str:
+def decided_by(face: FaceFit) -> str:
     """Return in words what of a face's reflectance the photograph decides."""
     if face.badly_explained:
         return "the model's mean face: light and model explain the photograph badly"
@@ -244,31 +273,6 @@ def told_by(face: FaceFit) -> str:
     found = [one.step for one in face.evidence if one.accepted]
     names = {"person": "the person's coefficients", "details": "details"}
     return f"{' and '.join(names[step] for step in found)} predict parts left out better than the mean face"
-
-
-def _checked_vertices(photograph: PhotographFiles, models: ModelFolder) -> FloatArray:
-    assert photograph.vertices is not None
-    if len(photograph.vertices) != len(models.mean.vertices):
-        raise ReflectanceError(
-            f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and "
-            f"{models} {len(models.mean.vertices)}; give a mesh in the model's topology"
-        )
-    faces = photograph.faces
-    if faces is not None and len(faces) and not np.array_equal(faces, models.mean.faces):
-        raise ReflectanceError(
-            f"its mesh {photograph.content.mesh} has other triangles than {models}, so "
-            "that vertices do not correspond; give a mesh in the model's topology"
-        )
-    return photograph.vertices
-
-
-def _shape_model(photograph: PhotographFiles, models: ModelFolder) -> MorphableShapeModel:
-    if models.shape is None:
-        raise ReflectanceError(
-            f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
-            "the model with --landmark-vertices"
-        )
-    return models.shape
 
 
 def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
@@ -289,3 +293,100 @@ def _linear(photograph: PhotographFiles) -> FloatArray:
     content = photograph.content
     values = picture_values(photograph.image, str(photograph.path.parent / content.image), content.saturation)
     return np.where(values < content.saturation, linear_values(values, content.gamma), np.nan)
+
+
+@dataclass(frozen=True)
+class TunedModel:
+    """A model after fine-tuning with photographs."""
+
+    models: FaceModels
+    tuning: FineTuning
+    photographs: tuple[Path, ...]
+    held_out: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+    """Caveats of the photograph files."""
+
+
+def tune_model(
+    models: FaceModels,
+    photographs: Sequence[Path],
+    held_out: Sequence[Path] = (),
+    *,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+    say: Callable[[str], None] = lambda line: None,
+) -> TunedModel:
+    """Fine-tune a model with photograph files, and test it on others: `held_out`, or one of three when empty.
+
+    `say` gets a line for each photograph. Raises `ReflectanceError` when there are too few, or one cannot be
+    used.
+    """
+    tuned_with, tested_on = list(photographs), list(held_out)
+    both = {path.resolve() for path in tuned_with} & {path.resolve() for path in tested_on}
+    if both:
+        raise ReflectanceError(f"{min(both)} is held out and tuned with; give it once")
+    if not tested_on:
+        tested_on = tuned_with[_ONE_HELD_OUT_OF - 1 :: _ONE_HELD_OUT_OF]
+        tuned_with = [path for path in tuned_with if path not in tested_on]
+    if not tuned_with or not tested_on:
+        raise ReflectanceError(
+            f"{len(tuned_with)} photographs to tune with and {len(tested_on)} held out; give one or more of "
+            f"each, or {_ONE_HELD_OUT_OF} or more in all"
+        )
+    lighting = LightingModel.default()
+    notes: list[str] = []
+
+    def observed(path: Path) -> ImageObservation:
+        say(f"reading {path}")
+        photograph = read_photograph(path)
+        notes.extend(notes_of_file(photograph))
+        with named_in_errors(photograph):
+            vertices, _, _ = shaped_vertices(photograph, models, lighting)
+            return observe(photograph, vertices, models.mean.faces)
+
+    tuning = finetune(
+        models.model,
+        [observed(path) for path in tuned_with],
+        [observed(path) for path in tested_on],
+        models.mean.faces,
+        models.mean.vertices,
+        lighting=lighting,
+        budget=budget,
+        on_progress=on_progress,
+    )
+    mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
+    better = replace(
+        models, model=tuning.model, mean=MeshReflectance(models.mean.vertices, models.mean.faces, mean)
+    )
+    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on), tuple(notes))
+
+
+def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Write the model's folder anew; return figures as in `reflectance.json`."""
+    models, tuning = done.models, done.tuning
+    assert models.folder is not None  # models that are tuned come from files
+    figures = {
+        "photographs": [str(path) for path in done.photographs],
+        "held_out": [str(path) for path in done.held_out],
+        "accepted_steps": tuning.accepted_steps,
+        "held_out_before": tuning.held_out_before,
+        "held_out_after": tuning.held_out_after,
+        "converged": tuning.converged,
+    }
+    inputs = models.folder, *done.photographs, *done.held_out
+    with results_in(out, inputs).publishing() as results:
+        models.model.save(results.folder / MODEL_FILE)
+        write_reflectance(results.folder / MEAN_FILE, models.mean)
+        if models.shape is not None:
+            shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
+        tuning.trace.to_csv(results.folder / "trace.csv")
+        results.figure("error_vs_time.png", tuning.trace.plot())
+        ended = () if tuning.converged else ("budget or rounds ended while changes still helped",)
+        results.write_record(
+            command="finetune",
+            inputs=tuple(map(str, inputs)),
+            options=options,
+            metrics=figures,
+            notes=(*done.notes, *ended),
+        )
+    return figures

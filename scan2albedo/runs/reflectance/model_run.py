@@ -11,31 +11,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.io.npz import read_npz
 from scan2albedo.reflectance import (
+    LinearModel,
     MeshReflectance,
     MorphableReflectanceModel,
     MorphableShapeModel,
     VertexReflectance,
     read_reflectance,
+    reflectance_files,
     write_reflectance,
 )
+from scan2albedo.reflectance.morphable_model import held_out_components, reliability
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
-from scan2albedo.reflectance.sample_statistics import reliability
 from scan2albedo.reflectance.shape_model import LANDMARKS
 from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
-from scan2albedo.runs.reflectance.output import folder_of_results
+from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, results_in
+from scan2albedo.templates import AnnotatedFaceModel
 
-MODEL_FILE, MEAN_FILE = "reflectance_model.npz", "mean.npz"
-SHAPE_FILE = "shape_model.npz"
 _RESULT_FILE = "result.json"
-SYNTHETIC_PEOPLE = 200
-"""Of the model that stands in when none is given."""
-_LEAST_SYNTHETIC, _LEVELS = 2, 1
+DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
+_LEVELS = 1
+"""Refinements of the default face model's surface for synthetic people."""
 _SHOWN_DIRECTIONS = 4
 _SPREAD = 2.0
 """Standard deviations that directions are shown at."""
@@ -43,26 +45,20 @@ _SIZE = 300
 
 
 @dataclass(frozen=True)
-class BuiltModel:
-    """A model, the mean of its samples' meshes with its mean reflectance, and where the samples came from."""
+class FaceModels:
+    """A model, its mean on the mean mesh, and the shapes' model if there is one."""
 
     model: MorphableReflectanceModel
     mean: MeshReflectance
-    sources: tuple[Path, ...]
     shape: MorphableShapeModel | None
-    """Of the samples' meshes, where it is known which vertices are landmarks."""
+    """Where it is known which vertices are landmarks."""
+    sources: tuple[Path, ...] = ()
+    """Of the samples; none for synthetic people."""
+    folder: Path | None = None
+    """From which it was read."""
 
-    def metrics(self) -> dict[str, Any]:
-        """Return the figures for `reflectance.json`."""
-        model = self.model
-        return {
-            "samples": model.samples,
-            "vertices": len(model.known),
-            "known_vertices": int(model.known.sum()),
-            "components": model.components,
-            "explained": model.explained,
-            "deviation": model.deviation,
-        }
+    def __str__(self) -> str:
+        return "the model of synthetic people" if self.folder is None else f"the model in {self.folder}"
 
 
 def read_sample(path: Path) -> MeshReflectance:
@@ -76,7 +72,7 @@ def read_sample(path: Path) -> MeshReflectance:
         from scan2albedo.applications import reflectance_of_processed
 
         face = reflectance_of_processed(path)
-        return MeshReflectance(face.vertices, face.faces, face.reflectance)
+        return MeshReflectance(face.mesh.vertices, face.mesh.faces, face.reflectance)
     if path.is_dir():
         raise ReflectanceError(
             f"{path} holds neither {RESULT_FILE} nor {_RESULT_FILE}: give the folder of a fit or of a "
@@ -91,13 +87,13 @@ def build_model(
     components: int | None = None,
     least_support: float = 0.5,
     landmark_vertices: Path | None = None,
-) -> BuiltModel:
+) -> FaceModels:
     """Learn a model from files or folders, see `read_sample` and `MorphableReflectanceModel.from_samples`.
 
     Vertices count by how well their fit knows them. Meshes are aligned rigidly to the first before their mean
-    is taken. With `landmark_vertices`, a JSON file
-    with the 68 landmarks' vertex numbers in iBUG-68 order, a shape model is learned, too. Raises
-    `ReflectanceError` when a file is unusable or meshes differ, `ValueError` for options out of range.
+    is taken. With `landmark_vertices`, a JSON file with the 68 landmarks' vertex numbers in iBUG-68 order, a
+    shape model is learned, too. Raises `ReflectanceError` when a file is unusable or meshes differ,
+    `ValueError` for options out of range.
     """
     samples = [read_sample(path) for path in sources]
     for path, sample in zip(sources, samples, strict=True):
@@ -122,23 +118,21 @@ def build_model(
         shape = MorphableShapeModel.from_samples(
             shapes, None, samples[0].faces, _read_landmark_vertices(landmark_vertices, len(first))
         )
-    return BuiltModel(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), tuple(sources), shape)
+    return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
 
-def synthetic_model(count: int, *, seed: int = 0, components: int | None = None) -> BuiltModel:
+def synthetic_model(count: int, *, seed: int = 0, components: int | None = None) -> FaceModels:
     """Learn a model of reflectance and shape from `count` people of the synthetic population.
 
     Their albedo is taken from the generator, without photographs. The number of directions is that which
     predicts people left out best (`held_out_components`) when `components` is None. Takes 0.1 s of CPU a
     person. Raises `ReflectanceError` for fewer than two people, or than 10 without `components`.
     """
-    from scan2albedo.face_model import AnnotatedFaceModel
-    from scan2albedo.reflectance.model_choice import held_out_components
     from scan2albedo.synthetic import population_reflectance
     from scan2albedo.synthetic.face_shape import expression_offsets
 
-    if count < _LEAST_SYNTHETIC:
-        raise ReflectanceError(f"{count} people make no model; give {_LEAST_SYNTHETIC} or more")
+    if count < 2:
+        raise ReflectanceError(f"{count} people make no model; give 2 or more")
     template = AnnotatedFaceModel.default()
     people = [population_reflectance(k, seed=seed, levels=_LEVELS, model=template) for k in range(count)]
     known = np.ones(len(people[0].vertices), bool)
@@ -153,7 +147,48 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     offsets = expression_offsets(template, np.random.default_rng([seed, 14]), levels=_LEVELS)
     shape = MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
     mean = model.reconstruct(np.zeros(model.components)).reflectance
-    return BuiltModel(model, MeshReflectance(shapes.mean(0), faces, mean), (), shape)
+    return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape)
+
+
+def default_model() -> FaceModels:
+    """Return `synthetic_model(200)` from the file that `python tools/build_reflectance_model.py` makes.
+
+    Directions are rounded: 0.5 % of the albedo, 0.04 mm. Raises `ReflectanceError` when the file is damaged.
+    """
+
+    advice = "install the package anew"
+    arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)
+
+    def part(name: str) -> list[FloatArray]:
+        return [arrays[f"{name}_mean"].astype(np.float64), arrays[f"{name}_step"] * arrays[f"{name}_basis"]]
+
+    template = AnnotatedFaceModel.default()
+    to_surface, (_, faces) = template.subdivision(_LEVELS).matrix, template.surface(_LEVELS)
+    # Two of the three shares of the lobes are stored; the shares sum to 1 and their directions to 0.
+    shares = [
+        np.concatenate([two, whole - two.sum(-1, keepdims=True)], axis=-1)
+        for two, whole in zip(part("share"), (1, 0), strict=True)
+    ]
+    people, count = int(arrays["people"]), len(shares[0])
+    model = MorphableReflectanceModel(
+        known=np.ones(count, bool),
+        support=np.full(count, people),
+        diffuse=LinearModel(*part("diffuse")),
+        total=LinearModel(*part("total")),
+        share=LinearModel(*shares),
+        total_variance=float(arrays["total_variance"]),
+        samples=people,
+    )
+    mean, basis = part("shape")
+    shape = MorphableShapeModel(
+        to_surface @ mean,
+        np.stack([to_surface @ direction for direction in basis]),
+        int(arrays["identity_components"]),
+        faces,
+        arrays["landmark_vertices"],
+    )
+    mean_face = model.reconstruct(np.zeros(model.components)).reflectance
+    return FaceModels(model, MeshReflectance(shape.mean, faces, mean_face), shape)
 
 
 def _read_landmark_vertices(path: Path, count: int) -> IntArray:
@@ -177,40 +212,34 @@ def _read_landmark_vertices(path: Path, count: int) -> IntArray:
     return numbers.astype(np.int64)
 
 
-def write_model_folder(built: BuiltModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) -> dict[str, Any]:
     """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
-    figures = built.metrics()
-    with folder_of_results(out, "build", built.sources) as results:
-        built.model.save(results.folder / MODEL_FILE)
+    model = built.model
+    figures = {
+        "samples": model.samples,
+        "vertices": len(model.known),
+        "known_vertices": int(model.known.sum()),
+        "components": model.components,
+        "explained": model.explained,
+        "deviation": model.deviation,
+    }
+    with results_in(out, built.sources).publishing() as results:
+        model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, built.mean)
         if built.shape is not None:
             built.shape.save(results.folder / SHAPE_FILE)
-        results.figure("model.png", overview_figure(_title(built.model), model_panels(built), 5))
-        results.write_record(figures, options=options)
+        title = f"{model.samples} samples, {model.components} directions"
+        if shown := min(_SHOWN_DIRECTIONS, model.components):
+            part = 100 * model.explained[:shown].sum()
+            title += f"; the first {shown} hold {part:.0f} % of the variance"
+        results.figure("model.png", overview_figure(title, model_panels(built), 5))
+        results.write_record(
+            command="build", inputs=tuple(map(str, built.sources)), options=options, metrics=figures
+        )
     return figures
 
 
-@dataclass(frozen=True)
-class ModelFolder:
-    """A model, its mean on the mean mesh, and the shapes' model if there is one."""
-
-    folder: Path | None
-    """None where the model was learned in this process."""
-    model: MorphableReflectanceModel
-    mean: MeshReflectance
-    shape: MorphableShapeModel | None
-
-    @classmethod
-    def of_synthetic_people(cls, count: int = SYNTHETIC_PEOPLE) -> ModelFolder:
-        """Learn the model that stands in when none is given, see `synthetic_model`."""
-        built = synthetic_model(count)
-        return cls(None, built.model, built.mean, built.shape)
-
-    def __str__(self) -> str:
-        return "the model of synthetic people" if self.folder is None else f"the model in {self.folder}"
-
-
-def read_model_folder(path: Path) -> ModelFolder:
+def read_model_folder(path: Path) -> FaceModels:
     """Read the folder that `build` or `finetune` wrote.
 
     Raises `ReflectanceError` when files are missing or damaged, or do not belong together.
@@ -229,7 +258,7 @@ def read_model_folder(path: Path) -> ModelFolder:
             f"{path}: {SHAPE_FILE} has {len(shape.mean)} vertices and {MODEL_FILE} {len(model.known)}; build "
             "the model again"
         )
-    return ModelFolder(path, model, mean, shape)
+    return FaceModels(model, mean, shape, folder=path)
 
 
 def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> dict[str, Any]:
@@ -242,7 +271,7 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
         "coefficients": [one.coefficients for one in drawn],
         "clipped_share": [one.clipped_share for one in drawn],
     }
-    with folder_of_results(out, "sample", (folder,)) as results:
+    with results_in(out, (folder,)).publishing() as results:
         white = albedo_white(mean.reflectance.diffuse_linear)
         panels = []
         for number, one in enumerate(drawn):
@@ -250,11 +279,12 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
             write_reflectance(results.folder / f"sample_{number:03d}.npz", mesh)
             panels.append(Panel(f"sample {number}", _face(mesh, white)))
         results.figure("samples.png", overview_figure(f"{count} samples of {folder.name}", panels, 6))
-        results.write_record(figures, options={"count": count, "seed": seed, "scale": scale})
+        options = {"count": count, "seed": seed, "scale": scale}
+        results.write_record(command="sample", inputs=(str(folder),), options=options, metrics=figures)
     return figures
 
 
-def model_panels(built: BuiltModel) -> list[Panel]:
+def model_panels(built: FaceModels) -> list[Panel]:
     """Return panels of the mean, and of the first directions two deviations to each side."""
     model, mean = built.model, built.mean
     white = albedo_white(mean.reflectance.diffuse_linear)
@@ -275,11 +305,3 @@ def _face(mesh: MeshReflectance, white: float) -> NDArray[np.uint8]:
     return render_mesh(
         mesh.vertices, mesh.faces, vertex_color_srgb=colors, view=view, size=_SIZE, shaded=False
     )
-
-
-def _title(model: MorphableReflectanceModel) -> str:
-    text = f"{model.samples} samples, {model.components} directions"
-    if model.components == 0:
-        return text
-    first = min(_SHOWN_DIRECTIONS, model.components)
-    return f"{text}; the first {first} hold {100 * model.explained[:first].sum():.0f} % of the variance"

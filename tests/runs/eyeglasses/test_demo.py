@@ -15,23 +15,23 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.runs.eyeglasses import demo as glasses_demo
 from scan2albedo.runs.eyeglasses.demo import compare_with_wearer, fitted_face, run_glasses_demo
-from scan2albedo.synthetic import WearerOptions, wearer
+from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
 
-SMALL = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0.3, mask_noise_px=0.3)
+SMALL = {"picture_size": 256, "focal_px": 450, "label_noise_px": 0.3, "mask_noise_px": 0.3}
 
 
 @pytest.fixture(scope="module")
 def person():
-    return wearer(1, options=SMALL)
+    return wearer(1, **SMALL)
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
     """The demo through the command, in small pictures and without a fitted face."""
     out = tmp_path_factory.mktemp("demo")
-    quick = partial(run_glasses_demo, head="none", options=SMALL)
+    quick = partial(run_glasses_demo, head="none", person=wearer(0, **SMALL))
     reports = []
 
     def keeping(*arguments, **options):
@@ -91,7 +91,7 @@ def test_a_frame_on_a_fitted_face_is_right_to_a_third_of_a_millimetre(seed, tmp_
 
 
 def test_the_fitted_face_lies_in_the_wearers_world():
-    person = wearer(2, options=SMALL)
+    person = wearer(2, **SMALL)
     vertices, _ = fitted_face(2)
     off = ClosestPointQuery(person.head_vertices, person.head_faces).query(vertices).distance
     assert np.median(off) < 0.5

@@ -40,7 +40,7 @@ from scan2albedo.runs.eyeglasses import register_run as glasses_registration_fil
 from scan2albedo.runs.eyeglasses.demo import write_wearer
 from scan2albedo.runs.eyeglasses.inputs import read_registration
 from scan2albedo.runs.eyeglasses.register_run import register_frame, write_registration_files
-from scan2albedo.synthetic import WearerOptions, wearer
+from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
 
@@ -54,12 +54,12 @@ FILES = {
     "error_vs_time.png",
     "overview.png",
 }
-SMALL = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0.3, mask_noise_px=0.3)
+SMALL = {"picture_size": 256, "focal_px": 450, "label_noise_px": 0.3, "mask_noise_px": 0.3}
 
 
 @pytest.fixture(scope="module")
 def person():
-    return wearer(1, options=SMALL)
+    return wearer(1, **SMALL)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,92 @@
+"""`LinearModel`: a mean and directions of change, learned from samples; of reflectance, shape and light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.errors import ReflectanceError
+
+_RANK_TOLERANCE, _ROUNDING = 1e-12, 1e-28
+"""Eigenvalues below these shares are rounding: of the largest, and of the squared values themselves."""
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """Values mean + sum b_i basis_i of coefficients b (N,) of unit variance."""
+
+    mean: FloatArray
+    """(...)."""
+    basis: FloatArray
+    """(N, ...)."""
+
+    @property
+    def components(self) -> int:
+        """N, the number of coefficients."""
+        return len(self.basis)
+
+    @property
+    def deviation(self) -> FloatArray:
+        """(N,): standard deviation of the samples along each direction, which is its length."""
+        return np.asarray(np.linalg.norm(self.basis.reshape(self.components, self.mean.size), axis=1))
+
+    def at(self, coefficients: ArrayLike, name: str = "coefficients") -> FloatArray:
+        """Return the values (...) of coefficients (N,); `checked_coefficients` says what it raises."""
+        b = checked_coefficients(coefficients, self.components, name)
+        return np.asarray(self.mean + np.tensordot(b, self.basis, 1))
+
+    def check(self, what: str, shape: tuple[int, ...]) -> None:
+        """Raise `ReflectanceError` when mean or basis do not fit the mean's `shape`, or are not finite."""
+        for name, array, expected in (
+            ("mean", self.mean, shape),
+            ("basis", self.basis, (len(self.basis), *shape)),
+        ):
+            if array.shape != expected:
+                raise ReflectanceError(f"{what} {name} is {array.shape}, expected {expected}")
+            if not np.isfinite(array).all():
+                raise ReflectanceError(f"{what} {name} holds NaN or infinite values")
+
+
+@dataclass(frozen=True)
+class PrincipalDirections:
+    """N directions of K samples, as sums of their deviations from the mean."""
+
+    weights: FloatArray
+    """(N, K): of the samples' deviations in each direction of unit variance, largest variance first."""
+    total_variance: float
+    """Of the samples, all directions together."""
+
+    def of(self, deviations: FloatArray) -> FloatArray:
+        """Return the directions (N, ...) of deviations (K, ...)."""
+        return np.asarray(np.tensordot(self.weights, deviations, 1))
+
+
+def principal_directions(deviations: FloatArray, most: int | None, *, size: float) -> PrincipalDirections:
+    """Return the directions in which deviations X (K, ...) vary most.
+
+    X X^T = U diag(e) U^T; direction i is X^T u_i / sqrt(K - 1), the largest entry of u_i positive. Rounding,
+    of X and of values whose squares sum to `size`, is left out: N is at most the rank, K - 1, and `most`.
+    """
+    count = len(deviations)
+    rows = deviations.reshape(count, -1)
+    values, vectors = np.linalg.eigh(rows @ rows.T)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    rank = int((values > max(_RANK_TOLERANCE * values[0], _ROUNDING * count * size)).sum())
+    kept = min(rank, count - 1, count if most is None else most)
+    largest = np.abs(vectors).argmax(0)
+    sign = np.where(vectors[largest, np.arange(count)] < 0, -1.0, 1.0)
+    spread = max(count - 1, 1)
+    return PrincipalDirections((vectors * sign)[:, :kept].T / np.sqrt(spread), float(values.sum() / spread))
+
+
+def checked_coefficients(values: ArrayLike, count: int, name: str) -> FloatArray:
+    """Return coefficients as (count,), or raise `ValueError` for the shape, `ReflectanceError` for NaN."""
+    coefficients = np.array(values, np.float64)
+    if coefficients.shape != (count,):
+        raise ValueError(f"{name} must have shape ({count},), got {coefficients.shape}")
+    if not np.isfinite(coefficients).all():
+        raise ReflectanceError(f"{name} must be finite, got NaN or infinite values")
+    return coefficients
