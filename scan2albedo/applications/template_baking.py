@@ -23,7 +23,7 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
     without_unreferenced,
 )
-from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from scan2albedo.core import Plan, Trace
@@ -262,10 +262,11 @@ def _read_arrays(path: str | Path, layout: _Layout, what: str, example: str) -> 
         raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")
     if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise EyeglassesError(f"{what} {path}: faces are not those of its vertices; write it again")
-    typed: dict[str, Any] = {
-        name: arrays[name].astype(kind, copy=False) for name, (kind, *_) in layout.items()
-    }
-    return {name: array if array.ndim else array.item() for name, array in typed.items()}
+    result: dict[str, Any] = {}
+    for name, (kind, *_) in layout.items():
+        array: NDArray[Any] = arrays[name].astype(kind, copy=False)
+        result[name] = array if array.ndim else array.item()
+    return result
 
 
 def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:

@@ -150,7 +150,7 @@ def canonicalize(
 
     Mode "unbend": the targets are the frame's own. Its halves are laid on each other and each moved half the
     way, so that rims, bridge and temples move rigidly and come to mirror each other; shapes and sizes stay.
-    What both sides are bent to alike cannot be told from the frame and stays too. Mode "mean" (equation S2):
+    A bend common to both sides cannot be seen in the frame and remains. Mode "mean" (equation S2):
     the targets are the mean's key points and R_k the skeleton's turn at each, or 1 for v' = v + W (x - p).
     Every bend goes, and rims and temples take the mean's widths, heights and lengths.
 
@@ -177,8 +177,8 @@ def canonicalize(
     Raises
     ------
     EyeglassesError
-        When there is no frame, key points do not fix a pose, a frame has no width of spectacles, or weights
-        cannot be solved; names the frame.
+        When there is no frame, key points do not fix a pose, a front is not as wide as that of spectacles, or
+        weights cannot be solved; names the frame.
     ValueError
         When shapes do not fit together.
 

@@ -24,7 +24,6 @@ from scan2albedo.geometry.rigid import (
 
 _MIRROR = np.array(MIRROR)
 _SIDES = ("left", "right")
-_BRIDGE = np.array([0, 1])
 _RIMS, _TEMPLES = (
     tuple(
         np.array(
@@ -151,7 +150,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     With F the reflection and Q = `left_from_mirrored`, the key points of the left rim and its hinge share
     Q^-1/2, those of the right side F Q^1/2 F: both move half the way and mirror each other afterwards. The
     bridge follows both by half. Bones of the temples keep their lengths, and their directions become the
-    mean of both sides. What both sides are bent to alike is no difference between them, and stays.
+    mean of both sides. A bend common to both sides is not seen, and remains.
     """
     if halves is None:
         return np.tile(np.eye(4), (len(points), 1, 1))
@@ -159,7 +158,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     for side, rim, temple in zip(sides, _RIMS, _TEMPLES, strict=True):
         for part in (rim, temple):
             targets[part] = transform_points(side, points[part])
-    targets[_BRIDGE] = np.mean([transform_points(side, points[_BRIDGE]) for side in sides], axis=0)
+    targets[:2] = np.mean([transform_points(side, points[:2]) for side in sides], axis=0)
     # Temples run in the mean direction of both sides; one whose counterpart is not known stays.
     reflect, bent = halves.reflection[:3, :3], targets.copy()
     for temple in _TEMPLES:
@@ -171,7 +170,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     rigid = align_key_points(points, targets)
     result = turned_translations(transform_points(rigid, points), targets) @ rigid
     turn = _nearest_rotation(sides[0][:3, :3] + sides[1][:3, :3])
-    for k in _BRIDGE:
+    for k in (0, 1):
         result[k] = compose(turn, targets[k] - turn @ points[k])
     for side, rim, temple in zip(sides, _RIMS, _TEMPLES, strict=True):
         result[rim] = result[temple[0]] = side

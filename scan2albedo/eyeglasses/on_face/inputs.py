@@ -159,7 +159,7 @@ def checked_inputs(
         labelled = np.isfinite(marks).all(1)
         found = marks[labelled]
         if (np.abs(found) > 1e6).any():
-            raise EyeglassesError(f"labels of view {number} are no pixels: up to {np.abs(found).max():.3g}")
+            raise EyeglassesError(f"labels of view {number} reach {np.abs(found).max():.3g}: expected pixels")
         if mask is not None:
             if mask.ndim != 2 or min(mask.shape) < 2:
                 raise ValueError(

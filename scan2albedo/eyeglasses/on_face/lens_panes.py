@@ -103,7 +103,7 @@ class ShownFrame:
     steps: tuple[PlanStep, ...]
 
 
-def as_masks_show(
+def fit_lenses_to_masks(
     mesh: FrameMesh,
     motion: FrameMotion,
     cameras: Sequence[FloatArray],

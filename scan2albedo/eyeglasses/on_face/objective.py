@@ -23,8 +23,6 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
-_CONTACT_MM = 1.0
-"""Usual distance between nose and frame."""
 _BEHIND = 1e6
 """Squared error in standard deviations of a point behind a camera."""
 _ROBUST = 2.0
@@ -121,7 +119,8 @@ class RegistrationObjective:
     outlines: sum of Huber's function of the mask's distance at the sample's place, less a bias of each mask,
               + squares of the biases
     bend:     sum of squares of `bend_prior`
-    contact:  square of the frame's distance from the nose, where there is a `contact`
+    contact:  square of the frame's distance in mm, which is the usual one, from the nose, where there is a
+              `contact`
 
     Offsets and biases are those that make the sum least; gradient and matrix are those of what is left.
     """
@@ -163,9 +162,8 @@ class RegistrationObjective:
         outline_px = np.zeros(0) if samples is None else self._add_outlines(samples, sums)
         if self.contact is not None:
             point, place, distance, slope = self.contact.nearest_point(motion)
-            value = np.array([distance / _CONTACT_MM])
-            sums.add(point, place, slope / _CONTACT_MM, value, np.ones(1))
-            sums.cost += float(value[0] ** 2)
+            sums.add(point, place, slope, np.array([distance]), np.ones(1))
+            sums.cost += distance**2
         if rigid:
             part = slice(RIGID)
             return Linearization(

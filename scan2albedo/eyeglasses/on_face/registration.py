@@ -21,7 +21,7 @@ from scan2albedo.eyeglasses.on_face.inputs import (
     RegistrationInputs,
     checked_inputs,
 )
-from scan2albedo.eyeglasses.on_face.lens_panes import as_masks_show
+from scan2albedo.eyeglasses.on_face.lens_panes import fit_lenses_to_masks
 from scan2albedo.eyeglasses.on_face.objective import (
     FrameEstimate,
     HeadContact,
@@ -281,7 +281,7 @@ class _Registration:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
         # Lenses are taken out of the outline, or put in, as each view's mask shows them.
-        frame = as_masks_show(
+        frame = fit_lenses_to_masks(
             self.sampler.mesh,
             self.objective.motion(before.state),
             [view.camera for view in self.given.views],

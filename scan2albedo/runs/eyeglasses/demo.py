@@ -147,7 +147,7 @@ def run_glasses_demo(
 ) -> GlassesDemoReport:
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
 
-    Then lenses of so many `dioptres` are put into the registered frame and drawn in the middle view, into
+    Then lenses of `dioptres` are put into the registered frame and drawn in the middle view, into
     `LENSES`; None, or no head to see through them, for no lenses. `out` gets the results, and in `INPUT` the
     files they were made from. The head is "fitted": the face that `register` and `fit` find in a raw scan of
     the person, brought into the cameras' frame by the scan's true pose, as a calibrated rig knows it; "true":

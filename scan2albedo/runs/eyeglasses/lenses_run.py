@@ -55,9 +55,8 @@ WHITE_SHOWN = 0.9
 """Part of a preview's white as which a white plate that faces as the frame does is shown."""
 _FRAME_ALBEDO, _HEAD_ALBEDO, _SKIN_ROUGHNESS_RAD = (0.05, 0.05, 0.06), (0.5, 0.5, 0.5), 0.3
 """Of frames and heads without colours."""
-_SUN_TINT, _SUN_ALPHA, _TINT_ALPHA = (0.1, 0.07, 0.03), 0.85, 0.5
-_GLASS_BETA = 0.04
-"""What glass of index 1.5 mirrors at right angles."""
+_SUN_TINT, _SUN_ALPHA, _TINT_ALPHA, _GLASS_BETA = (0.1, 0.07, 0.03), 0.85, 0.5, 0.04
+"""Defaults of the command: of sunglasses, of tinted glass, and what glass of index 1.5 mirrors head-on."""
 _SHOWN_ROUGHNESS, _SHOWN_OPACITY = 0.05, 0.08
 """Of lenses in the GLB: clear glass is shown a little, for nobody would find it."""
 

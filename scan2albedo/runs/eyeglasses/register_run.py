@@ -96,9 +96,9 @@ class PlacedFrame:
     @property
     def notes(self) -> tuple[str, ...]:
         """What reading said, what was done about lenses, and what a person should check."""
-        doubtful = set(self.result.plan.doubts())
-        told = (s for s in self.result.plan if s in doubtful or (s.ran and s.stage == "glasses.lenses"))
-        return (*self.given.notes, *(step.text for step in told))
+        plan, doubts = self.result.plan, set(self.result.plan.doubts())
+        rows = (step for step in plan if step in doubts or (step.ran and step.stage == "glasses.lenses"))
+        return (*self.given.notes, *(step.text for step in rows))
 
     @property
     def views(self) -> tuple[RegisteredViewRecord, ...]:

@@ -7,7 +7,7 @@ from benchmarks.eyeglasses_scenes import khronos, photographed, synthetic, witho
 
 from scan2albedo.eyeglasses import register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.lens_panes import as_masks_show, rim_openings
+from scan2albedo.eyeglasses.on_face.lens_panes import fit_lenses_to_masks, rim_openings
 from scan2albedo.eyeglasses.on_face.outline import FrameMesh
 from scan2albedo.geometry.pinhole import look_at
 
@@ -55,7 +55,7 @@ def shown_frame(mesh, masks, eyes=((0.0, 0.0, 600.0),)):
     motion = FrameMotion(mesh.keypoints, FrameState(np.eye(3), mesh.keypoints.mean(0), np.zeros((20, 3))))
     nearest = np.linalg.norm(mesh.vertices[:, None] - mesh.keypoints, axis=2).argmin(1)
     frame = FrameMesh(SkinnedPoints(mesh.vertices, np.eye(20)[nearest]), mesh.faces)
-    return as_masks_show(frame, motion, cameras, list(masks), None)
+    return fit_lenses_to_masks(frame, motion, cameras, list(masks), None)
 
 
 def test_openings_know_their_lenses():

@@ -31,7 +31,7 @@ def person():
 def report(tmp_path_factory):
     """The demo through the command, in small pictures and without a fitted face."""
     out = tmp_path_factory.mktemp("demo")
-    quick = partial(run_glasses_demo, head="none", person=wearer(0, **SMALL))
+    quick = partial(run_glasses_demo, head="none", person=wearer(1, **SMALL))
     reports = []
 
     def keeping(*arguments, **options):

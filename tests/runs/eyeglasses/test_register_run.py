@@ -374,7 +374,7 @@ def test_files_that_no_run_wrote_stay(inputs, tmp_path, monkeypatch):
     assert "holds keypoints.json, which no run of scan2albedo glasses register wrote" in str(answer.exception)
     assert {path.name for path in tmp_path.iterdir()} == {"keypoints.json"}
     assert (tmp_path / "keypoints.json").read_text() == "mine"
-    person = wearer(1, options=SMALL)
+    person = wearer(1, **SMALL)
     folder = tmp_path / "demo"
     write_wearer(person, None, folder)
     write_wearer(person, None, folder)

@@ -20,7 +20,7 @@ from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, random_rotation
 from scan2albedo.synthetic import eyeglasses
 
-SCHEMAS = Path(__file__).resolve().parents[3] / "data_schemas"
+SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
 SHAPE = (300, 300)
 
 

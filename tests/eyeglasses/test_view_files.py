@@ -21,7 +21,7 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.geometry.pinhole import look_at, normalized_cameras, project
 from scan2albedo.io.images import write_png
 
-SCHEMAS = Path(__file__).resolve().parents[3] / "data_schemas"
+SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
 SHAPE = (480, 640)
 
 
