@@ -55,23 +55,12 @@ def light_transfer(
     offset_mm : float
         Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`.
 
-    Returns
-    -------
-    LightResponse
-        For `ImageObservation.transfer`, or to shade with: `transfer.shade(reflectance, light)`.
-
     Notes
     -----
-    1,024 directions leave errors of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the
-    highlights, most of it beyond order 8; without shadows they are 16 to 25 %
-    (tools/bench_reflectance_model.py). Light that the surface reflects onto itself is left out.
-
-    Cost: V directions / 2 rays, 10 V directions 81 operations, V directions bytes.
-
-    References
-    ----------
-    .. [1] P.-P. Sloan, J. Kautz, J. Snyder, "Precomputed radiance transfer for real-time rendering in
-       dynamic, low-frequency lighting environments", SIGGRAPH 2002.
+    After Sloan, Kautz, Snyder, "Precomputed radiance transfer", SIGGRAPH 2002. 1,024 directions leave errors
+    of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the highlights, most of it beyond
+    order 8; without shadows they are 16 to 25 % (tools/bench_reflectance_model.py). Light that the surface
+    reflects onto itself is left out. Cost: V directions / 2 rays, 10 V directions 81 operations.
 
     Examples
     --------

@@ -111,7 +111,7 @@ def observe_photograph(
     gamma: float = 1.2,
     saturation: float = 0.98,
 ) -> ImageObservation:
-    """Look up a face's vertices in a photograph, where the camera sees them well.
+    """Look up a face's vertices in a photograph, where the camera sees them well; with their transfer.
 
     A vertex counts when nothing hides it, it is not seen at too flat an angle nor within 1.5 pixels of an
     edge in depth, and the four pixels around it are skin, finite and not saturated in any channel. Their

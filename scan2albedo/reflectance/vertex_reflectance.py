@@ -82,8 +82,7 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
 
     Notes
     -----
-    Three lobes are not every lobe: for exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm,
-    for sharper ones by more.
+    For exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm, for sharper ones by more.
 
     Examples
     --------

@@ -245,7 +245,7 @@ def write_fitted_photograph(
         title = (
             f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         )
-        title += f"\n{decided_by(done.face)}"
+        title += "\n" + ("; ".join(step.reason for step in done.face.plan if step.ran) or "the mean face")
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
         results.write_record(
             command="fit-image",
@@ -262,17 +262,6 @@ def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
     if photograph.gamma_given:
         return ()
     return (gamma_note(photograph.path, photograph.content.gamma),)
-
-
-def decided_by(face: FaceFit) -> str:
-    """Return in words what of a face's reflectance the photograph decides."""
-    if face.badly_explained:
-        return "the model's mean face: light and model explain the photograph badly"
-    if not face.beats_mean:
-        return "the model's mean face: nothing found predicts parts left out any better"
-    found = [one.step for one in face.evidence if one.accepted]
-    names = {"person": "the person's coefficients", "details": "details"}
-    return f"{' and '.join(names[step] for step in found)} predict parts left out better than the mean face"
 
 
 def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
