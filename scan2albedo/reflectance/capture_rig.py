@@ -61,9 +61,8 @@ def rig_of_head_poses(
 
     A head pose maps points of the face into camera c, x_cam = R_c x + t_c; seen from the face, the camera is
     turned by R_c^T and is at -R_c^T t_c. Picture j is taken by camera view[j], lit by the flash at camera
-    flash[j] (Han, Wang, Xu, supplement, Eq. 1).
-
-    Raises `ReflectanceError` when shapes disagree, a matrix is no rotation, or a number refers to no camera.
+    flash[j] (Han, Wang, Xu, supplement, Eq. 1). Raises `ReflectanceError` when shapes disagree, a matrix is
+    no rotation, or a number refers to no camera.
 
     Parameters
     ----------

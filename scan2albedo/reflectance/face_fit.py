@@ -126,17 +126,15 @@ def fit_face(
 
     The face is divided into blocks. Without some of them, the light is fitted with the model's mean face, and
     with the person's coefficients (`fit_image`), each without and with details, a smooth field of residuals
-    (`detail_field`); each is judged by all the light that what was left out sends. Only its
-    colour counts, the ratios between channels: errors of the light are nearly grey, and a person can imitate
-    them. Details must predict better than the mean face does under a light of its own, and the person better
-    than the mean, by two standard errors and 7 % of the error. Otherwise they are left out; if both are, the
-    mean face is returned, and `plan` says so. The last fits are to all blocks; a person whose objective is
-    then above the mean face's, which the model contains, is left out as well. If these leave more than a
-    quarter of the photograph (relative RMSE), light or shape are wrong, and both are left out.
-
-    Raises `ReflectanceError` as `fit_image`, or when a vertex is not finite.
-
-    Warns by `RuntimeWarning` when the last fit stops without having converged.
+    (`detail_field`); each is judged by all the light that what was left out sends. Only its colour counts,
+    the ratios between channels: errors of the light are nearly grey, and a person can imitate them. Details
+    must predict better than the mean face does under a light of its own, and the person better than the mean,
+    by two standard errors and 7 % of the error. Otherwise they are left out; if both are, the mean face is
+    returned, and `plan` says so. The last fits are to all blocks; a person whose objective is then above the
+    mean face's, which the model contains, is left out as well. If these leave more than a quarter of the
+    photograph (relative RMSE), light or shape are wrong, and both are left out. Raises `ReflectanceError` as
+    `fit_image`, or when a vertex is not finite. Warns by `RuntimeWarning` when the last fit stops without
+    having converged.
 
     Parameters
     ----------

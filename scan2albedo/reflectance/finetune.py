@@ -69,10 +69,9 @@ def finetune(
     two anchors (`best_change`), smooths them over the mesh, and takes that one, or a half or quarter of it,
     with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
     chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
-    shares w' stay.
-
-    Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be fitted, or a
-    vertex is not finite; `ValueError` when `faces` point outside the vertices, or shapes disagree.
+    shares w' stay. Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be
+    fitted, or a vertex is not finite; `ValueError` when `faces` point outside the vertices, or shapes
+    disagree.
 
     Parameters
     ----------

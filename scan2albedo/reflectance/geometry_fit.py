@@ -109,13 +109,10 @@ def refine_geometry(
     both the image, smoothed by 0.3 edges of the mesh, moves under a vertex and the shading turns with its
     normal. Rays find which vertices U are seen, anew every few steps. The result with photometry is accepted
     only when the objective over the vertices seen in both shapes falls, landmarks stay near, and the colours
-    are explained; otherwise the result of the landmarks alone is returned.
-
-    Raises `ReflectanceError` when there is neither a landmark nor photometry, no initial pose and too few
-    landmarks to find one, another topology, or numbers that are not finite; `ValueError` when shapes
-    disagree, or only one of `reflectance` and `light` is given.
-
-    Warns by `RuntimeWarning` when it stops without having converged.
+    are explained; otherwise the result of the landmarks alone is returned. Raises `ReflectanceError` when
+    there is neither a landmark nor photometry, no initial pose and too few landmarks to find one, another
+    topology, or numbers that are not finite; `ValueError` when shapes disagree, or only one of `reflectance`
+    and `light` is given. Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------

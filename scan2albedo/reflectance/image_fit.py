@@ -82,12 +82,9 @@ def fit_image(
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
     re-weighted squares; w is 3e-4 where the observation has a transfer and 1e-3 without. P is a function of
     the caller's. The penalty of Han, Wang and Xu on coloured light is left out: at their weight the albedo's
-    error rose from 0.067 to 0.135, under grey light to 0.070.
-
-    Raises `ReflectanceError` when no vertex is both seen and known, the topologies differ, or `perceptual`
-    returns something else than finite numbers of the right shape.
-
-    Warns by `RuntimeWarning` when it stops without having converged.
+    error rose from 0.067 to 0.135, under grey light to 0.070. Raises `ReflectanceError` when no vertex is
+    both seen and known, the topologies differ, or `perceptual` returns something else than finite numbers of
+    the right shape. Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------

@@ -116,11 +116,10 @@ def observe_photograph(
     A vertex counts when nothing hides it, it is not seen at too flat an angle nor within 1.5 pixels of an
     edge in depth, and the four pixels around it are skin, finite and not saturated in any channel. Their
     light, value^gamma, is interpolated. Cost: three rays and a half a vertex and camera, and
-    `light_transfer`: 3,700 vertices take about a second.
-
-    Raises `ReflectanceError` when no vertex counts (names the step at which the last ones were lost), the
-    image is black there, holds numbers of another type, or the camera or the mesh cannot be used;
-    `ValueError` when shapes disagree, or gamma or saturation are out of range.
+    `light_transfer`: 3,700 vertices take about a second. Raises `ReflectanceError` when no vertex counts
+    (names the step at which the last ones were lost), the image is black there, holds numbers of another
+    type, or the camera or the mesh cannot be used; `ValueError` when shapes disagree, or gamma or saturation
+    are out of range.
 
     Parameters
     ----------

@@ -107,9 +107,8 @@ def fit_reflectance(
 
     (Han, Wang, Xu, supplement), rho robust, the channels of a picture together; the prior is Gaussian. For
     given robust weights c is eliminated and the eight sets of weights at 0 are tried; where an albedo would
-    be negative, all 64 sets.
-
-    Raises `ReflectanceError` when there are no pictures, or no vertex is seen in enough of them.
+    be negative, all 64 sets. Raises `ReflectanceError` when there are no pictures, or no vertex is seen in
+    enough of them.
 
     Parameters
     ----------

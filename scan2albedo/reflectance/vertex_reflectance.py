@@ -70,7 +70,6 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
 
     least squares with w >= 0 over half vectors at angles a = 0 ... pi / 4 from the normal, by solid angle.
     The factor pi of the light (an albedo estimate's is the radiance of a white surface) has been divided out.
-
     Raises `ReflectanceError` when a number is out of its range.
 
     Parameters

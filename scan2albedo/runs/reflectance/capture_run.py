@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +41,7 @@ from scan2albedo.report.reflectance_views import (
     reflectance_panels,
     relit_panels,
 )
-from scan2albedo.runs.reflectance import results_in
+from scan2albedo.runs.reflectance import naming, results_in
 
 HELD_OUT_EVERY, _LEAST_FOR_HELD_OUT = 10, 5
 """One pair of the first number is left out of the fit that is tested on it; no pair where there are fewer."""
@@ -67,7 +66,7 @@ class FittedCapture:
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
-    with _naming(capture):
+    with naming(f"capture {capture.path}"):
         olat = capture.extract_olat()
     figures = {
         "pairs": len(olat),
@@ -105,7 +104,7 @@ def fit_capture(
     """
     if capture.scale_known and options.most_albedo is None:
         options = replace(options, most_albedo=1.0)
-    with _naming(capture):
+    with naming(f"capture {capture.path}"):
         olat = capture.extract_olat()
         samples = sample_vertices(
             olat,
@@ -129,17 +128,6 @@ def fit_capture(
             notes += (f"the fit was not tested on pictures left out: {cause}",)
     notes += tuple(_notes_of_fit(fit, error, capture.content.gamma))
     return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
-
-
-@contextmanager
-def _naming(capture: CaptureFiles) -> Iterator[None]:
-    """Name the capture in errors that do not."""
-    try:
-        yield
-    except ReflectanceError as error:
-        if str(capture.path) in str(error):
-            raise
-        raise ReflectanceError(f"capture {capture.path}: {error}") from error
 
 
 def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
