@@ -20,10 +20,9 @@ from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
-_BLOCK_MM, _FOLDS = 12.0, 3
-"""Edge of the cubes whose vertices are left out together, and number of fits that share them."""
-_LEAST_BLOCKS = 12
-"""With fewer blocks the evidence is none."""
+_BLOCK_MM, _FOLDS, _LEAST_BLOCKS = 12.0, 3, 12
+"""Edge of the cubes whose vertices are left out together, and number of fits that share them; with fewer
+cubes there is no evidence."""
 _MARGIN, _LEAST_GAIN = 2.0, 0.07
 """A gain must exceed this many of its standard errors over the blocks, and this share of the error: light
 that skin reflects onto skin is coloured, and gains a little."""

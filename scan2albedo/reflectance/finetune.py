@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.blocks import blocks
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import LinearModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
+from scan2albedo.reflectance.vertex_reflectance import BLOCK
 
 ROUNDS = 10
 """Most rounds of fitting all images and changing the model."""
@@ -26,12 +28,9 @@ MEAN_CHANGE, BASIS_CHANGES = 0.1, (0.1, 0.3)
 weights); the same of the directions, as a share of the means': the held-out images choose among several."""
 SMOOTHING_MM = 6.0
 """Standard deviation, along the surface, of the smoothing of changes."""
-SIGNIFICANCE_LEVEL = 0.025
-"""Probability that a change without effect on images like the held-out ones is accepted."""
-_LEAST_GAIN = 1e-3
-"""Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
-_BLOCK = 4096
-"""Vertices whose equations are solved together."""
+SIGNIFICANCE_LEVEL, _LEAST_GAIN = 0.025, 1e-3
+"""Probability that a change without effect on images like the held-out ones is accepted, and relative fall of
+their objective and RMSE below which none is."""
 
 
 @dataclass(frozen=True)
@@ -264,8 +263,7 @@ def best_change(
     kernel, size = features @ features.T, 3 * images
     same_channel, any_channel = np.kron(kernel, np.eye(3)), np.kron(kernel, np.ones((3, 3)))
     solution = np.empty((count, size))
-    for start in range(0, count, _BLOCK):
-        block = slice(start, start + _BLOCK)
+    for block in blocks(count, BLOCK):
         d, h = (of_diffuse * diffuse[block]).reshape(-1, size), (of_sum * specular[block]).reshape(-1, size)
         system = same_channel * (d[:, :, None] * d[:, None]) + any_channel * (h[:, :, None] * h[:, None])
         system[:, np.arange(size), np.arange(size)] += noise[block].reshape(-1, size)

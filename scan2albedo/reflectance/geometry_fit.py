@@ -40,10 +40,9 @@ _ROUNDS, _REFRESH_STEPS = 10, 5
 _LANDMARK_GROWTH, _LANDMARK_SLACK_PX = 1.5, 0.5
 """Photometry is not accepted when it makes the landmarks' error larger than this times the error without, and
 by more than this many pixels."""
-_TOLERANCE = 1e-4
-"""Part of the objective that is no progress."""
-_LARGEST_FIRST_DAMPING = 0.1
-"""A search goes on with the damping that the one before ended with, but never with more than this."""
+_TOLERANCE, _LARGEST_FIRST_DAMPING = 1e-4, 0.1
+"""Part of the objective that is no progress; a search goes on with the damping that the one before ended
+with, but with no more than this."""
 
 
 @dataclass(frozen=True)

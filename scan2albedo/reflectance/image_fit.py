@@ -23,19 +23,17 @@ PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """From predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value and its
 gradient (V, 3) by the predicted ones; gradients at vertices that are not used are ignored."""
 
-PHOTOMETRIC_WEIGHT = 2.0
-"""Of the mean absolute difference, in units of the image's median colour."""
-SOFTNESS = 0.01
-"""Differences below this share of the median colour count by their squares (Charbonnier's epsilon)."""
+PHOTOMETRIC_WEIGHT, SOFTNESS = 2.0, 0.01
+"""Of the mean absolute difference, in units of the image's median colour; differences below that share of it
+count by their squares (Charbonnier's epsilon)."""
 PRIOR_WEIGHT = {True: 3e-4, False: 1e-3}
 """Of the squared coefficients, with the face's own shadows and without: those must not pass for skin."""
 MOST_UNEXPLAINED = 0.25
 """Where a fit's relative RMSE is larger, light, shape or reflectance are wrong."""
 _PERCEPTUAL_WEIGHT = 0.1
-_STEPS, _TOLERANCE = 200, 1e-5
-"""Most steps, of which 10 to 20 are usual, and the part of the objective that is no progress."""
-_LARGEST_LOG_SCALE_STEP = 5.0
-"""A scale that grows by e^5 in a step is a runaway, and would overflow in the exponential."""
+_STEPS, _TOLERANCE, _LARGEST_LOG_SCALE_STEP = 200, 1e-5, 5.0
+"""Most steps, of which 10 to 20 are usual; part of the objective that is no progress; a scale that grows by
+e^5 in a step is a runaway, and would overflow in the exponential."""
 
 
 @dataclass(frozen=True)

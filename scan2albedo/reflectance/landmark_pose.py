@@ -9,8 +9,7 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 
-LEAST_FOR_POSE = 6
-_ITERATIONS = 200
+LEAST_FOR_POSE, _ITERATIONS = 6, 200
 _STARTS_DEG = ((0.0, 0.0), (0.0, 45.0), (0.0, -45.0), (35.0, 0.0), (-35.0, 0.0))
 """Pitch and yaw that the first rotation is turned by: flat sets of points have two minima."""
 

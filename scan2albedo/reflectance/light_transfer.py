@@ -12,10 +12,8 @@ from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance.environment_shading import ORDER, LightResponse, diffuse_response, unit_vectors
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS
+from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS
 from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM, checked_mesh, checked_normals
-
-_BLOCK = 128
 
 
 def light_transfer(
@@ -103,6 +101,6 @@ def light_transfer(
         for k, s in enumerate(EXPONENTS):
             specular[block, k] = (s + 2) / (8 * np.pi) * n_h**s @ weighted
 
-    each_block(sum_up, blocks(len(xyz), _BLOCK))
+    each_block(sum_up, blocks(len(xyz), BLOCK))
     diffuse[bare], specular[bare] = 0.0, 0.0
     return LightResponse(diffuse, specular)

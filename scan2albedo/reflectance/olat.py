@@ -17,10 +17,10 @@ from scan2albedo.errors import ReflectanceError
 
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]
 
-_SIGMAS = 4.0
-"""A pixel counts as brighter in the room's light when the difference is this far below 0 in every channel."""
-_BRIGHTER_ROOM_PART = 0.02
-"""Of a pair's pixels from which it is reported; it is left out when more are so than the other way round."""
+_SIGMAS, _BRIGHTER_ROOM_PART = 4.0, 0.02
+"""A pixel counts as brighter in the room's light when the difference is this far below 0 in every channel;
+part of a pair's pixels from which it is reported: it is left out when more are so than the other way
+round."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance.olat import OlatOptions
 from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes, point_light_radiance
 from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
@@ -27,8 +28,6 @@ _LEAST_COSINE = 0.05
 """Where all light grazes more, intervals do not widen further."""
 _GAIN_ROUNDS, _GAIN_VERTICES, _GAIN_TOLERANCE = 50, 2000, 1e-5
 """Most alternations, vertices (evenly chosen) that gains are found from, and change that ends them."""
-_GAMMA = 1.2
-"""Of the display, for errors in decibels."""
 
 
 @dataclass(frozen=True)
@@ -371,7 +370,7 @@ def relighting_error(
             "the pictures held out are black where the face is: there is nothing to predict"
         )
     white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
-    displayed = [np.clip(linear / white, 0, 1) ** (1 / _GAMMA) for linear in (observed, made)]
+    displayed = [np.clip(linear / white, 0, 1) ** (1 / OlatOptions.gamma) for linear in (observed, made)]
     off = float(np.mean((displayed[0] - displayed[1]) ** 2))
     return RelightingError(
         _relative(observed, made),

@@ -14,6 +14,8 @@ from scan2albedo.errors import ReflectanceError
 EXPONENTS = (1.0, 8.0, 64.0)
 """Of the three Blinn-Phong lobes."""
 _ANGLES = 400
+BLOCK = 128
+"""Vertices that are worked on together: their equations fit the first cache."""
 
 
 @dataclass(frozen=True)

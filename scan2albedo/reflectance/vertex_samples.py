@@ -22,7 +22,7 @@ from scan2albedo.reflectance.vertex_visibility import (
     checked_normals,
 )
 
-_LEAST_SIGMA = 1e-100
+_LEAST_SIGMA = float(np.sqrt(np.finfo(np.float64).tiny))
 """Its square's inverse must be a number."""
 VIEW_COSINE = 0.1
 """n.v must be above this."""

@@ -21,6 +21,7 @@ from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.reflectance import (
+    OlatOptions,
     ReflectanceFitOptions,
     VertexReflectance,
     generated_environment,
@@ -62,7 +63,6 @@ _ALTERNATIONS, _RIDGE = 30, 1e-9
 """Of the nearest face, found by turns of scale and coefficients; the ridge only keeps the solution unique."""
 CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE = "capture.json", "photograph.json", "landmark_vertices.json"
 _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
-_SATURATION = 0.98
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             mesh=_MESH,
             gamma=options.gamma,
             noise=max(options.noise, 0.5 / 255),
-            saturation=_SATURATION,
+            saturation=OlatOptions.saturation,
             falloff_distance=options.distance_mm,
             flash_strength=capture.exposure,
             intrinsics=capture.intrinsics.tolist(),
@@ -286,7 +286,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
                 "image": _IMAGE,
                 "mask": _SKIN,
                 "gamma": taken.options.gamma,
-                "saturation": _SATURATION,
+                "saturation": OlatOptions.saturation,
                 "camera": taken.camera.tolist(),
                 "mesh": _MESH if mesh else None,
                 "landmarks": landmarks,

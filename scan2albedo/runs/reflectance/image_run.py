@@ -99,9 +99,9 @@ class FittedPhotograph:
         names = ("objective", "converged", "iterations", "light_coefficients", "scale_rgb")
         figures |= {name: getattr(fit, name) for name in names}
         if geometry is not None:
-            names = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
-            names = (*names, "photometric_rmse_before", "photometric_rmse_after")
-            figures["geometry"] = {name: getattr(geometry, name) for name in names}
+            shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
+            colors = ("photometric_rmse_before", "photometric_rmse_after")
+            figures["geometry"] = {name: getattr(geometry, name) for name in (*shape, *colors)}
         return figures
 
 
