@@ -153,12 +153,8 @@ def fit_face(
     Notes
     -----
     On 16 path-traced photographs that share nothing with the fit the albedo is 0.134 off, that of the mean
-    face 0.177, and that of `fit_image` 0.167 (tools/bench_reflectance_model.py unknown). The two of them that
-    show the mean face itself give it. Light and coefficients leave 8 to 22 % of them unexplained. A
-    photograph without colour gives no evidence, and so the mean face.
-
-    Cost: seven or eight fits instead of one, those of the mean face being cheaper; about five times
-    `fit_image`.
+    face 0.177, and that of `fit_image` 0.167 (tools/bench_reflectance_model.py unknown). A photograph without
+    colour gives no evidence, and so the mean face. Cost: about five times `fit_image`.
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces)

@@ -92,12 +92,10 @@ def finetune(
 
     Notes
     -----
-    Images determine the albedo only up to the light, and held-out images do not resolve that either: the
-    anchor keeps the albedo. It is Gaussian, for then each vertex has a closed form and a smooth error is
-    corrected everywhere a little; the absolute differences of Han, Wang and Xu, who tune networks by
-    gradients, favour few vertices. Tuning adds no directions: differences between faces beyond them, marks
-    for instance, stay unexplained. tools/bench_reflectance_finetune.py measures tuning on pictures that
-    neither step used.
+    Images determine the albedo only up to the light: the anchor keeps it. It is Gaussian, for then each
+    vertex has a closed form; the absolute differences of Han, Wang and Xu, who tune networks by gradients,
+    favour few vertices. Tuning adds no directions. tools/bench_reflectance_finetune.py measures it on other
+    pictures.
     """
     count = len(model.known)
     triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
@@ -236,9 +234,8 @@ def best_change(
 
         (x_i . x_i') (m_c^2 [j = j'] d_ij d_i'j' + m_s^2 h_ij h_i'j') + noise,
 
-    a system of 3 M equations for M images, whatever the number of coefficients. Cost: V (3 M)^3 / 3; memory
-    12 V M numbers and 9 M^2 a vertex in blocks. The `fits` may be those of another model with the same
-    directions.
+    a system of 3 M equations for M images. Cost: V (3 M)^3 / 3; memory 12 V M numbers. The `fits` may be
+    those of another model with the same directions.
     """
     count, images = len(model.known), len(fits)
     scores = np.stack([fit.face.coefficients for fit in fits])

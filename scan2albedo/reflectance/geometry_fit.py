@@ -139,9 +139,9 @@ def refine_geometry(
 
     Notes
     -----
-    Cast shadows are not modelled. One image cannot separate how far away a face is from how large it is, but
-    for the prior. Han, Wang and Xu (supplement) weight landmarks far less, since those of networks are
-    several mm off; tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
+    Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is. Han,
+    Wang and Xu (supplement) weight landmarks far less, since those of networks are several mm off;
+    tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = np.array(landmarks_px, np.float64)

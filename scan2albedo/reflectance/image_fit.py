@@ -102,16 +102,14 @@ def fit_image(
 
     Notes
     -----
-    The second derivative of P is taken as the same along every colour: that along the step before, and at
-    first that of a squared distance whose least value is 0. Steps that do not lower the objective are refused
-    in any case, so this decides the pace and not the end. A wrong gradient ends the search early.
+    The second derivative of P is taken as that along the step before, at first as of a squared distance whose
+    least value is 0: this decides the pace, not the end. A wrong gradient ends the search early.
 
     One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
-    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
-
-    Cost of a step: 3 U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a
-    second of CPU in all.
+    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py). Cost of a step: 3
+    U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a second of CPU in
+    all.
     """
     seen = np.asarray(observation.seen)
     if len(seen) != len(model.known):

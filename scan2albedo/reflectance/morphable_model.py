@@ -151,12 +151,9 @@ class MorphableReflectanceModel:
 
         Notes
         -----
-        Where a sample does not know a vertex, it is taken to be the mean of those that do. This adds
-        no direction of its own, but the variance there comes out too small, by about the share of samples
-        missing (see `support`). w' of a vertex without a lobe is a gap too, since 0 / 0 is no share. How
-        weights vary where the albedo does not is left out, for directions are those of the albedo.
-
-        Cost: K^2 V, memory 7 K V numbers.
+        Where a sample does not know a vertex, it is taken to be the mean of those that do; the variance there
+        comes out too small by about the share of samples missing (see `support`). w' of a vertex without a
+        lobe is a gap too. How weights vary where the albedo does not is left out. Cost: K^2 V.
         """
         if components is not None and components < 0:
             raise ValueError(f"components must be 0 or more, got {components}")

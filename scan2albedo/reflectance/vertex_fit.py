@@ -121,18 +121,15 @@ def fit_reflectance(
 
     Notes
     -----
-    Strength of the flashes times reflectance is one number: gains have mean 1, so that albedos are in units
-    of that strength. The prior follows the albedos' level, so pictures twice as bright give twice the
-    reflectance.
+    Strength of the flashes times reflectance is one number: albedos are in units of that strength, and
+    pictures twice as bright give twice the reflectance, for the prior follows the albedos' level.
 
-    Intervals come from the Gaussian posterior before the bounds, cut at 0: bounds shorten them, and where a
-    number is not identified they are the prior's. They account for noise, the prior and, where samples have
-    slopes, wrong normals: two tilts of each normal are found with the six numbers, their prior Student's t.
-    They widen with the misfit, and by 1 / max n.l where no flash stands above the vertex: there, light from
-    beside it or a shadow's edge counts for much. With normals off by 0, 1 and 3 degrees 97 % of them hold the
-    truth, at 1 % noise in 90 pictures; on a head rendered by other code 95-96 %, and 90 % with light between
-    parts of the face (``python tools/bench_reflectance.py --heads``). Neither that light nor texture finer
-    than a pixel is in them.
+    Intervals come from the Gaussian posterior before the bounds, cut at 0; where a number is not identified
+    they are the prior's. They account for noise, the prior and, where samples have slopes, wrong normals: two
+    tilts of each normal are found with the six numbers, their prior Student's t. They widen with the misfit,
+    and by 1 / max n.l where no flash stands above the vertex. With normals off by 0, 1 and 3 degrees 97 % of
+    them hold the truth, at 1 % noise in 90 pictures; on a head rendered by other code 95-96 %, and 90 % with
+    light between parts of the face (``python tools/bench_reflectance.py --heads``).
 
     Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less; with slopes twice that.
 

@@ -74,16 +74,8 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
     The factor pi of the light (an albedo estimate's is the radiance of a white surface) has been divided out.
     Raises `ReflectanceError` when a number is out of its range.
 
-    Parameters
-    ----------
-    strength : float
-        Of the highlight, 0 or more; `specular_strength` of an albedo estimate.
-    exponent : float
-        Phong's, more than 0; `specular_exponent` of an albedo estimate.
-
-    Notes
-    -----
-    For exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm, for sharper ones by more.
+    `strength`, 0 or more, and `exponent`, more than 0, are those of an albedo estimate's highlight. For
+    exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm, for sharper ones by more.
 
     Examples
     --------
