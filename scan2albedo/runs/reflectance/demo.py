@@ -30,8 +30,7 @@ from scan2albedo.reflectance import (
     write_capture,
     write_photograph,
 )
-from scan2albedo.reflectance.capture_files import FlashCaptureFile, PairEntry, PoseEntry
-from scan2albedo.reflectance.photograph_files import FacePhotographFile
+from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, write_olat
 from scan2albedo.runs.reflectance.image_run import (
     fit_photograph,
