@@ -20,9 +20,8 @@ from scan2albedo.face_model.annotation import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
 from scan2albedo.recognition.labelled_templates import TemplatesHeader
-from scan2albedo.reflectance.capture_files import FlashCaptureFile
+from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile
 from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
-from scan2albedo.reflectance.photograph_files import FacePhotographFile
 from scan2albedo.reflectance.reflectance_files import MeshReflectanceHeader
 from scan2albedo.reflectance.shape_model import ShapeModelHeader
 from scan2albedo.runs.eyeglasses.canonicalize_run import CanonicalFrameRecord, CanonicalSetRecord

@@ -15,6 +15,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.area_mean import area_mean
+from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import (
     adjacency,
     boundary_vertex_mask,
@@ -23,7 +24,6 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
     without_unreferenced,
 )
-from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise

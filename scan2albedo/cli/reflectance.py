@@ -311,7 +311,7 @@ def demo(
             say=lambda line: progress.say(f"demo: {line}"),
         )
     if json_summary:
-        echo_json({"out": str(out), **report.figures()})
+        echo_json({"out": str(out), **vars(report)})
     else:
         typer.echo("\n".join(report.lines()))
 

@@ -4,20 +4,24 @@ After Y. Han, Z. Wang, F. Xu, "Learning a 3D Morphable Face Reflectance Model fr
 and its supplement, which the modules cite as Han, Wang, Xu.
 """
 
-from scan2albedo.reflectance.capture_files import CaptureFiles, read_capture, write_capture
-from scan2albedo.reflectance.capture_rig import CaptureRig, rig_of_head_poses
+from scan2albedo.reflectance.capture_files import (
+    CaptureFiles,
+    PhotographFiles,
+    read_capture,
+    read_photograph,
+    write_capture,
+    write_photograph,
+)
 from scan2albedo.reflectance.environment_shading import EnvironmentShading, LightResponse, shade_environment
 from scan2albedo.reflectance.face_fit import Evidence, FaceFit, fit_face
 from scan2albedo.reflectance.finetune import FineTuning, finetune
 from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
 from scan2albedo.reflectance.image_fit import ImageFit, PerceptualDistance, fit_image
-from scan2albedo.reflectance.light_transfer import light_transfer
 from scan2albedo.reflectance.lighting_model import LightingModel, generated_environment
 from scan2albedo.reflectance.linear_model import LinearModel
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
 from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
-from scan2albedo.reflectance.photograph import ImageObservation, observe_photograph
-from scan2albedo.reflectance.photograph_files import PhotographFiles, read_photograph, write_photograph
+from scan2albedo.reflectance.photograph import ImageObservation, light_transfer, observe_photograph
 from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.reflectance_files import MeshReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.robust_fit import ReflectanceFitOptions
@@ -35,7 +39,12 @@ from scan2albedo.reflectance.vertex_reflectance import (
     lobe_weights_of_phong,
     reflectance_from_albedo,
 )
-from scan2albedo.reflectance.vertex_samples import VertexSamples, sample_vertices
+from scan2albedo.reflectance.vertex_samples import (
+    CaptureRig,
+    VertexSamples,
+    rig_of_head_poses,
+    sample_vertices,
+)
 
 __all__ = [
     "EXPONENTS",

@@ -17,14 +17,13 @@ from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
 """Standard deviations in mm of the blurs that divide the residual into bands, and of the logarithm of the
 light's error in each, from wrong normals, shadows and interreflection; what is wider than all is light."""
-_GREY = 0.9
-"""Share of the variance of the light's error that is common to the three channels."""
+_GREY, _LARGEST = 0.9, 1.5
+"""Share of the variance of the light's error that is common to the three channels; largest residual: larger
+ones are holes, hair or other surfaces."""
 _LEAST_OPEN, _LEAST_LIGHT, _LEAST_DIFFUSE = 0.4, 0.2, 0.5
 """Vertices with less of these do not count: share of the light around that a fold leaves, light over the
 median, and share of the observed light that is no highlight, whose errors look like albedo."""
-_LARGEST = 1.5
-"""Of a residual: larger ones are holes, hair or other surfaces."""
-_TINY = 1e-9
+_TINY = np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True)

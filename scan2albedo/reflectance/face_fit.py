@@ -20,10 +20,9 @@ from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
-_BLOCK_MM, _FOLDS = 12.0, 3
-"""Edge of the cubes whose vertices are left out together, and number of fits that share them."""
-_LEAST_BLOCKS = 12
-"""With fewer blocks the evidence is none."""
+_BLOCK_MM, _FOLDS, _LEAST_BLOCKS = 12.0, 3, 12
+"""Edge of the cubes whose vertices are left out together, and number of fits that share them; with fewer
+cubes there is no evidence."""
 _MARGIN, _LEAST_GAIN = 2.0, 0.07
 """A gain must exceed this many of its standard errors over the blocks, and this share of the error: light
 that skin reflects onto skin is coloured, and gains a little."""
@@ -126,17 +125,15 @@ def fit_face(
 
     The face is divided into blocks. Without some of them, the light is fitted with the model's mean face, and
     with the person's coefficients (`fit_image`), each without and with details, a smooth field of residuals
-    (`detail_field`); each is judged by all the light that what was left out sends. Only its
-    colour counts, the ratios between channels: errors of the light are nearly grey, and a person can imitate
-    them. Details must predict better than the mean face does under a light of its own, and the person better
-    than the mean, by two standard errors and 7 % of the error. Otherwise they are left out; if both are, the
-    mean face is returned, and `plan` says so. The last fits are to all blocks; a person whose objective is
-    then above the mean face's, which the model contains, is left out as well. If these leave more than a
-    quarter of the photograph (relative RMSE), light or shape are wrong, and both are left out.
-
-    Raises `ReflectanceError` as `fit_image`, or when a vertex is not finite.
-
-    Warns by `RuntimeWarning` when the last fit stops without having converged.
+    (`detail_field`); each is judged by all the light that what was left out sends. Only its colour counts,
+    the ratios between channels: errors of the light are nearly grey, and a person can imitate them. Details
+    must predict better than the mean face does under a light of its own, and the person better than the mean,
+    by two standard errors and 7 % of the error. Otherwise they are left out; if both are, the mean face is
+    returned, and `plan` says so. The last fits are to all blocks; a person whose objective is then above the
+    mean face's, which the model contains, is left out as well. If these leave more than a quarter of the
+    photograph (relative RMSE), light or shape are wrong, and both are left out. Raises `ReflectanceError` as
+    `fit_image`, or when a vertex is not finite. Warns by `RuntimeWarning` when the last fit stops without
+    having converged.
 
     Parameters
     ----------
@@ -156,12 +153,8 @@ def fit_face(
     Notes
     -----
     On 16 path-traced photographs that share nothing with the fit the albedo is 0.134 off, that of the mean
-    face 0.177, and that of `fit_image` 0.167 (tools/bench_reflectance_model.py unknown). The two of them that
-    show the mean face itself give it. Light and coefficients leave 8 to 22 % of them unexplained. A
-    photograph without colour gives no evidence, and so the mean face.
-
-    Cost: seven or eight fits instead of one, those of the mean face being cheaper; about five times
-    `fit_image`.
+    face 0.177, and that of `fit_image` 0.167 (tools/bench_reflectance_model.py unknown). A photograph without
+    colour gives no evidence, and so the mean face. Cost: about five times `fit_image`.
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces)

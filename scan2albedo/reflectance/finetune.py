@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.blocks import blocks
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import LinearModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
+from scan2albedo.reflectance.vertex_reflectance import BLOCK
 
 ROUNDS = 10
 """Most rounds of fitting all images and changing the model."""
@@ -26,12 +28,9 @@ MEAN_CHANGE, BASIS_CHANGES = 0.1, (0.1, 0.3)
 weights); the same of the directions, as a share of the means': the held-out images choose among several."""
 SMOOTHING_MM = 6.0
 """Standard deviation, along the surface, of the smoothing of changes."""
-SIGNIFICANCE_LEVEL = 0.025
-"""Probability that a change without effect on images like the held-out ones is accepted."""
-_LEAST_GAIN = 1e-3
-"""Relative fall of the held-out images' objective and RMSE below which a change is not accepted."""
-_BLOCK = 4096
-"""Vertices whose equations are solved together."""
+SIGNIFICANCE_LEVEL, _LEAST_GAIN = 0.025, 1e-3
+"""Probability that a change without effect on images like the held-out ones is accepted, and relative fall of
+their objective and RMSE below which none is."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +68,9 @@ def finetune(
     two anchors (`best_change`), smooths them over the mesh, and takes that one, or a half or quarter of it,
     with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
     chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
-    shares w' stay.
-
-    Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be fitted, or a
-    vertex is not finite; `ValueError` when `faces` point outside the vertices, or shapes disagree.
+    shares w' stay. Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be
+    fitted, or a vertex is not finite; `ValueError` when `faces` point outside the vertices, or shapes
+    disagree.
 
     Parameters
     ----------
@@ -94,12 +92,10 @@ def finetune(
 
     Notes
     -----
-    Images determine the albedo only up to the light, and held-out images do not resolve that either: the
-    anchor keeps the albedo. It is Gaussian, for then each vertex has a closed form and a smooth error is
-    corrected everywhere a little; the absolute differences of Han, Wang and Xu, who tune networks by
-    gradients, favour few vertices. Tuning adds no directions: differences between faces beyond them, marks
-    for instance, stay unexplained. tools/bench_reflectance_finetune.py measures tuning on pictures that
-    neither step used.
+    Images determine the albedo only up to the light: the anchor keeps it. It is Gaussian, for then each
+    vertex has a closed form; the absolute differences of Han, Wang and Xu, who tune networks by gradients,
+    favour few vertices. Tuning adds no directions. tools/bench_reflectance_finetune.py measures it on other
+    pictures.
     """
     count = len(model.known)
     triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
@@ -238,9 +234,8 @@ def best_change(
 
         (x_i . x_i') (m_c^2 [j = j'] d_ij d_i'j' + m_s^2 h_ij h_i'j') + noise,
 
-    a system of 3 M equations for M images, whatever the number of coefficients. Cost: V (3 M)^3 / 3; memory
-    12 V M numbers and 9 M^2 a vertex in blocks. The `fits` may be those of another model with the same
-    directions.
+    a system of 3 M equations for M images. Cost: V (3 M)^3 / 3; memory 12 V M numbers. The `fits` may be
+    those of another model with the same directions.
     """
     count, images = len(model.known), len(fits)
     scores = np.stack([fit.face.coefficients for fit in fits])
@@ -265,8 +260,7 @@ def best_change(
     kernel, size = features @ features.T, 3 * images
     same_channel, any_channel = np.kron(kernel, np.eye(3)), np.kron(kernel, np.ones((3, 3)))
     solution = np.empty((count, size))
-    for start in range(0, count, _BLOCK):
-        block = slice(start, start + _BLOCK)
+    for block in blocks(count, BLOCK):
         d, h = (of_diffuse * diffuse[block]).reshape(-1, size), (of_sum * specular[block]).reshape(-1, size)
         system = same_channel * (d[:, :, None] * d[:, None]) + any_channel * (h[:, :, None] * h[:, None])
         system[:, np.arange(size), np.arange(size)] += noise[block].reshape(-1, size)

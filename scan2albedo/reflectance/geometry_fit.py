@@ -12,7 +12,8 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Tr
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
-from scan2albedo.geometry.pinhole import normalized_cameras, project
+from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
+from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.optimization import Damping
 from scan2albedo.reflectance.environment_shading import checked_light
 from scan2albedo.reflectance.geometry_terms import (
@@ -24,7 +25,6 @@ from scan2albedo.reflectance.geometry_terms import (
     SmoothImage,
 )
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
-from scan2albedo.reflectance.landmark_pose import LEAST_FOR_POSE, pose_from_landmarks
 from scan2albedo.reflectance.linear_model import checked_coefficients
 from scan2albedo.reflectance.map_fit import MapPoint, most_probable
 from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
@@ -40,10 +40,9 @@ _ROUNDS, _REFRESH_STEPS = 10, 5
 _LANDMARK_GROWTH, _LANDMARK_SLACK_PX = 1.5, 0.5
 """Photometry is not accepted when it makes the landmarks' error larger than this times the error without, and
 by more than this many pixels."""
-_TOLERANCE = 1e-4
-"""Part of the objective that is no progress."""
-_LARGEST_FIRST_DAMPING = 0.1
-"""A search goes on with the damping that the one before ended with, but never with more than this."""
+_TOLERANCE, _LARGEST_FIRST_DAMPING = 1e-4, 0.1
+"""Part of the objective that is no progress; a search goes on with the damping that the one before ended
+with, but with no more than this."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +108,10 @@ def refine_geometry(
     both the image, smoothed by 0.3 edges of the mesh, moves under a vertex and the shading turns with its
     normal. Rays find which vertices U are seen, anew every few steps. The result with photometry is accepted
     only when the objective over the vertices seen in both shapes falls, landmarks stay near, and the colours
-    are explained; otherwise the result of the landmarks alone is returned.
-
-    Raises `ReflectanceError` when there is neither a landmark nor photometry, no initial pose and too few
-    landmarks to find one, another topology, or numbers that are not finite; `ValueError` when shapes
-    disagree, or only one of `reflectance` and `light` is given.
-
-    Warns by `RuntimeWarning` when it stops without having converged.
+    are explained; otherwise the result of the landmarks alone is returned. Raises `ReflectanceError` when
+    there is neither a landmark nor photometry, no initial pose and too few landmarks to find one, another
+    topology, or numbers that are not finite; `ValueError` when shapes disagree, or only one of `reflectance`
+    and `light` is given. Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------
@@ -143,9 +139,9 @@ def refine_geometry(
 
     Notes
     -----
-    Cast shadows are not modelled. One image cannot separate how far away a face is from how large it is, but
-    for the prior. Han, Wang and Xu (supplement) weight landmarks far less, since those of networks are
-    several mm off; tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
+    Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is. Han,
+    Wang and Xu (supplement) weight landmarks far less, since those of networks are several mm off;
+    tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = np.array(landmarks_px, np.float64)
@@ -366,3 +362,58 @@ class _Refinement:
         """Return (68,) distances in pixels, NaN where a landmark is not seen."""
         pixels, _ = project(self.camera, state.vertices[self.model.landmark_vertices])
         return np.asarray(np.linalg.norm(pixels - self.landmarks, axis=1))
+
+
+LEAST_FOR_POSE, _ITERATIONS = 6, 200
+_STARTS_DEG = ((0.0, 0.0), (0.0, 45.0), (0.0, -45.0), (35.0, 0.0), (-35.0, 0.0))
+"""Pitch and yaw that the first rotation is turned by: flat sets of points have two minima."""
+
+
+def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
+    """Return the rigid transform (4, 4), scene from model, that puts points on their lines of sight.
+
+    Minimises the sum over points of the squared distance to the line of sight by orthogonal iteration [1]_:
+    with the projections V_i = d_i d_i^T onto lines of sight, the best translation is linear in the rotation,
+    and the rotation is the Procrustes one from points to their projections.
+
+    Takes a normalised camera (3, 4), four or more points (N, 3) in mm that are not on a line, and their
+    pixels (N, 2). Raises `ReflectanceError` when the pixels coincide, or no pose found has the points in
+    front of the camera.
+
+    .. [1] C.-P. Lu, G. Hager, E. Mjolsness, "Fast and Globally Convergent Pose Estimation from Video Images",
+       IEEE PAMI 22(6), 2000.
+    """
+    if not np.ptp(pixels, axis=0).max() > 0:
+        raise ReflectanceError("all landmarks lie in one point of the image; check them")
+    center = points_mm.mean(0)
+    local = points_mm - center
+    directions = pixel_directions(camera, pixels)
+    # Where lines of sight cross a plane in front of the camera: a weak-perspective picture.
+    axis = directions.mean(0) / np.linalg.norm(directions.mean(0))
+    first = procrustes(local, directions / (directions @ axis)[:, None], scale=True)
+    upright = first[:3, :3] / np.cbrt(np.linalg.det(first[:3, :3]))
+    onto = directions[:, :, None] * directions[:, None, :]
+    off = onto - np.eye(3)
+    to_translation = -np.linalg.inv(off.sum(0))
+    best, least = np.eye(4), np.inf
+    for pitch, yaw in np.radians(_STARTS_DEG):
+        rotation = upright @ rotation_from_vector([0, yaw, 0]) @ rotation_from_vector([pitch, 0, 0])
+        before = np.inf
+        for _ in range(_ITERATIONS):
+            shift = to_translation @ np.einsum("nij,nj->i", off, local @ rotation.T)
+            pose = compose(rotation, shift)
+            target = np.einsum("nij,nj->ni", onto, transform_points(pose, local))
+            error = float(np.sum((transform_points(pose, local) - target) ** 2))
+            if not error < before * (1 - 1e-6):
+                break
+            before = error
+            rotation = procrustes(local, target)[:3, :3]
+        ahead = (transform_points(pose, local) * directions).sum(1) > 0
+        if ahead.all() and error < least:
+            best, least = pose, error
+    if not np.isfinite(least):
+        raise ReflectanceError(
+            "no pose puts the landmarks in front of the camera; check landmarks and camera"
+        )
+    to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
+    return np.asarray(to_scene @ best @ compose(np.eye(3), -center))

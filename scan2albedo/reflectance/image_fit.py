@@ -23,19 +23,17 @@ PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """From predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value and its
 gradient (V, 3) by the predicted ones; gradients at vertices that are not used are ignored."""
 
-PHOTOMETRIC_WEIGHT = 2.0
-"""Of the mean absolute difference, in units of the image's median colour."""
-SOFTNESS = 0.01
-"""Differences below this share of the median colour count by their squares (Charbonnier's epsilon)."""
+PHOTOMETRIC_WEIGHT, SOFTNESS = 2.0, 0.01
+"""Of the mean absolute difference, in units of the image's median colour; differences below that share of it
+count by their squares (Charbonnier's epsilon)."""
 PRIOR_WEIGHT = {True: 3e-4, False: 1e-3}
 """Of the squared coefficients, with the face's own shadows and without: those must not pass for skin."""
 MOST_UNEXPLAINED = 0.25
 """Where a fit's relative RMSE is larger, light, shape or reflectance are wrong."""
 _PERCEPTUAL_WEIGHT = 0.1
-_STEPS, _TOLERANCE = 200, 1e-5
-"""Most steps, of which 10 to 20 are usual, and the part of the objective that is no progress."""
-_LARGEST_LOG_SCALE_STEP = 5.0
-"""A scale that grows by e^5 in a step is a runaway, and would overflow in the exponential."""
+_STEPS, _TOLERANCE, _LARGEST_LOG_SCALE_STEP = 200, 1e-5, 5.0
+"""Most steps, of which 10 to 20 are usual; part of the objective that is no progress; a scale that grows by
+e^5 in a step is a runaway, and would overflow in the exponential."""
 
 
 @dataclass(frozen=True)
@@ -82,12 +80,9 @@ def fit_image(
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
     re-weighted squares; w is 3e-4 where the observation has a transfer and 1e-3 without. P is a function of
     the caller's. The penalty of Han, Wang and Xu on coloured light is left out: at their weight the albedo's
-    error rose from 0.067 to 0.135, under grey light to 0.070.
-
-    Raises `ReflectanceError` when no vertex is both seen and known, the topologies differ, or `perceptual`
-    returns something else than finite numbers of the right shape.
-
-    Warns by `RuntimeWarning` when it stops without having converged.
+    error rose from 0.067 to 0.135, under grey light to 0.070. Raises `ReflectanceError` when no vertex is
+    both seen and known, the topologies differ, or `perceptual` returns something else than finite numbers of
+    the right shape. Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------
@@ -107,16 +102,14 @@ def fit_image(
 
     Notes
     -----
-    The second derivative of P is taken as the same along every colour: that along the step before, and at
-    first that of a squared distance whose least value is 0. Steps that do not lower the objective are refused
-    in any case, so this decides the pace and not the end. A wrong gradient ends the search early.
+    The second derivative of P is taken as that along the step before, at first as of a squared distance whose
+    least value is 0: this decides the pace, not the end. A wrong gradient ends the search early.
 
     One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
-    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
-
-    Cost of a step: 3 U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a
-    second of CPU in all.
+    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py). Cost of a step: 3
+    U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a second of CPU in
+    all.
     """
     seen = np.asarray(observation.seen)
     if len(seen) != len(model.known):

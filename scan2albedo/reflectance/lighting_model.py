@@ -41,14 +41,9 @@ class LightingModel(LinearModel):
 
     @classmethod
     def generate(cls, *, count: int = 600, components: int = COMPONENTS, seed: int = 0) -> LightingModel:
-        """Learn a model from `count` (2 or more) maps of `generated_environment`; same seed, same model.
+        """Learn a model of `components` directions from `count` maps of `generated_environment`.
 
-        Raises `ReflectanceError` when `count` is below 2, which has no directions.
-
-        Parameters
-        ----------
-        count, components, seed : int
-            Number of maps, directions to keep, and seed of the maps.
+        Same seed, same model. Raises `ReflectanceError` when `count` is below 2, which has no directions.
         """
         if count < 2:
             raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")

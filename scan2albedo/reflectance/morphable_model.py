@@ -135,10 +135,8 @@ class MorphableReflectanceModel:
         """Learn a model from K reflectances of one topology.
 
         The directions are those of the albedo's deviations from its mean (`principal_directions`); the
-        deviations of s and w' are summed with the same weights.
-
-        Raises `ReflectanceError` when there is no sample, topologies differ, or no vertex has the support;
-        `ValueError` for options out of range.
+        deviations of s and w' are summed with the same weights. Raises `ReflectanceError` when there is no
+        sample, topologies differ, or no vertex has the support; `ValueError` for options out of range.
 
         Parameters
         ----------
@@ -153,12 +151,9 @@ class MorphableReflectanceModel:
 
         Notes
         -----
-        Where a sample does not know a vertex, it is taken to be the mean of those that do. This adds
-        no direction of its own, but the variance there comes out too small, by about the share of samples
-        missing (see `support`). w' of a vertex without a lobe is a gap too, since 0 / 0 is no share. How
-        weights vary where the albedo does not is left out, for directions are those of the albedo.
-
-        Cost: K^2 V, memory 7 K V numbers.
+        Where a sample does not know a vertex, it is taken to be the mean of those that do; the variance there
+        comes out too small by about the share of samples missing (see `support`). w' of a vertex without a
+        lobe is a gap too. How weights vary where the albedo does not is left out. Cost: K^2 V.
         """
         if components is not None and components < 0:
             raise ValueError(f"components must be 0 or more, got {components}")
@@ -297,10 +292,8 @@ class MorphableReflectanceModel:
         """Return the reflectance of the model whose albedo is nearest, over vertices known to both.
 
         Minimises sum |c - c0 - sum b_i C_i|^2 + prior |b|^2; the weights follow b. Use a prior above 0 when
-        few vertices are known.
-
-        Raises `ReflectanceError` when the topology is another, or no vertex is known to both; `ValueError`
-        when `prior` is negative.
+        few vertices are known. Raises `ReflectanceError` when the topology is another, or no vertex is known
+        to both; `ValueError` when `prior` is negative.
         """
         if not prior >= 0:
             raise ValueError(f"prior must be 0 or more, got {prior}")
@@ -356,9 +349,8 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
     A model is learned from four of five samples. Of each other face, every second block of 25 mm gives the
     most probable coefficients, with what the kept directions leave out as noise, and the albedo of the other
     blocks is compared. The fewest directions are taken whose error (RMS) is within 1 % of the least: more of
-    them describe the samples and not people, and make every fit slower.
-
-    Raises `ReflectanceError` for fewer than 10 samples or another number of vertices.
+    them describe the samples and not people, and make every fit slower. Raises `ReflectanceError` for fewer
+    than 10 samples or another number of vertices.
 
     Parameters
     ----------

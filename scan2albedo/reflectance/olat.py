@@ -17,10 +17,10 @@ from scan2albedo.errors import ReflectanceError
 
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]
 
-_SIGMAS = 4.0
-"""A pixel counts as brighter in the room's light when the difference is this far below 0 in every channel."""
-_BRIGHTER_ROOM_PART = 0.02
-"""Of a pair's pixels from which it is reported; it is left out when more are so than the other way round."""
+_SIGMAS, _BRIGHTER_ROOM_PART = 4.0, 0.02
+"""A pixel counts as brighter in the room's light when the difference is this far below 0 in every channel;
+part of a pair's pixels from which it is reported: it is left out when more are so than the other way
+round."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,11 @@ class CaptureDiagnostic:
     name: str
     """One of "room_brighter_than_flash", "saturated", "not_finite"."""
     pair: int
-    """Its number."""
     part: float
     """Of the pair's pixels."""
     left_out: bool
     """Whether the whole pair is."""
     message: str
-    """In words, with advice."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +90,7 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
 
     Its slope is 0 in the dark, where first order does not hold; values count there as at least s. Negative
     differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the other two are
-    not.
-
-    Raises `ValueError` when shapes disagree; `ReflectanceError` when there are no pairs, when values are
+    not. Raises `ValueError` when shapes disagree; `ReflectanceError` when there are no pairs, when values are
     beyond white, or when every pair is darker with its flash.
 
     Parameters

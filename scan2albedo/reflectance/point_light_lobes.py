@@ -23,9 +23,8 @@ def point_light_lobes(
 ) -> FloatArray:
     """Return (J, V, 4): max(0, n.l) / pi and (s + 2) / (8 pi) max(0, n.h)^s for s = 1, 8, 64.
 
-    As in the released code of Han, Wang and Xu, lobes have no factor n.l.
-
-    Raises `ValueError` when shapes disagree.
+    As in the released code of Han, Wang and Xu, lobes have no factor n.l. All are 0 where the light is behind
+    the vertex; cast shadows are not tested. Raises `ValueError` when shapes disagree.
 
     Parameters
     ----------
@@ -35,11 +34,6 @@ def point_light_lobes(
         Of each picture, in mm.
     reference_distance_mm : float, optional
         Lights fall off with the square of their distance, to 1 at this one; without it they do not.
-
-    Returns
-    -------
-    (J, V, 4) float64
-        All 0 where the light is behind the vertex. Cast shadows are not tested.
 
     Examples
     --------
@@ -83,11 +77,7 @@ def lobe_slopes(
 
     A normal tilted by t is (n + t_1 e_1 + t_2 e_2) / |.|, which multiplies n.l by
     (1 + t_1 e_1.l / n.l + t_2 e_2.l / n.l) / sqrt(1 + t.t), and n.h likewise. 0 where the light is behind.
-
-    Parameters
-    ----------
-    vertices, normals, camera_positions, light_positions
-        As of `point_light_lobes`.
+    Takes what `point_light_lobes` takes.
 
     Examples
     --------
@@ -217,14 +207,7 @@ def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-de
 def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> FloatArray:
     """Return (J, V, 3) linear radiance of vertices whose lobes (J, V, 4) are lit; NaN where not known.
 
-    Raises `ValueError` when the lobes have another shape.
-
-    Parameters
-    ----------
-    reflectance : VertexReflectance
-        Of V vertices.
-    lobes : (J, V, 4) array_like of float
-        From `point_light_lobes`.
+    `lobes` are those of `point_light_lobes`. Raises `ValueError` when they have another shape.
 
     Examples
     --------

@@ -12,9 +12,8 @@ from scan2albedo.geometry.rays import blocks, each_block
 from scan2albedo.reflectance import tilt_kernels
 from scan2albedo.reflectance import vertex_kernels as kernels
 from scan2albedo.reflectance.point_light_lobes import turn_lobes
+from scan2albedo.reflectance.vertex_reflectance import BLOCK
 
-_BLOCK = 128
-"""Vertices whose normal equations fit the first cache."""
 _WIDTH, TILT_FREEDOM = 2.4, 4.0
 """Residual over sigma from which the loss departs from squares, wider for vertices that fit worse; degrees of
 freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
@@ -131,7 +130,7 @@ class RobustFit:
             kernels.solve_bounded(self._equations(part), data.mean, data.prior, found)
             self.estimate[part] = found
 
-        each_block(solve, blocks(size, _BLOCK))
+        each_block(solve, blocks(size, BLOCK))
         self._reweigh(rows)
         moving, settled = rows, not iterating
         while True:
@@ -157,7 +156,7 @@ class RobustFit:
                     normal, equations, data.prior, prior, part, deviation, variance
                 )
 
-        each_block(posterior, blocks(size, _BLOCK))
+        each_block(posterior, blocks(size, BLOCK))
         return self
 
     def _improve(self, rows: IntArray) -> BoolArray:
@@ -182,7 +181,7 @@ class RobustFit:
                 )
                 turn_lobes(data.lobes, data.slopes, self.tilt, part, self.lobes)
 
-        each_block(work, blocks(len(rows), _BLOCK))
+        each_block(work, blocks(len(rows), BLOCK))
         self._reweigh(rows)
         moved = np.asarray((np.abs(self.estimate[rows] - before) > _TOLERANCE * deviation).any(1))
         if self.tilting:
@@ -224,7 +223,7 @@ class RobustFit:
             filled = self.scale, self.weight, self.loss, self.misfit
             kernels.reweigh(*seen, rows[block], self.loss_kind, _WIDTH, *filled)
 
-        each_block(work, blocks(len(rows), _BLOCK))
+        each_block(work, blocks(len(rows), BLOCK))
         if self.tilting:
             assert self.data.tilt_sigma is not None
             square = (self.tilt[rows] ** 2).sum(1) / (TILT_FREEDOM * self.data.tilt_sigma[rows] ** 2)

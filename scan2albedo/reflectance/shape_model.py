@@ -101,10 +101,8 @@ class MorphableShapeModel(LinearModel):
 
         The directions are those of `principal_directions`: of the neutral faces' deviations from their mean,
         and of the expressions' offsets, where an offset and its opposite count as equally likely, so that no
-        expression is the mean one. Cost: (K^2 + 4 E^2) V.
-
-        Raises `ReflectanceError` when there is no face, topologies differ, or numbers are not finite;
-        `ValueError` when a number of components is negative.
+        expression is the mean one. Cost: (K^2 + 4 E^2) V. Raises `ReflectanceError` when there is no face,
+        topologies differ, or numbers are not finite; `ValueError` when a number of components is negative.
 
         Parameters
         ----------

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.reflectance.olat import OlatOptions
 from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes, point_light_radiance
 from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
@@ -27,8 +28,6 @@ _LEAST_COSINE = 0.05
 """Where all light grazes more, intervals do not widen further."""
 _GAIN_ROUNDS, _GAIN_VERTICES, _GAIN_TOLERANCE = 50, 2000, 1e-5
 """Most alternations, vertices (evenly chosen) that gains are found from, and change that ends them."""
-_GAMMA = 1.2
-"""Of the display, for errors in decibels."""
 
 
 @dataclass(frozen=True)
@@ -107,9 +106,8 @@ def fit_reflectance(
 
     (Han, Wang, Xu, supplement), rho robust, the channels of a picture together; the prior is Gaussian. For
     given robust weights c is eliminated and the eight sets of weights at 0 are tried; where an albedo would
-    be negative, all 64 sets.
-
-    Raises `ReflectanceError` when there are no pictures, or no vertex is seen in enough of them.
+    be negative, all 64 sets. Raises `ReflectanceError` when there are no pictures, or no vertex is seen in
+    enough of them.
 
     Parameters
     ----------
@@ -123,18 +121,15 @@ def fit_reflectance(
 
     Notes
     -----
-    Strength of the flashes times reflectance is one number: gains have mean 1, so that albedos are in units
-    of that strength. The prior follows the albedos' level, so pictures twice as bright give twice the
-    reflectance.
+    Strength of the flashes times reflectance is one number: albedos are in units of that strength, and
+    pictures twice as bright give twice the reflectance, for the prior follows the albedos' level.
 
-    Intervals come from the Gaussian posterior before the bounds, cut at 0: bounds shorten them, and where a
-    number is not identified they are the prior's. They account for noise, the prior and, where samples have
-    slopes, wrong normals: two tilts of each normal are found with the six numbers, their prior Student's t.
-    They widen with the misfit, and by 1 / max n.l where no flash stands above the vertex: there, light from
-    beside it or a shadow's edge counts for much. With normals off by 0, 1 and 3 degrees 97 % of them hold the
-    truth, at 1 % noise in 90 pictures; on a head rendered by other code 95-96 %, and 90 % with light between
-    parts of the face (``python tools/bench_reflectance.py --heads``). Neither that light nor texture finer
-    than a pixel is in them.
+    Intervals come from the Gaussian posterior before the bounds, cut at 0; where a number is not identified
+    they are the prior's. They account for noise, the prior and, where samples have slopes, wrong normals: two
+    tilts of each normal are found with the six numbers, their prior Student's t. They widen with the misfit,
+    and by 1 / max n.l where no flash stands above the vertex. With normals off by 0, 1 and 3 degrees 97 % of
+    them hold the truth, at 1 % noise in 90 pictures; on a head rendered by other code 95-96 %, and 90 % with
+    light between parts of the face (``python tools/bench_reflectance.py --heads``).
 
     Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less; with slopes twice that.
 
@@ -372,7 +367,7 @@ def relighting_error(
             "the pictures held out are black where the face is: there is nothing to predict"
         )
     white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
-    displayed = [np.clip(linear / white, 0, 1) ** (1 / _GAMMA) for linear in (observed, made)]
+    displayed = [np.clip(linear / white, 0, 1) ** (1 / OlatOptions.gamma) for linear in (observed, made)]
     off = float(np.mean((displayed[0] - displayed[1]) ** 2))
     return RelightingError(
         _relative(observed, made),

@@ -14,6 +14,8 @@ from scan2albedo.errors import ReflectanceError
 EXPONENTS = (1.0, 8.0, 64.0)
 """Of the three Blinn-Phong lobes."""
 _ANGLES = 400
+BLOCK = 128
+"""Vertices that are worked on together: their equations fit the first cache."""
 
 
 @dataclass(frozen=True)
@@ -70,20 +72,10 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
 
     least squares with w >= 0 over half vectors at angles a = 0 ... pi / 4 from the normal, by solid angle.
     The factor pi of the light (an albedo estimate's is the radiance of a white surface) has been divided out.
-
     Raises `ReflectanceError` when a number is out of its range.
 
-    Parameters
-    ----------
-    strength : float
-        Of the highlight, 0 or more; `specular_strength` of an albedo estimate.
-    exponent : float
-        Phong's, more than 0; `specular_exponent` of an albedo estimate.
-
-    Notes
-    -----
-    Three lobes are not every lobe: for exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm,
-    for sharper ones by more.
+    `strength`, 0 or more, and `exponent`, more than 0, are those of an albedo estimate's highlight. For
+    exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm, for sharper ones by more.
 
     Examples
     --------

@@ -6,7 +6,7 @@ import pytest
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, rotation_angle_rad, rotation_from_vector, transform_points
-from scan2albedo.reflectance.landmark_pose import pose_from_landmarks
+from scan2albedo.reflectance.geometry_fit import pose_from_landmarks
 
 POINTS = AnnotatedFaceModel.default().landmarks
 CAMERA = look_at([100, 50, 700], [0, 0, 0], focal_px=1800, shape=(800, 800))

@@ -199,7 +199,7 @@ def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, olat):
     ("change", "error", "message"),
     [
         ({"normals": np.zeros((3, 3))}, ValueError, "normals is"),
-        ({"normals": 2.0}, ReflectanceError, "has length 2"),
+        ({"normals": 2.0}, ReflectanceError, "of length 2"),
         ({"faces": np.zeros((0, 3), int)}, ReflectanceError, "no triangles"),
         ({"faces": np.full((1, 3), 10**6)}, ReflectanceError, "no triangles"),
         ({"faces": np.zeros((4,), int)}, ValueError, "expected \\(V, 3\\) and \\(F, 3\\)"),

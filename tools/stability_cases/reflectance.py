@@ -358,7 +358,7 @@ def _looked_up(**changes: Any) -> VertexSamples:
 
 for _name, _change, _says in (
     ("vertices NaN", {"vertices": np.full_like(_scene().vertices, math.nan)}, "not all finite"),
-    ("normals NaN", {"normals": np.full_like(_scene().normals, math.nan)}, "vertex 0 has length nan"),
+    ("normals NaN", {"normals": np.full_like(_scene().normals, math.nan)}, "of length nan"),
     ("normals zero", {"normals": np.zeros_like(_scene().normals)}, "none of 1024 vertices is seen"),
 ):
 

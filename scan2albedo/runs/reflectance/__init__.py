@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
@@ -48,3 +49,14 @@ def results_in(out: Path, inputs: Sequence[str | Path]) -> RunFolder[Reflectance
     if any(Path(path).resolve() == out.resolve() for path in inputs):
         raise ReflectanceError(f"{out} is where the command reads from; write to another folder")
     return RunFolder(out, FILES)
+
+
+@contextmanager
+def naming(what: str) -> Iterator[None]:
+    """Name a file, in words, in errors that do not."""
+    try:
+        yield
+    except ReflectanceError as error:
+        if what in str(error):
+            raise
+        raise ReflectanceError(f"{what}: {error}") from error

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,20 +34,18 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
 from scan2albedo.reflectance.relit_picture import relit_picture
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
-from scan2albedo.report.overview import Panel, overview_figure
+from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import (
     albedo_colors,
     filled_albedo,
     reflectance_panels,
     relit_panels,
 )
-from scan2albedo.runs.reflectance import results_in
+from scan2albedo.runs.reflectance import naming, results_in
 
-HELD_OUT_EVERY = 10
-"""One pair of this many is left out of the fit that is tested on it."""
-_LEAST_FOR_HELD_OUT = 5
-_SHOWN_PAIRS = 4
-_COLUMNS_OF_SHEET = 11
+HELD_OUT_EVERY, _LEAST_FOR_HELD_OUT = 10, 5
+"""One pair of the first number is left out of the fit that is tested on it; no pair where there are fewer."""
+_SHOWN_PAIRS, _COLUMNS_OF_SHEET = 4, 11
 _DOUBTFUL_SIGMA_DEGREES, _DOUBTFUL_MISFIT, _DOUBTFUL_HELD_OUT = 2.0, 1.25, 1.5
 """Medians of the normals' deviation and of the misfit above which a note says so, and then the held-out error
 over noise's part of it, which too few pictures raise as well."""
@@ -69,7 +66,7 @@ class FittedCapture:
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
-    with _naming(capture):
+    with naming(f"capture {capture.path}"):
         olat = capture.extract_olat()
     figures = {
         "pairs": len(olat),
@@ -107,7 +104,7 @@ def fit_capture(
     """
     if capture.scale_known and options.most_albedo is None:
         options = replace(options, most_albedo=1.0)
-    with _naming(capture):
+    with naming(f"capture {capture.path}"):
         olat = capture.extract_olat()
         samples = sample_vertices(
             olat,
@@ -131,17 +128,6 @@ def fit_capture(
             notes += (f"the fit was not tested on pictures left out: {cause}",)
     notes += tuple(_notes_of_fit(fit, error, capture.content.gamma))
     return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
-
-
-@contextmanager
-def _naming(capture: CaptureFiles) -> Iterator[None]:
-    """Name the capture in errors that do not."""
-    try:
-        yield
-    except ReflectanceError as error:
-        if str(capture.path) in str(error):
-            raise
-        raise ReflectanceError(f"capture {capture.path}: {error}") from error
 
 
 def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -184,7 +170,11 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
                 f"photographs left out of the fit: relative RMSE {100 * done.error.relative_rmse:.1f} % at "
                 f"vertices, {done.error.psnr_db:.1f} dB"
             )
-            results.figure("relit.png", overview_figure(relit, relit_held_out(done), 6))
+            chosen, panels, names = np.flatnonzero(done.held_out), [], capture.pair_names()
+            shown = np.linspace(0, len(chosen) - 1, min(_SHOWN_PAIRS, len(chosen))).astype(int)
+            for j in chosen[shown]:
+                panels += relit_panels(names[j], *relit_pair(done, j), done.olat.valid[j])
+            results.figure("relit.png", overview_figure(relit, panels, 6))
         write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
         results.write_record(
             command="fit",
@@ -206,17 +196,6 @@ def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | Non
     colors = np.round(255 * albedo_colors(filled_albedo(mesh, drawn))).astype(np.uint8)
     shape = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False)
     shape.export(path)
-
-
-def relit_held_out(done: FittedCapture) -> list[Panel]:
-    """Return photographs left out of the tested fit beside its relit faces, four at most."""
-    chosen = np.flatnonzero(done.held_out)
-    chosen = chosen[np.linspace(0, len(chosen) - 1, min(_SHOWN_PAIRS, len(chosen))).astype(int)]
-    names, panels = done.capture.pair_names(), []
-    for j in chosen:
-        photograph, made, shown = relit_pair(done, j)
-        panels += relit_panels(names[j], photograph, made, shown, done.olat.valid[j])
-    return panels
 
 
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.reflectance import (
+    OlatOptions,
     ReflectanceFitOptions,
     VertexReflectance,
     generated_environment,
@@ -29,18 +30,15 @@ from scan2albedo.reflectance import (
     write_capture,
     write_photograph,
 )
-from scan2albedo.reflectance.capture_files import FlashCaptureFile, PairEntry, PoseEntry
-from scan2albedo.reflectance.photograph_files import FacePhotographFile
+from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, write_olat
 from scan2albedo.runs.reflectance.image_run import (
-    FittedPhotograph,
     fit_photograph,
     tune_model,
     write_fitted_photograph,
     write_tuned_model,
 )
 from scan2albedo.runs.reflectance.model_run import (
-    FaceModels,
     build_model,
     read_model_folder,
     write_model_folder,
@@ -56,17 +54,12 @@ from scan2albedo.synthetic import (
 
 _PORTRAIT = Portrait(picture_size=192)
 """People have no hair: its shadows on the brow are not the mesh's, and a model would learn them as skin."""
-_LEAST_PAIRS = 3
-"""As the command `fit` asks for."""
-_NEW_PEOPLE = 1000
-"""Seeds of people that the model was not learned from begin here."""
-_ALTERNATIONS = 30
-_RIDGE = 1e-9
+_LEAST_PAIRS, _NEW_PEOPLE = 3, 1000
+"""Pairs that the command `fit` asks for; first seed of people that the model was not learned from."""
+_ALTERNATIONS, _RIDGE = 30, 1e-9
 """Of the nearest face, found by turns of scale and coefficients; the ridge only keeps the solution unique."""
-_AZIMUTHS_DEG = (0.0, 20.0, -20.0)
 CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE = "capture.json", "photograph.json", "landmark_vertices.json"
 _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
-_SATURATION = 0.98
 
 
 @dataclass(frozen=True)
@@ -75,23 +68,19 @@ class ReflectanceDemoReport:
 
     people: int
     diffuse_error: tuple[float, ...]
-    """Of each person's fit to flash pictures, over known vertices."""
     diffuse_median_error: tuple[float, ...]
-    """The median of the relative differences instead."""
     held_out_error: tuple[float, ...]
-    """Of predicted pictures that were left out of each fit."""
+    """Of each person's fit to flash pictures, over known vertices; the median of the relative differences
+    instead; of predicted pictures that were left out of the fit."""
     mesh_known_error: float
-    """Of a new person's albedo from one photograph, the mesh being known."""
     landmarks_error: float
-    """The same from landmarks alone."""
     mean_face_error: float
-    """Of the model's mean in its place."""
     nearest_error: float
-    """Of the model's face whose albedo is nearest at some scale."""
+    """Of a new person's albedo from one photograph, the mesh being known; from landmarks alone; of the
+    model's mean in its place; of the model's face whose albedo is nearest at some scale."""
     shape_error_mm: float
-    """Of the shape from landmarks, mean over vertices after rigid alignment."""
     mean_shape_error_mm: float
-    """Of the mean shape in its place."""
+    """Of the shape from landmarks, mean over vertices after rigid alignment; of the mean shape instead."""
     tuning_before: float
     tuning_after: float
     accepted_steps: int
@@ -116,10 +105,6 @@ class ReflectanceDemoReport:
             f"fine-tuning: {self.accepted_steps} changes accepted, held-out objective "
             f"{self.tuning_before:.4g} -> {self.tuning_after:.4g}",
         ]
-
-    def figures(self) -> dict[str, Any]:
-        """Return the numbers by name."""
-        return dict(vars(self))
 
 
 def run_reflectance_demo(
@@ -159,10 +144,12 @@ def run_reflectance_demo(
     write_samples(out / "model", out / "samples", count=6, seed=seed)
     models = read_model_folder(out / "model")
     say("fitting a photograph of another person")
-    taken = _photograph(seed + _NEW_PEOPLE, 0)
-    with_mesh, marked = (
-        _fit_photograph(taken, models, out, name, on_progress) for name in ("mesh", "landmarks")
-    )
+    taken, fitted = _photograph(seed + _NEW_PEOPLE, 0), []
+    for name in ("mesh", "landmarks"):
+        file = write_synthetic_photograph(taken, out / "photographs" / name, mesh=name == "mesh")
+        fitted.append(fit_photograph(read_photograph(file), models, on_progress=on_progress))
+        write_fitted_photograph(fitted[-1], models, out / "fit_image" / name, {})
+    with_mesh, marked = fitted
     say("fine-tuning")
     files = [
         write_synthetic_photograph(
@@ -172,19 +159,32 @@ def run_reflectance_demo(
     ]
     tuned = tune_model(models, files[::2], files[1::2], on_progress=on_progress)
     write_tuned_model(tuned, out / "tuned", {})
-    truth = taken.diffuse_linear
-    seen = np.asarray(with_mesh.observation.seen)
+    truth, shape, seen = taken.diffuse_linear, taken.vertices, np.asarray(with_mesh.observation.seen)
+    used, nearest = seen & models.model.known, models.mean.reflectance
+    for _ in range(_ALTERNATIONS):
+        a, b = nearest.diffuse_linear[used], truth[used]
+        scaled = VertexReflectance(truth * (np.sum(a * b) / np.sum(b * b)), np.zeros_like(truth), seen)
+        nearest = models.model.project(scaled, prior=_RIDGE).nearest.reflectance
+
+    def scaled_error(found: VertexReflectance) -> float:
+        """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
+        return albedo_error(found.diffuse_linear, truth, seen & found.known).relative_rmse
+
+    def shape_error_mm(found: FloatArray) -> float:
+        aligned = transform_points(procrustes(found, shape[seen]), found)
+        return float(np.linalg.norm(aligned - shape[seen], axis=1).mean())
+
     return ReflectanceDemoReport(
         people=people,
         diffuse_error=tuple(one[0] for one in errors),
         diffuse_median_error=tuple(one[1] for one in errors),
         held_out_error=tuple(one[2] for one in errors),
-        mesh_known_error=_scaled_error(with_mesh.face.reflectance, truth, seen),
-        landmarks_error=_scaled_error(marked.face.reflectance, truth, seen),
-        mean_face_error=_scaled_error(models.mean.reflectance, truth, seen),
-        nearest_error=_scaled_error(_nearest(models, truth, seen), truth, seen),
-        mean_shape_error_mm=_shape_error_mm(models.mean.vertices, taken.vertices, seen),
-        shape_error_mm=_shape_error_mm(marked.vertices, taken.vertices, seen),
+        mesh_known_error=scaled_error(with_mesh.face.reflectance),
+        landmarks_error=scaled_error(marked.face.reflectance),
+        mean_face_error=scaled_error(models.mean.reflectance),
+        nearest_error=scaled_error(nearest),
+        mean_shape_error_mm=shape_error_mm(models.mean.vertices[seen]),
+        shape_error_mm=shape_error_mm(marked.vertices[seen]),
         tuning_before=tuned.tuning.held_out_before,
         tuning_after=tuned.tuning.held_out_after,
         accepted_steps=len(tuned.tuning.accepted_steps),
@@ -192,44 +192,8 @@ def run_reflectance_demo(
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
-    azimuth, environment = _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)], generated_environment(seed)
+    azimuth, environment = (0.0, 20.0, -20.0)[number % 3], generated_environment(seed)
     return face_photograph(seed, environment, azimuth_deg=azimuth, lights=128, hair=False, portrait=_PORTRAIT)
-
-
-def _fit_photograph(
-    taken: FacePhotograph,
-    models: FaceModels,
-    out: Path,
-    name: str,
-    on_progress: ProgressCallback | None,
-) -> FittedPhotograph:
-    file = write_synthetic_photograph(taken, out / "photographs" / name, mesh=name == "mesh")
-    done = fit_photograph(read_photograph(file), models, on_progress=on_progress)
-    write_fitted_photograph(done, models, out / "fit_image" / name, {})
-    return done
-
-
-def _scaled_error(found: VertexReflectance, truth: FloatArray, seen: BoolArray) -> float:
-    """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
-    return albedo_error(found.diffuse_linear, truth, seen & found.known).relative_rmse
-
-
-def _nearest(models: FaceModels, truth: FloatArray, seen: BoolArray) -> VertexReflectance:
-    """Return the model's face whose albedo is nearest to the truth times some scale, where it was seen."""
-    mean, used = models.mean.reflectance, seen & models.model.known
-    made = mean
-    for _ in range(_ALTERNATIONS):
-        a, b = made.diffuse_linear[used], truth[used]
-        scaled = truth * (np.sum(a * b) / np.sum(b * b))
-        made = models.model.project(
-            VertexReflectance(scaled, np.zeros_like(truth), seen), prior=_RIDGE
-        ).nearest.reflectance
-    return made
-
-
-def _shape_error_mm(found: FloatArray, truth: FloatArray, seen: BoolArray) -> float:
-    a, b = found[seen], truth[seen]
-    return float(np.linalg.norm(transform_points(procrustes(a, b), a) - b, axis=1).mean())
 
 
 class SyntheticRecord(Record):
@@ -289,7 +253,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             mesh=_MESH,
             gamma=options.gamma,
             noise=max(options.noise, 0.5 / 255),
-            saturation=_SATURATION,
+            saturation=OlatOptions.saturation,
             falloff_distance=options.distance_mm,
             flash_strength=capture.exposure,
             intrinsics=capture.intrinsics.tolist(),
@@ -319,7 +283,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
                 "image": _IMAGE,
                 "mask": _SKIN,
                 "gamma": taken.portrait.gamma,
-                "saturation": _SATURATION,
+                "saturation": OlatOptions.saturation,
                 "camera": taken.camera.tolist(),
                 "mesh": _MESH if mesh else None,
                 "landmarks": landmarks,

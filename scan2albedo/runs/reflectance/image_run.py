@@ -36,7 +36,7 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
-from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, results_in
+from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, naming, results_in
 from scan2albedo.runs.reflectance.capture_run import gamma_note, write_colored_mesh
 from scan2albedo.runs.reflectance.model_run import FaceModels
 
@@ -93,24 +93,15 @@ class FittedPhotograph:
             "details": face.details is not None,
             "plan": [vars(step) for step in face.plan],
             "relative_rmse": face.relative_rmse,
-            "objective": fit.objective,
-            "converged": fit.converged,
-            "iterations": fit.iterations,
             "coefficients": fit.face.coefficients,
-            "light_coefficients": fit.light_coefficients,
-            "scale_rgb": fit.scale_rgb,
             "light_harmonics": fit.light,
         }
+        names = ("objective", "converged", "iterations", "light_coefficients", "scale_rgb")
+        figures |= {name: getattr(fit, name) for name in names}
         if geometry is not None:
-            figures["geometry"] = {
-                "scene_from_model": geometry.scene_from_model,
-                "identity": geometry.identity,
-                "expression": geometry.expression,
-                "landmark_rmse_px": geometry.landmark_rmse_px,
-                "photometric_rmse_before": geometry.photometric_rmse_before,
-                "photometric_rmse_after": geometry.photometric_rmse_after,
-                "converged": geometry.converged,
-            }
+            shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
+            colors = ("photometric_rmse_before", "photometric_rmse_after")
+            figures["geometry"] = {name: getattr(geometry, name) for name in (*shape, *colors)}
         return figures
 
 
@@ -118,7 +109,6 @@ def fit_photograph(
     photograph: PhotographFiles,
     models: FaceModels,
     *,
-    lighting: LightingModel | None = None,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FittedPhotograph:
@@ -129,9 +119,8 @@ def fit_photograph(
     Raises `ReflectanceError` when mesh and model have other vertices, there is no shape model for landmarks,
     or nothing is seen.
     """
-    lighting = LightingModel.default() if lighting is None else lighting
-    faces = models.mean.faces
-    with named_in_errors(photograph):
+    lighting, faces = LightingModel.default(), models.mean.faces
+    with naming(f"photograph {photograph.path}"):
         vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
         observation = observe(photograph, vertices, faces)
         with _unconverged_allowed():
@@ -192,15 +181,6 @@ def shaped_vertices(
 
 
 @contextmanager
-def named_in_errors(photograph: PhotographFiles) -> Iterator[None]:
-    """Name the photograph in errors."""
-    try:
-        yield
-    except ReflectanceError as error:
-        raise ReflectanceError(f"photograph {photograph.path}: {error}") from error
-
-
-@contextmanager
 def _unconverged_allowed() -> Iterator[None]:
     """Leave out the warning of a fit that stopped early, which `FittedPhotograph.notes` tells."""
     with warnings.catch_warnings():
@@ -245,7 +225,7 @@ def write_fitted_photograph(
         title = (
             f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
         )
-        title += f"\n{decided_by(done.face)}"
+        title += "\n" + ("; ".join(step.reason for step in done.face.plan if step.ran) or "the mean face")
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
         results.write_record(
             command="fit-image",
@@ -262,17 +242,6 @@ def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
     if photograph.gamma_given:
         return ()
     return (gamma_note(photograph.path, photograph.content.gamma),)
-
-
-def decided_by(face: FaceFit) -> str:
-    """Return in words what of a face's reflectance the photograph decides."""
-    if face.badly_explained:
-        return "the model's mean face: light and model explain the photograph badly"
-    if not face.beats_mean:
-        return "the model's mean face: nothing found predicts parts left out any better"
-    found = [one.step for one in face.evidence if one.accepted]
-    names = {"person": "the person's coefficients", "details": "details"}
-    return f"{' and '.join(names[step] for step in found)} predict parts left out better than the mean face"
 
 
 def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
@@ -340,7 +309,7 @@ def tune_model(
         say(f"reading {path}")
         photograph = read_photograph(path)
         notes.extend(notes_of_file(photograph))
-        with named_in_errors(photograph):
+        with naming(f"photograph {photograph.path}"):
             vertices, _, _ = shaped_vertices(photograph, models, lighting)
             return observe(photograph, vertices, models.mean.faces)
 

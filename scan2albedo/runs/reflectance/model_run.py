@@ -38,10 +38,8 @@ _RESULT_FILE = "result.json"
 DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
 _LEVELS = 1
 """Refinements of the default face model's surface for synthetic people."""
-_SHOWN_DIRECTIONS = 4
-_SPREAD = 2.0
-"""Standard deviations that directions are shown at."""
-_SIZE = 300
+_SHOWN_DIRECTIONS, _SIZE = 4, 300
+"""Directions in the sheet of a model, and pixels of a face's picture."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +288,7 @@ def model_panels(built: FaceModels) -> list[Panel]:
     white = albedo_white(mean.reflectance.diffuse_linear)
     panels = [Panel("mean", _face(mean, white))]
     for number in range(min(_SHOWN_DIRECTIONS, model.components)):
-        for side in (-_SPREAD, _SPREAD):
+        for side in (-2.0, 2.0):
             coefficients = np.zeros(model.components)
             coefficients[number] = side
             changed = model.reconstruct(coefficients).reflectance
