@@ -104,6 +104,7 @@ def _of_image(file: Path) -> StoredFace:
             f"{file}: is neither the folder of a processed scan nor an image ({', '.join(SUPPORTED_IMAGES)})"
         )
     albedo = read_image_linear(file)
+    alpha: NDArray[np.floating] | None
     if file.suffix.lower() == ".exr":
         alpha = read_exr_channels(file).get("A")
     else:

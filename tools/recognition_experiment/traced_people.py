@@ -24,7 +24,7 @@ from scipy.ndimage import map_coordinates
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_around
+from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
 from scan2albedo.synthetic.raw_scan import assembled
 from scan2albedo.synthetic.scanner import Pod, RangeMesh, Scanner, capture, random_pose
@@ -125,7 +125,7 @@ def _painted(heads: Heads, rng: np.random.Generator, *, own_marks: bool = True) 
         brow_reach=float(rng.uniform(0.75, 1.1)),
         lip_fullness=float(rng.uniform(-0.005, 0.005)),
     )
-    albedo = paint_around(
+    albedo = paint_face(
         millimetres / _CHART_MM + 0.5,
         unrolled[heads.landmarks] / _CHART_MM + 0.5,
         rng,
