@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from pydantic import BaseModel
-from scan2albedo.recognition.template_files import TemplatesHeader
+from scan2albedo.recognition.labelled_templates import TemplatesHeader
 
 from scan2albedo.applications.light_sweep import SweepRecord
 from scan2albedo.batch.records import BatchRecord, BatchScanRecord
