@@ -11,7 +11,6 @@ import sys
 from pathlib import Path
 
 from pydantic import BaseModel
-from scan2albedo.recognition.labelled_templates import TemplatesHeader
 
 from scan2albedo.applications.light_sweep import SweepRecord
 from scan2albedo.batch.records import BatchRecord, BatchScanRecord
@@ -21,6 +20,7 @@ from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile, LabelsFil
 from scan2albedo.face_model.files import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
+from scan2albedo.recognition.labelled_templates import TemplatesHeader
 from scan2albedo.reflectance.capture_files import FlashCaptureFile
 from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
 from scan2albedo.reflectance.photograph_files import FacePhotographFile

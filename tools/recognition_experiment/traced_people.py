@@ -261,7 +261,7 @@ def build_session(
     measured = capture(vertices, heads.faces, pods, spacing_mm=SCANNER.spacing_mm, rng=rng, axis_mm=axis)
     number = 1000 * (seed + 1) + 10 * person + session
     texture = _texture(heads, vertices, albedo, pods, measured, rig, number)
-    pose = random_pose(rng, 30.0, SCANNER.translation_max_mm)
+    pose = random_pose(rng, 30.0)
     scan = assembled(measured, pods, texture.astype(np.float32), pose, SCANNER, rng, path.stem)
     write_obj(scan, path)
 
