@@ -18,7 +18,7 @@ SMALL = Scanner(spacing_mm=8.0, picture_size=48, size=64)
 
 
 def scanned(person, session, **choices):
-    return population_scan(person, session, population=Population(capture=SMALL, **choices))
+    return population_scan(person, session, population=Population(scanner=SMALL, **choices))
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def test_same_seed_same_scan_and_another_population_is_another(first):
     same, _ = scanned(0, 0)
     np.testing.assert_array_equal(scan.vertices, same.vertices)
     np.testing.assert_array_equal(scan.texture_linear, same.texture_linear)
-    _, foreign = population_scan(0, 0, seed=1, population=Population(capture=SMALL))
+    _, foreign = population_scan(0, 0, seed=1, population=Population(scanner=SMALL))
     assert foreign.lights != first[1].lights
 
 
