@@ -140,7 +140,8 @@ def _write_batch(
     folder: Path, rows: Sequence[ScanRow], target: Path, scans: int, say: Callable[[str], None]
 ) -> WrittenReport:
     chosen, reason = selected_rows(rows, scans)
-    topologies, sections = Topologies(), []
+    topologies = Topologies()
+    sections: list[dict[str, Any]] = []
     anchors: dict[int, str] = {}
     not_shown: list[tuple[str, str]] = []
     for k in chosen:

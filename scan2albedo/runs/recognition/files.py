@@ -174,4 +174,5 @@ def _record(found: ResultIdentification, cmc: CmcCurve | None, roc: RocCurve | N
         rates=rates,
         results=tuple(results),
         notes=found.notes,
+        files=(),
     )
