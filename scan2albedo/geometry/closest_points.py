@@ -71,7 +71,13 @@ class ClosestPointQuery:
         for row, candidates in zip(wrong.tolist(), near, strict=True):
             fit = candidates[across[candidates] @ facing[row] >= min_cosine]
             if len(fit):
-                _place_on(hits, row, targets[row], self._vertices[self._faces[fit]], fit)
+                triangles = self._vertices[self._faces[fit]]
+                weights = barycentric_coordinates(np.broadcast_to(targets[row], (len(fit), 3)), triangles)
+                places = np.einsum("nk,nkj->nj", weights, triangles)
+                distance = np.linalg.norm(places - targets[row], axis=1)
+                best = int(np.argmin(distance))
+                hits.points[row], hits.face[row] = places[best], fit[best]
+                hits.barycentric[row], hits.distance[row] = weights[best], distance[best]
         return hits
 
 
@@ -92,16 +98,6 @@ def checked_faces(faces: ArrayLike) -> IntArray:
     if len(index) == 0:
         raise ValueError("a surface without faces has no closest points")
     return index
-
-
-def _place_on(hits: ClosestHits, row: int, point: FloatArray, triangles: FloatArray, faces: IntArray) -> None:
-    """Overwrite one row of `hits` with the closest point on a few triangles (clamped barycentrics)."""
-    weights = barycentric_coordinates(np.broadcast_to(point, (len(faces), 3)), triangles)
-    candidates = np.einsum("nk,nkj->nj", weights, triangles)
-    distance = np.linalg.norm(candidates - point, axis=1)
-    best = int(np.argmin(distance))
-    hits.points[row], hits.face[row] = candidates[best], faces[best]
-    hits.barycentric[row], hits.distance[row] = weights[best], distance[best]
 
 
 def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatArray:
@@ -169,15 +165,7 @@ class NearestSurface:
         count = len(targets)
         closest, face = np.empty((count, 3)), np.empty(count, np.int64)
         weights, distance = np.empty((count, 3)), np.empty(count)
-        _closest_around(
-            targets,
-            vertex,
-            *self.arrays,
-            closest,
-            face,
-            weights,
-            distance,
-        )
+        _closest_around(targets, vertex, *self.arrays, closest, face, weights, distance)
         return ClosestHits(closest, face, weights, distance, vertex)
 
 

@@ -62,22 +62,13 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     owner = np.repeat(used, per_face)
     step = np.arange(len(owner)) - np.repeat(np.cumsum(per_face) - per_face, per_face)
     share = np.repeat(1 / per_face, per_face) * (stride * read_stride)
-    points = np.einsum("nk,nkd->nd", _spread_barycentric(step), vertices[faces[owner]])
-    return _averaged(points, cross[owner] * (0.5 * share)[:, None], area[owner] * share, spacing)
-
-
-def _spread_barycentric(step: IntArray) -> FloatArray:
-    """Return barycentric coordinates (N, 3) of the `step`-th point of an R2 sequence, step 0 the centroid."""
-    a = (2 / 3 + 0.7548776662466927 * step) % 1.0
-    b = (2 / 3 + 0.5698402909980532 * step) % 1.0
-    fold = a + b > 1
-    a, b = np.where(fold, 1 - a, a), np.where(fold, 1 - b, b)
-    return np.stack([1 - a - b, a, b], 1)
-
-
-def _averaged(
-    points: FloatArray, area_vectors: FloatArray, areas: FloatArray, spacing: float
-) -> OrientedPoints:
+    # Points of an R2 sequence, step 0 the centroid.
+    first, second = (2 / 3 + 0.7548776662466927 * step) % 1.0, (2 / 3 + 0.5698402909980532 * step) % 1.0
+    fold = first + second > 1
+    first, second = np.where(fold, 1 - first, first), np.where(fold, 1 - second, second)
+    weights = np.stack([1 - first - second, first, second], 1)
+    points = np.einsum("nk,nkd->nd", weights, vertices[faces[owner]])
+    areas, vectors = area[owner] * share, cross[owner] * (0.5 * share)[:, None]
     if len(points) == 0:
         return OrientedPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     cells = np.floor((points - points.min(0)) / spacing).astype(np.int64)
@@ -85,14 +76,13 @@ def _averaged(
     key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
     _, cell = np.unique(key, return_inverse=True)
     total = np.bincount(cell, areas)
-
-    def summed(values: FloatArray) -> FloatArray:
-        return np.stack([np.bincount(cell, values[:, axis]) for axis in range(3)], 1)
-
-    mean, normal = summed(points * areas[:, None]) / total[:, None], summed(area_vectors)
+    mean, normal = (
+        np.stack([np.bincount(cell, values[:, axis]) for axis in range(3)], 1)
+        for values in (points * areas[:, None], vectors)
+    )
     length = np.linalg.norm(normal, axis=1)
     kept = length > _LEAST_AGREEMENT * total
-    return OrientedPoints(mean[kept], normal[kept] / length[kept, None], total[kept])
+    return OrientedPoints(mean[kept] / total[kept, None], normal[kept] / length[kept, None], total[kept])
 
 
 def anchors(samples: OrientedPoints, *, spacing: float, limit: int, reach: float) -> OrientedPoints:

@@ -39,7 +39,18 @@ class RayCaster:
         from embreex.mesh_construction import TriangleMesh
 
         xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-        _check_mesh(xyz, index)
+        # Embree would read past the end of bad arrays: it checks nothing.
+        for name, array in (("vertices", xyz), ("faces", index)):
+            if array.ndim != 2 or array.shape[1] != 3:
+                raise ValueError(f"{name} of the mesh have shape {array.shape}, expected (N, 3)")
+        if not len(xyz):
+            raise ValueError("the mesh has no vertex to shoot rays at; give one with a surface")
+        if bad := int((~np.isfinite(xyz).all(1)).sum()):
+            raise ValueError(f"{bad} of {len(xyz)} vertices of the mesh are not finite; repair it first")
+        if len(index) and not (index.min() >= 0 and index.max() < len(xyz)):
+            raise ValueError(
+                f"the mesh's faces refer to vertices {index.min()} to {index.max()}, but it has {len(xyz)}"
+            )
         self._vertices, self._faces = xyz, index
         low, high = xyz.min(0), xyz.max(0)
         self._center = (low + high) / 2
@@ -103,22 +114,6 @@ class RayCaster:
         distance, barycentric = np.full(len(start), np.inf), np.zeros((len(start), 3))
         _intersect(start, heading, face, self._vertices, self._faces, distance, barycentric)
         return RayHits(face, barycentric, distance)
-
-
-def _check_mesh(vertices: FloatArray, faces: IntArray) -> None:
-    """Refuse arrays that embree would read past the end of: it checks nothing."""
-    for name, array in (("vertices", vertices), ("faces", faces)):
-        if array.ndim != 2 or array.shape[1] != 3:
-            raise ValueError(f"{name} of the mesh have shape {array.shape}, expected (N, 3)")
-    if not len(vertices):
-        raise ValueError("the mesh has no vertex to shoot rays at; give one with a surface")
-    if not np.isfinite(vertices).all():
-        bad = int((~np.isfinite(vertices).all(1)).sum())
-        raise ValueError(f"{bad} of {len(vertices)} vertices of the mesh are not finite; repair it first")
-    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise ValueError(
-            f"the mesh's faces refer to vertices {faces.min()} to {faces.max()}, but it has {len(vertices)}"
-        )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
