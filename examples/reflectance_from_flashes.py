@@ -17,7 +17,7 @@ import trimesh
 
 import scan2albedo as s2a
 from scan2albedo.reflectance import MeshReflectance, VertexSamples
-from scan2albedo.synthetic import FlashCaptureOptions
+from scan2albedo.synthetic import Portrait
 
 LAMPS_MM = np.array([[-700.0, 300, 700], [0, 900, 400], [800, -100, 500]])
 EYE_MM = np.array([0.0, 0, 1000])
@@ -25,14 +25,15 @@ EYE_MM = np.array([0.0, 0, 1000])
 
 def synthetic_samples() -> tuple[VertexSamples, trimesh.Trimesh]:
     """Photograph a synthetic person from three sides with four flashes, and look the vertices up."""
-    options = FlashCaptureOptions(views=3, flashes=4, picture_size=160, levels=1)
-    capture = s2a.synthetic.flash_capture(0, options=options)
+    capture = s2a.synthetic.flash_capture(
+        0, views=3, flashes=4, levels=1, portrait=Portrait(picture_size=160)
+    )
     reflectance = s2a.reflectance
     olat = reflectance.extract_olat(capture.flash, capture.room)
     poses = (capture.head_rotations, capture.head_translations, capture.intrinsics)
     rig = reflectance.rig_of_head_poses(*poses, view=capture.view, flash=capture.light)
     samples = reflectance.sample_vertices(
-        olat, rig, capture.vertices, capture.faces, reference_distance_mm=options.distance_mm
+        olat, rig, capture.vertices, capture.faces, reference_distance_mm=capture.portrait.distance_mm
     )
     return samples, trimesh.Trimesh(capture.vertices, capture.faces, process=False)
 

@@ -11,11 +11,9 @@ Examples
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from scan2albedo.core.hooks import TEMPLATE_ANNOTATOR
 from scan2albedo.core.version import VERSION
 
 if TYPE_CHECKING:
@@ -23,37 +21,29 @@ if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
     from scan2albedo.core import Budget, EnvironmentLight, GeometryImage, PointLight, RawScan, Trace
     from scan2albedo.errors import Scan2AlbedoError
-    from scan2albedo.face_model import AnnotatedFaceModel, Region
+    from scan2albedo.face_model import Region
     from scan2albedo.fitting import FittedFace, fit
     from scan2albedo.io import load_scan
     from scan2albedo.io.geometry_image_files import read_geometry_image
+    from scan2albedo.pipeline.options import Quality
     from scan2albedo.pipeline.process import process
-    from scan2albedo.pipeline.quality import Quality
     from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.registration import Registration, register
     from scan2albedo.sampling import geometry_image, geometry_image_of_scan
+    from scan2albedo.templates import AnnotatedFaceModel
 
 __version__ = VERSION
 
-
-def _template_annotator() -> Callable[..., Any]:
-    from scan2albedo.applications.template_annotation import annotated_model
-
-    return annotated_model
-
-
-TEMPLATE_ANNOTATOR.provide(_template_annotator)
-
 _HOMES = {
     "AlbedoEstimate": "albedo",
-    "AnnotatedFaceModel": "face_model",
+    "AnnotatedFaceModel": "templates",
     "Budget": "core",
     "EnvironmentLight": "core",
     "FittedFace": "fitting",
     "GeometryImage": "core",
     "PointLight": "core",
     "ProcessResult": "pipeline.result",
-    "Quality": "pipeline.quality",
+    "Quality": "pipeline.options",
     "RawScan": "core",
     "Region": "face_model",
     "Registration": "registration",

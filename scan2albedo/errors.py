@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-"""Control characters, marks that turn the direction of text, and bytes of names that are no UTF-8."""
+"""Control characters, marks that turn the direction of text, and bytes of names that are not UTF-8."""
 
 
 def printable(text: str) -> str:
     """Return text from a file or of a file's name without what a terminal would obey or cannot show.
 
-    Control characters, line breaks among them, direction marks and bytes that are no UTF-8 are escaped.
+    Control characters, line breaks among them, direction marks and bytes that are not UTF-8 are escaped.
 
     >>> print(printable("skin\\x1b[2J\\n"))
     skin\\x1b[2J\\x0a

@@ -176,7 +176,6 @@ PLACES = {
     "applications": ["RelightOptions", "SwapOptions", "TransferOptions"],
     "eyeglasses": [
         "CanonicalizationOptions",
-        "WeightOptions",
         "FaceRegistrationOptions",
         "LensPictureOptions",
     ],
@@ -184,8 +183,6 @@ PLACES = {
     "recognition": ["SimilarityOptions", "TemplateOptions"],
     "reflectance": ["OlatOptions", "ReflectanceFitOptions"],
     "registration": ["RegistrationOptions"],
-    "sampling": ["LookupOptions"],
-    "sampling.model_free": ["ModelFreeOptions"],
 }
 """Where the options that pages name are."""
 BARE = {"registration": "RegistrationOptions", "fitting": "FitOptions", "light_and_albedo": "EstimateOptions"}

@@ -14,10 +14,10 @@ import sys
 from pathlib import Path
 
 import scan2albedo as s2a
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 assert Path(s2a.__file__).is_relative_to(sys.argv[1]), s2a.__file__
-scan, _ = raw_scan(0, options=RawScanOptions(size=64, picture_size=300, spacing_mm=4.0))
+scan, _ = raw_scan(0, scanner=Scanner(size=64, picture_size=300, spacing_mm=4.0))
 result = s2a.process(scan, out="out", size=64, quality="draft")
 assert result.fitted is not None
 assert result.albedo is not None

@@ -28,7 +28,7 @@ from loky import ProcessPoolExecutor
 
 import scan2albedo as s2a
 from scan2albedo.batch.layout import Layout
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 COMMAND = [sys.executable, "-m", "scan2albedo", "batch"]
 POLL_S = 0.2
@@ -38,7 +38,7 @@ def make_scan(path: Path, seed: int) -> float:
     """Write the scan of another person than those of other seeds; return the CPU seconds it took."""
     start = time.process_time()
     if not path.exists():
-        scan, _ = raw_scan(seed, options=RawScanOptions(size=64, picture_size=500))
+        scan, _ = raw_scan(seed, scanner=Scanner(size=64, picture_size=500))
         unfinished = path.with_name(f"unfinished-{path.name}")
         write_obj(scan, unfinished)
         for extension in (".png", ".mtl", ".obj"):  # the OBJ last: with it the scan is whole

@@ -46,7 +46,7 @@ from benchmarks.door_scans import (
 from benchmarks.door_told import print_told
 
 from scan2albedo.core import RawScan
-from scan2albedo.pipeline.scale_search import ScaledScan, registered_at_any_scale
+from scan2albedo.pipeline.scale_search import registered_at_any_scale
 from scan2albedo.registration import Registration
 
 ANY_UNIT = "reliefs, any unit"
@@ -74,7 +74,7 @@ CASES: dict[str, Callable[[int], Case]] = {
 
 
 def _at_any_scale(scan: RawScan) -> Registration:
-    _, found = registered_at_any_scale(ScaledScan(scan, True), lambda scan: (scan, plainly(scan)))
+    _, found = registered_at_any_scale(scan, True, lambda scan: (scan, plainly(scan)))
     return found
 
 

@@ -58,10 +58,15 @@ from scipy import sparse
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded, optimality_residual
-from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
+from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
 from scan2albedo.eyeglasses.weighting.lattice import biharmonic_energy
-from scan2albedo.eyeglasses.weighting.weights import solve_lattice, solve_weights
+from scan2albedo.eyeglasses.weighting.weights import (
+    TOLERANCE,
+    minimize_bounded,
+    optimality_residual,
+    solve_lattice,
+    solve_weights,
+)
 from scan2albedo.io import load_scan
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -86,14 +91,14 @@ def residual(energy: sparse.csr_matrix, weights: FloatArray, free: IntArray) -> 
     return float(optimality_residual(weights[free], gradient, energy.diagonal()[free]).max())
 
 
-def compare(embedding: Embedding, options: WeightOptions) -> None:
+def compare(embedding: Embedding) -> None:
     lattice = embedding.lattice
     nodes, tetrahedra = lattice.nodes.astype(float), kuhn_tetrahedra(lattice)
     fixed, values = fixed_nodes(embedding)
     free = np.setdiff1d(np.arange(len(nodes)), fixed)
 
     cpu = time.process_time()
-    ours = solve_lattice(lattice, embedding.handle_cells, options, Meter("bench", "1"))
+    ours = solve_lattice(lattice, embedding.handle_cells, meter=Meter("bench", "1"))
     cpu_ours = time.process_time() - cpu
     cpu = time.process_time()
     theirs = igl_bbw(embedding)
@@ -106,7 +111,7 @@ def compare(embedding: Embedding, options: WeightOptions) -> None:
         their_energy[free][:, free],
         -(their_energy[free][:, fixed] @ values),
         start,
-        tolerance=options.tolerance,
+        tolerance=TOLERANCE,
         max_steps=100,
         meter=Meter("bench", "1"),
     )
@@ -119,31 +124,30 @@ def compare(embedding: Embedding, options: WeightOptions) -> None:
     print(f"  CPU s on igl's operator, no coarse start: {cpu_same:.2f}, ratio {cpu_same / cpu_theirs:.3f}")
     print(f"  Newton steps a handle {ours.steps.min()}-{ours.steps.max()}, median {np.median(ours.steps):g}")
     print(f"  scaled KKT: ours {ours.residual.max():.1e}, igl.bbw {residual(their_energy, theirs, free):.1e}")
-    for name, energy, mine in (("igl's", their_energy, same), ("our", our_energy, ours.weights)):
+    for name, energy, mine in (("igl's", their_energy, same), ("our", our_energy, ours.x)):
         a, b = energies(energy, mine), energies(energy, theirs)
         print(
             f"  energy on {name} operator: ours {a.sum():.9g}, igl.bbw {b.sum():.9g}; "
             f"largest ratio of a handle - 1: {(a / b - 1).max():.1e}"
         )
-    raw = ours.weights.sum(1)
+    raw = ours.x.sum(1)
     print(f"  raw sums {raw.min():.4f} to {raw.max():.4f}")
 
 
 def bench_weights(frames: list[str], nodes: int, handles: int) -> None:
-    options = WeightOptions(max_nodes=nodes, finest=1 / 250)
     for name in frames:
         scan = load_scan(DATA / name)
         points = farthest_points(scan.vertices, handles)
-        solve_weights(scan.vertices, scan.faces, points, options=WeightOptions(max_nodes=3000))
+        solve_weights(scan.vertices, scan.faces, points, max_nodes=3000)
         cpu = time.process_time()
-        embedding = embed(scan.vertices, scan.faces, points, "auto", options)
+        embedding = embed(scan.vertices, scan.faces, points, "auto", max_nodes=nodes, finest=1 / 250)
         cpu = time.process_time() - cpu
         step = embedding.plan[0]
         print(
             f"{name}: {len(embedding.lattice.nodes)} nodes, {handles} handles, spacing "
             f"{embedding.spacing:.3f} mm ({step.reason}); embedding {cpu:.2f} s CPU"
         )
-        compare(embedding, options)
+        compare(embedding)
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ from scipy.ndimage import binary_erosion, uniform_filter
 from skimage.restoration import inpaint_biharmonic
 
 from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
@@ -75,12 +75,12 @@ def divided_by_true_light(scene: SyntheticScene) -> FloatArray:
 def fill(scene: SyntheticScene, seed: int = 0) -> Filled | None:
     """Return the region that `saturation.inpainted` chose, filled by every method; None without a region."""
     left = divided_by_true_light(scene)
-    usable = usable_texels(scene.image, OPTIONS)
+    usable = usable_texels(scene.image)
     finished, step = inpainted(left.astype(np.float32), scene.image, usable, OPTIONS, seed)
     if not step.ran:
         return None
     target = allowed_texels(scene) & ~(finished == left.astype(np.float32)).all(-1)
-    clipped = scene.image.texture_linear >= OPTIONS.saturation_linear
+    clipped = scene.image.texture_linear >= SATURATION_LINEAR
     target |= allowed_texels(scene) & clipped.any(-1)
     start = time.perf_counter()
     inpainted(left.astype(np.float32), scene.image, usable, OPTIONS, seed)

@@ -18,8 +18,8 @@ import scan2albedo as s2a
 from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.core import Plan
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.options import FORCEABLE
-from scan2albedo.synthetic import Material, RawScanOptions, face, hemisphere, light_at, raw_scan
+from scan2albedo.pipeline.options import STEPS
+from scan2albedo.synthetic import Material, Scanner, face, hemisphere, light_at, raw_scan
 from scan2albedo.synthetic.scenes import SyntheticScene
 
 REPEATS = 2
@@ -102,7 +102,7 @@ def trials(size: int, seeds: int) -> Iterator[Trial]:
 
 def scan_trials(size: int, seed: int) -> Iterator[Trial]:
     """Yield whole runs of `process`."""
-    scan, truth = raw_scan(seed, options=RawScanOptions(size=size))
+    scan, truth = raw_scan(seed, scanner=Scanner(size=size))
     subjects = (
         ("raw scan", scan, None),
         ("raw scan without colour", replace(scan, uv=None, texture_linear=None), None),
@@ -110,8 +110,7 @@ def scan_trials(size: int, seed: int) -> Iterator[Trial]:
     )
     for name, subject, model in subjects:
         planned, forced = (
-            best(lambda s=subject, f=force, m=model: processed(s, truth, size, f, m))
-            for force in ((), FORCEABLE)
+            best(lambda s=subject, f=force, m=model: processed(s, truth, size, f, m)) for force in ((), STEPS)
         )
         yield Trial(f"{name} ({seed})", planned, forced)
 
@@ -132,7 +131,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     arguments = parser.parse_args()
     s2a.estimate_albedo(hemisphere(size=64).image)
-    s2a.process(raw_scan(99, options=RawScanOptions(size=64))[0], size=64, force=FORCEABLE)
+    s2a.process(raw_scan(99, scanner=Scanner(size=64))[0], size=64, force=STEPS)
     print(f"{'scene':36}{'CPU s':>7}{'forced':>8}{'saved':>7}", end="")
     print(f"{'error %':>9}{'forced':>9}{'change':>8}  left out")
     planned, forced = 0.0, 0.0

@@ -172,7 +172,7 @@ def print_speed() -> None:
     """Print evaluations a CPU second at 128 x 128 and the CPU seconds of whole estimates at 512 x 512."""
     scene = face(size=128, lights=[light_at(40, 10)])
     options, view = EstimateOptions(), (0.0, 0.0, 1.0)
-    meter, usable = Meter("m", "u"), usable_texels(scene.image, options)
+    meter, usable = Meter("m", "u"), usable_texels(scene.image)
     lit = LitImage(scene.image, usable, "oren-nayar", view, options, meter)
     level = lit.level(128)
     problem, paper = ResidualProblem(level, lit.lattice(level), meter), DeviationProblem(lit, level)

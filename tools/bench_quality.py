@@ -21,8 +21,8 @@ import scan2albedo as s2a
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.quality import PRESETS
-from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
+from scan2albedo.pipeline.options import PRESETS
+from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 WARM_UP_SEED = 99
 FIGURES = ("surface mm", "correspondence mm", "landmarks mm", "albedo MSE %", "light deg")
@@ -39,7 +39,7 @@ class Run:
 
 
 def scene(seed: int, size: int) -> tuple[s2a.RawScan, SyntheticTruth]:
-    return raw_scan(seed, options=RawScanOptions(size=size))
+    return raw_scan(seed, scanner=Scanner(size=size))
 
 
 def measured(

@@ -108,9 +108,14 @@ def bench_faces(count: int, side: int = 256) -> None:
         ]
         for size in (64, 128, 256):
             for channel in ("value", "luminance"):
-                options = TemplateOptions(size=size, channel=channel)
+                options = TemplateOptions(size=size)
                 gallery, probes = (
-                    albedo_templates(images, names, masks=masks, options=options)
+                    albedo_templates(
+                        [x.max(2) for x in images] if channel == "value" else images,
+                        names,
+                        masks=masks,
+                        options=options,
+                    )
                     for images in (albedos, seen)
                 )
                 found = identify(gallery, probes)

@@ -64,7 +64,7 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_bounded
 from scan2albedo.runs.reflectance.capture_run import FittedCapture, fit_capture, relit_pair
 from scan2albedo.runs.reflectance.demo import write_synthetic_capture
-from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
+from scan2albedo.synthetic import flash_capture
 
 MEAN = np.array([0.5, 0.5, 0.5, 0.15, 0.15, 0.15])
 PRIOR = 1 / np.array([2.5, 2.5, 2.5, 0.25, 0.25, 0.25]) ** 2
@@ -267,7 +267,7 @@ def from_pictures() -> str:
 
 def from_rig(seed: int, hair: bool) -> str:
     """Return errors of a fit to the 99 pairs of a synthetic rig, and of pictures left out, as a row."""
-    capture = flash_capture(seed, options=FlashCaptureOptions(hair=hair))
+    capture = flash_capture(seed, hair=hair)
     with tempfile.TemporaryDirectory() as folder:
         files = read_capture(write_synthetic_capture(capture, Path(folder)))
         began = time.process_time()

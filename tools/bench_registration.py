@@ -41,7 +41,7 @@ from scan2albedo.io.units import millimetres_per_unit
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
 from scan2albedo.registration.template import Template
-from scan2albedo.synthetic import RawLikeOptions, raw_like
+from scan2albedo.synthetic import raw_like
 
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 FACE_PART = 6706
@@ -121,7 +121,7 @@ def found_by_us(
         result = s2a.register(scan, model, budget, options=options)
     except RegistrationError as error:
         return Found(None, 0.0, time.process_time() - begin, str(error))
-    note = "; ".join(f"{step} {reason}: {evidence}" for step, _, reason, evidence in result.notes)
+    note = "; ".join(f"{step.stage} {step.reason}: {step.evidence}" for step in result.plan)
     return Found(result.model_from_scan, result.confidence, time.process_time() - begin, note)
 
 
@@ -159,8 +159,7 @@ def scan_of(shapes: Shapes, shape: str, seed: int) -> tuple[s2a.RawScan, FloatAr
         model = s2a.AnnotatedFaceModel.default()
         return s2a.load_scan(face_data(REAL_SCANS[shape])), procrustes(picked, model.landmarks[17:])
     noise = np.random.default_rng(seed).uniform(0.2, 0.5)
-    options = RawLikeOptions(noise_mm=noise, **UNPOSED)
-    scan, _ = raw_like(shapes.vertices[shape], shapes.faces, seed, options=options)
+    scan, _ = raw_like(shapes.vertices[shape], shapes.faces, seed, noise_mm=noise, **UNPOSED)
     return scan, shapes.truth(shape)
 
 
@@ -304,7 +303,7 @@ def same_person(shapes: Shapes, repeats: int) -> None:
 
 
 def annealing_rate(model: s2a.AnnotatedFaceModel) -> None:
-    template = Template.of(model, RegistrationOptions().model_spacing_mm, 0)
+    template = Template.of(model, 0)
     rest = Similarity(np.eye(3), np.zeros(3))
     for size in (32, 64, 128):
         objective = DepthDerivativeObjective(*model.surface(2), template, rest, size)

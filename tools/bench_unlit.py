@@ -46,7 +46,7 @@ from scan2albedo.geometry.tangents import tangent_mesh
 from scan2albedo.io.color import encode_srgb_bytes, srgb_to_linear
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.rendering.views import View, render_mesh
-from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
+from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 LEAST_LIGHT = 0.03
 """Texels that got less of the usual light do not count: there is no colour in them."""
@@ -227,8 +227,8 @@ def print_normals() -> None:
     print(f"{'spacing':>9}{'noise mm':>10}{'seed':>6}{'mask':>7}{'fit':>7}{'scan':>7}{'map':>7}{'CPU s':>7}")
     for spacing_mm, noise_mm in ((2.2, 0.2), (1.0, 0.05), (0.8, 0.15)):
         for seed in range(2):
-            options = RawScanOptions(spacing_mm=spacing_mm, noise_mm=noise_mm, picture_size=400)
-            scan, truth = raw_scan(seed, options=options)
+            scanner = Scanner(spacing_mm=spacing_mm, noise_mm=noise_mm, picture_size=400)
+            scan, truth = raw_scan(seed, scanner=scanner)
             fitted = s2a.fit(scan, mask, s2a.register(scan, mask))
             angles, cpu_s = _angles_deg(scan, fitted, truth)
             row = "".join(f"{angle:7.2f}" for angle in angles)

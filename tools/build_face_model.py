@@ -12,8 +12,6 @@ from pathlib import Path
 from face_model_generator.build import build_face_model
 from face_model_generator.chart_distortion import chart_distortion
 
-from scan2albedo.face_model.files import save_model
-
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ROOT / "scan2albedo" / "face_model" / "data" / "afm.json"
 
@@ -22,7 +20,7 @@ def main(arguments: list[str]) -> None:
     target = Path(arguments[0]) if arguments else SHIPPED
     target.parent.mkdir(parents=True, exist_ok=True)
     model = build_face_model()
-    save_model(model, target)
+    model.save(target)
     vertices, faces = model.surface(0)
     print(f"{target}: {len(model.control_vertices)} control vertices, {len(model.control_faces)} faces")
     print(chart_distortion(vertices, faces, model.uv))

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.io.npz import write_npz
 from scan2albedo.reflectance import LinearModel
 from scan2albedo.runs.reflectance.model_run import DEFAULT_MODEL_FILE, FaceModels, synthetic_model

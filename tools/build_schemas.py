@@ -14,23 +14,19 @@ from pydantic import BaseModel
 
 from scan2albedo.applications.light_sweep import SweepRecord
 from scan2albedo.batch.records import BatchRecord, BatchScanRecord
-from scan2albedo.eyeglasses.files.camera_files import CamerasFile
-from scan2albedo.eyeglasses.files.frame_files import StartFile
-from scan2albedo.eyeglasses.files.keypoint_files import KeyPointsFile, LabelsFile
-from scan2albedo.face_model.files import FaceModelFile
+from scan2albedo.eyeglasses.frame_files import KeyPointsFile, StartFile
+from scan2albedo.eyeglasses.view_files import CamerasFile, LabelsFile
+from scan2albedo.face_model.annotation import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
 from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
-from scan2albedo.recognition.template_files import TemplatesHeader
+from scan2albedo.recognition.labelled_templates import TemplatesHeader
 from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile
 from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
 from scan2albedo.reflectance.reflectance_files import MeshReflectanceHeader
 from scan2albedo.reflectance.shape_model import ShapeModelHeader
-from scan2albedo.runs.eyeglasses.records import (
-    CanonicalFrameRecord,
-    CanonicalSetRecord,
-    LensesRecord,
-    RegisteredFrameRecord,
-)
+from scan2albedo.runs.eyeglasses.canonicalize_run import CanonicalFrameRecord, CanonicalSetRecord
+from scan2albedo.runs.eyeglasses.lenses_run import LensesRecord
+from scan2albedo.runs.eyeglasses.register_run import RegisteredFrameRecord
 from scan2albedo.runs.recognition.files import IdentificationRecord
 from scan2albedo.runs.reflectance import ReflectanceRecord
 

@@ -25,10 +25,10 @@ import trimesh
 from benchmarks.door_scans import UNSEEN, Case, face_case, random_body, random_relief, scrap
 from scipy.optimize import minimize
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget, Meter, RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RegistrationError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import (
     compose,
@@ -42,7 +42,7 @@ from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
-from scan2albedo.synthetic import StereoScanOptions, stereo_scan
+from scan2albedo.synthetic import StereoScanner, stereo_scan
 
 SIGNS = {"relief": 1, "local": 1, "distance": -1, "share": 1}
 RIGHT_DEG, RIGHT_MM = 10.0, 15.0
@@ -52,7 +52,7 @@ SIZE_SD = 0.07
 WRONG_POSE_WEIGHT = 0.2
 """Of a wrong pose on a scan that has a right one: there are several of each."""
 RIDGE = 0.0003
-HARD = StereoScanOptions(noise_mm=(1.0, 6.0), holes=(10, 60), reach_mm=(70.0, 170.0))
+HARD = StereoScanner(noise_mm=(1.0, 6.0), holes=(10, 60), reach_mm=(70.0, 170.0))
 SCRAP_WEIGHT = 2.0
 """Of poses on scraps: a refusal looks at more poses than this does, and scraps resemble faces most."""
 
@@ -84,14 +84,12 @@ def _person(seed: int, rng: np.random.Generator) -> Case:
 
 
 def _hard_person(seed: int, rng: np.random.Generator) -> Case:
-    return _sized(face_case(*stereo_scan(seed, options=HARD)), rng)
+    return _sized(face_case(*stereo_scan(seed, scanner=HARD)), rng)
 
 
 def _clean_person(seed: int, rng: np.random.Generator) -> Case:
-    options = StereoScanOptions(
-        spacing_mm=(2.0, 3.5), noise_mm=(0.05, 0.5), stray=(0.001, 0.01), pieces=(1, 5), features=()
-    )
-    return _sized(face_case(*stereo_scan(seed, options=options)), rng)
+    scanner = StereoScanner(spacing_mm=(2.0, 3.5), noise_mm=(0.05, 0.5), stray=(0.001, 0.01), pieces=(1, 5))
+    return _sized(face_case(*stereo_scan(seed, features=(), scanner=scanner)), rng)
 
 
 def _stretched(seed: int, rng: np.random.Generator) -> Case:
@@ -173,7 +171,7 @@ KINDS: dict[str, Callable[[int, np.random.Generator], Case]] = {
 
 @cache
 def _template() -> Template:
-    return Template.of(AnnotatedFaceModel.default(), RegistrationOptions().model_spacing_mm, 0)
+    return Template.of(AnnotatedFaceModel.default(), 0)
 
 
 def rows_of(task: tuple[str, int]) -> list[Row]:

@@ -60,7 +60,7 @@ def make(kind: str, manifest: Path, persons: int, seed: int) -> None:
             path = manifest.parent / f"person-{person}-session-{session}.obj"
             rows.append([f"person-{person}", session, path.name])
             if not path.is_file():
-                write_obj(population_scan(person, session, seed=seed, options=population)[0], path)
+                write_obj(population_scan(person, session, seed=seed, population=population)[0], path)
                 say(f"{path.name} is there")
     with manifest.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file, lineterminator="\n").writerows([["person", "session", "scan"], *rows])

@@ -30,17 +30,15 @@ from recognition_experiment.files import write_report
 from scan2albedo.core import TraceRow
 from scan2albedo.io.atomic import check_writable, removed_if_empty
 from scan2albedo.io.records import plain_json
-from scan2albedo.recognition import SimilarityOptions, TemplateOptions
+from scan2albedo.recognition import TemplateOptions
+from scan2albedo.recognition.similarity import WINDOW
 
 OTHER_TEMPLATES = {
-    "as it is": (TemplateOptions(), SimilarityOptions()),
-    "window 5": (TemplateOptions(), SimilarityOptions(window=5)),
-    "window 7": (TemplateOptions(), SimilarityOptions(window=7)),
-    "holes stay": (TemplateOptions(hole_radius=0), SimilarityOptions()),
-    "V": (TemplateOptions(channel="value"), SimilarityOptions()),
-    "128 texels": (TemplateOptions(size=128), SimilarityOptions()),
-    "128 texels, window 5": (TemplateOptions(size=128), SimilarityOptions(window=5)),
-    "4 scales": (TemplateOptions(scales=4), SimilarityOptions()),
+    "as it is": (TemplateOptions(), WINDOW),
+    "window 5": (TemplateOptions(), 5),
+    "window 7": (TemplateOptions(), 7),
+    "128 texels": (TemplateOptions(size=128), WINDOW),
+    "128 texels, window 5": (TemplateOptions(size=128), 5),
 }
 
 
@@ -54,8 +52,8 @@ def print_pairs(report: RecognitionReport) -> None:
 
 def print_other_templates(cache: Path, options: RecognitionExperimentOptions) -> None:
     print("\nrank 1 by other templates on the same scans:")
-    for number, (name, (templates, similarity)) in enumerate(OTHER_TEMPLATES.items()):
-        chosen = replace(options, templates=templates, similarity=similarity)
+    for number, (name, (templates, window)) in enumerate(OTHER_TEMPLATES.items()):
+        chosen = replace(options, templates=templates, window=window)
         results = run_recognition_experiment(cache, options=chosen).results
         if number == 0:
             print(

@@ -31,15 +31,16 @@ from scan2albedo.geometry.rigid import (
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.candidates import every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
-from scan2albedo.registration.robust_icp import robust_icp
+from scan2albedo.registration.icp import icp
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import TextureWitness
 from scan2albedo.synthetic.face_paint import PaintedFeatures, landmark_uv, paint_face
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, Expression
-from scan2albedo.synthetic.raw_scan import RawScanOptions, scan_of
+from scan2albedo.synthetic.raw_scan import scan_of
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.room_light import random_colors, random_room
+from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.scenes import light_at
 from scan2albedo.synthetic.sitter import Painter, sit_down
 from scan2albedo.synthetic.textures import skin, smooth_noise, smoothstep
@@ -118,9 +119,7 @@ def person_scan(model: AnnotatedFaceModel, seed: int) -> tuple[RawScan, np.ndarr
         )
         for _ in range(1 if in_room else rng.integers(1, 3))
     )
-    options = RawScanOptions(
-        size=32, picture_size=300, spacing_mm=rng.uniform(3, 5), noise_mm=rng.uniform(0.2, 1)
-    )
+    options = Scanner(size=32, picture_size=300, spacing_mm=rng.uniform(3, 5), noise_mm=rng.uniform(0.2, 1))
     scan, truth = scan_of(
         sitter,
         lamps,
@@ -187,14 +186,12 @@ def poses(
         yield "aside", shaken(turned(right, [0, 1, 0], angle, [0, 0, -70]), rng, 5, 8), scale
     options = RegistrationOptions()
     prepared = prepared_scan(scan, options)
-    samples = template.first(400)
+    few = template.first(400)
     for flip in flips:
         yield "flip", flip, scale
         placed = prepared.prepared_from_scan @ invert_rigid(flip)
         start = Similarity.of_rigid(placed, scale, template.front)
-        refined = robust_icp(
-            prepared.samples, samples, samples.areas, start, iterations=25, sigma_mm=(6.0, 3.0)
-        )
+        refined = icp(prepared.samples, few, start, np.geomspace(6.0, 3.0, 25)).pose
         yield "flip", invert_rigid(refined.rigid(template.front)) @ prepared.prepared_from_scan, refined.scale
     meter = Meter("icp", "mm", Budget.of(None), None)
     starts = coarse_poses(prepared, template, options, meter, 0)
@@ -211,7 +208,7 @@ def poses(
 def measured(people: int) -> tuple[list[str], list[Row]]:
     """Return the names of the scores, and the rows of all people."""
     model = AnnotatedFaceModel.default()
-    template = Template.of(model, RegistrationOptions().model_spacing_mm, 0)
+    template = Template.of(model, 0)
     names, rows = list[str](), list[Row]()
     for person in range(people):
         scan, right, scale = person_scan(model, person)

@@ -35,7 +35,7 @@ import scan2albedo as s2a
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.rendering.views import View, render_mesh
-from scan2albedo.synthetic.raw_scan import RawScanOptions
+from scan2albedo.synthetic import Scanner
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "docs" / "images" / "gallery"
@@ -53,8 +53,8 @@ def main() -> None:
     if given.scan is not None:
         scan = s2a.load_scan(given.scan)
     else:
-        options = RawScanOptions(rotation_max_deg=TILT_DEG)
-        scan, _ = s2a.synthetic.raw_scan(SEED, lights=[FLASH], options=options)
+        scanner = Scanner(rotation_max_deg=TILT_DEG)
+        scan, _ = s2a.synthetic.raw_scan(SEED, lights=[FLASH], scanner=scanner)
     result = s2a.process(scan, unlit="all", seed=0)
     pictures = {"scan": panels(result), "unlit": unlit_panels(result)}
     if given.scan is None:

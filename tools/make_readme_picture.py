@@ -21,7 +21,7 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.report.overview import preview_srgb
-from scan2albedo.synthetic.raw_scan import RawScanOptions
+from scan2albedo.synthetic import Scanner
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "before_after.jpg"
 HEIGHT, GAP, CAPTION, FONT_SIZE, FINER = 224, 8, 30, 18, 3
@@ -45,8 +45,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=6)
     parser.add_argument("--size", type=int, default=512)
     given = parser.parse_args()
-    options = RawScanOptions(rotation_max_deg=TILT_DEG)
-    scan, _ = s2a.synthetic.raw_scan(given.seed, lights=[FLASH], options=options)
+    scanner = Scanner(rotation_max_deg=TILT_DEG)
+    scan, _ = s2a.synthetic.raw_scan(given.seed, lights=[FLASH], scanner=scanner)
     result = s2a.process(scan, size=given.size, seed=0)
     print(result.summary())
     given.out.parent.mkdir(parents=True, exist_ok=True)

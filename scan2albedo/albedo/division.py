@@ -210,11 +210,31 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
 
 def _without_spikes(field: FloatArray, weight: FloatArray) -> FloatArray:
     """Return the median over 3 x 3 texels: edges stay, single texels go."""
-    import cv2
-
     known = weight > 0
     whole = np.where(known, field, window_mean(field, known.astype(np.float64), 3))
-    return cv2.medianBlur(whole.astype(np.float32), 3).astype(np.float64)
+    medians: FloatArray = _medians(np.pad(whole.astype(np.float32), 1, mode="edge")).astype(np.float64)
+    return medians
+
+
+@njit(cache=True, nogil=True)
+def _medians(padded):  # type: ignore[no-untyped-def]
+    """Return medians over 3 x 3: of the largest low, the median middle and the least high of columns."""
+    result = np.empty((padded.shape[0] - 2, padded.shape[1] - 2), padded.dtype)
+    for row in range(len(result)):
+        for column in range(result.shape[1]):
+            p = padded[row : row + 3, column : column + 3]
+            a = _sorted_three(p[0, 0], p[1, 0], p[2, 0])
+            b = _sorted_three(p[0, 1], p[1, 1], p[2, 1])
+            c = _sorted_three(p[0, 2], p[1, 2], p[2, 2])
+            middle = _sorted_three(a[1], b[1], c[1])[1]
+            result[row, column] = _sorted_three(max(a[0], b[0], c[0]), middle, min(a[2], b[2], c[2]))[1]
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _sorted_three(a, b, c):  # type: ignore[no-untyped-def]
+    low, high = min(a, b), max(a, b)
+    return min(low, c), max(low, min(high, c)), max(high, c)
 
 
 @njit(cache=True, nogil=True)

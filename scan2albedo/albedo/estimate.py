@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from numbers import Integral
@@ -18,7 +17,7 @@ from scan2albedo.albedo.levels import toward_viewer, usable_texels, value_channe
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.model_selection import limits_step
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.albedo.outlines import seen_outlines
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.rectification import rectified
@@ -101,16 +100,12 @@ def estimate_albedo(
     TypeError
         For another object than a geometry image.
 
-    Warns
-    -----
-    UserWarning
-        When less than a tenth of the texels faces `view_direction`.
-
     Notes
     -----
-    The plan names each part of the model, whether it is used, and its evidence. `albedo.limits` ran where a
-    parameter of the light is at an end of its range, such as a lamp that touches the skin, or where the
-    albedo holds light that is not modelled.
+    The plan names each part of the model, whether it is used, and its evidence. `albedo.view` is a doubt
+    where less than a tenth of the texels faces `view_direction`, `albedo.limits` where a parameter of the
+    light is at an end of its range, such as a lamp that touches the skin, or where the albedo holds light
+    that is not modelled.
 
     Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface cannot
     be told from pigment: the mean light is white. Texels that are not skin weigh a quarter in the search.
@@ -130,18 +125,27 @@ def estimate_albedo(
     view = _unit_view(view_direction)
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
-    usable = usable_texels(image, options)
+    usable = usable_texels(image)
     image = _with_cameras(with_every_normal(image), options)
-    _warn_when_turned_away(toward_viewer(image, usable, view), view)
+    facing, plan = toward_viewer(image, usable, view), Plan()
+    if facing < _LEAST_FACING:
+        reason = (
+            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
+            "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
+            "normals outward"
+        )
+        plan += [PlanStep.doubt("albedo.view", reason)]
     meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
     scene = LitImage(image, usable, brdf, view, options, meter)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):
         if brdf == "spherical-harmonics":
-            return _divide_harmonics(scene)
-        paper = options.objective == "albedo-deviation"
-        found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
-        return _divide(scene, found, seed)
+            estimate = _divide_harmonics(scene)
+        else:
+            paper = options.objective == "albedo-deviation"
+            found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
+            estimate = _divide(scene, found, seed)
+    return replace(estimate, plan=plan + estimate.plan)
 
 
 def _light_count(lights: str | int, brdf: str) -> int | None:
@@ -162,18 +166,6 @@ def _unit_view(view_direction: Sequence[float]) -> tuple[float, float, float]:
         raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
     x, y, z = (view / length).tolist()
     return x, y, z
-
-
-def _warn_when_turned_away(facing: float, view: tuple[float, float, float]) -> None:
-    """Warn when lights are sought where the surface cannot be lit from: its viewer sees its back."""
-    if facing < _LEAST_FACING:
-        warnings.warn(
-            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
-            "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
-            "normals outward",
-            UserWarning,
-            stacklevel=3,
-        )
 
 
 def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
@@ -201,7 +193,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         mask,
         usable,
         skin=image.skin,
-        shrink=options.shrink and not late,
+        shrink=not late,
     )
     # Lines along shadows err most, and go in at most twice the seconds that the division took.
     late = late and meter.would_overrun(2 * (meter.elapsed_s - begin))
@@ -233,7 +225,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         view_direction=scene.view,
         reflectance=lit.reflectance,
         casts_shadows=found.caster is not None,
-        shadow_offset_mm=options.shadow_offset_mm,
+        shadow_offset_mm=SHADOW_OFFSET_MM,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
         expected_error=expected_error(division.deviation, deviation, light, mask, image.skin),
@@ -312,9 +304,7 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
     assert image.texture_linear is not None
     coefficients = fit_harmonic_light(image, scene.usable, options, meter)
     shading, none = harmonic_shading(image, coefficients), np.zeros(image.shape)
-    division = divide_light(
-        image.texture_linear, shading, none, image.mask, scene.usable, shrink=options.shrink
-    )
+    division = divide_light(image.texture_linear, shading, none, image.mask, scene.usable)
     step = PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")
     return AlbedoEstimate(
         albedo_linear=division.albedo.astype(np.float32),
@@ -333,7 +323,7 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         view_direction=scene.view,
         reflectance=Reflectance("lambert"),
         casts_shadows=True,
-        shadow_offset_mm=options.shadow_offset_mm,
+        shadow_offset_mm=SHADOW_OFFSET_MM,
         environment=environment_of_shading(coefficients),
         expected_error=expected_error(division.deviation, None, shading.max(axis=-1), image.mask, image.skin),
     )

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, uniform_filter
 
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
@@ -90,11 +90,8 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> 
     V itself is the largest of three noisy channels, and so brighter than the surface, most where the channels
     are alike and the light is poor. Choosing by averages avoids that.
     """
-    import cv2
-
     known = usable[..., None] * texture_linear
-    means = cv2.boxFilter(known, -1, (_CHOICE_SIDE, _CHOICE_SIDE), borderType=cv2.BORDER_REFLECT)
-    chosen = means.argmax(-1)
+    chosen = uniform_filter(known, (_CHOICE_SIDE, _CHOICE_SIDE, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
@@ -117,10 +114,10 @@ def toward_viewer(image: GeometryImage, usable: BoolArray, view: tuple[float, fl
     return float(np.mean((image.normal @ np.asarray(view))[usable] > 0))
 
 
-def usable_texels(image: GeometryImage, options: EstimateOptions) -> BoolArray:
+def usable_texels(image: GeometryImage) -> BoolArray:
     """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
 
-    LightingError when there is no texture, or fewer than `options.minimal_texels` such texels; says why.
+    LightingError when there is no texture, or fewer than `MINIMAL_TEXELS` such texels; says why.
     GeometryImageError for normals of another length than 1, or 0 where none is known.
     """
     if image.texture_linear is None:
@@ -133,16 +130,16 @@ def usable_texels(image: GeometryImage, options: EstimateOptions) -> BoolArray:
     seen = image.seen
     value = value_channel(image.texture_linear)
     black = value <= _BLACK * value[seen].max(initial=0.0)
-    clipped = value >= options.saturation_linear
+    clipped = value >= SATURATION_LINEAR
     usable = seen & ~black & ~clipped & known_normals(image)
-    if int(usable.sum()) < options.minimal_texels:
+    if int(usable.sum()) < MINIMAL_TEXELS:
         with_normal = known_normals(image) & seen
         raise LightingError(
             f"only {int(usable.sum())} of {int(image.mask.sum())} texels can be used to find the light "
             f"(seen {int(seen.sum())}, of these black {int((seen & black).sum())}, "
             f"saturated {int((seen & clipped).sum())}, with a normal {int(with_normal.sum())}); at least "
-            f"{options.minimal_texels} are needed: check the texture's exposure and `texture_valid`, and "
-            "options.saturation_linear for textures that go beyond 1"
+            f"{MINIMAL_TEXELS} are needed: check the texture's exposure and `texture_valid`, "
+            "and scale textures that go beyond 1"
         )
     return usable
 

@@ -24,6 +24,7 @@ from scan2albedo.albedo.model_selection import (
     light_evidence,
     undecided,
 )
+from scan2albedo.albedo.options import STARTS
 from scan2albedo.albedo.residual_objective import ResidualProblem, descend, one_step
 from scan2albedo.albedo.tint import Tint, tint_on
 from scan2albedo.albedo.uncertainty import Alternative, Alternatives, apart, light_uncertainty
@@ -196,7 +197,7 @@ class LightSearch:
         """Optima of one light on the smallest image, best first, before colours of light are known."""
         model, problem = self.scene.model(1), self._smallest.guided(None)
         starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self.scene.directions)
-        return self._polished(problem, model, starts, self.scene.options.starts, self._record)
+        return self._polished(problem, model, starts, STARTS, self._record)
 
     @cached_property
     def _tint(self) -> Tint | None:
@@ -309,7 +310,7 @@ class LightSearch:
         plain = _with_bounce(fewer, False)
         starts = _starts_with_one_more(plain, self.scene.directions)
         more = replace(plain.model, lights=lights)
-        tried = self._polished(self._coarse, more, starts, 2 * self.scene.options.starts)
+        tried = self._polished(self._coarse, more, starts, 2 * STARTS)
         before = self._descend(self._coarse, plain.model, plain.x)
         gain = cost_removed(tried[0].cost, before.cost)
         if not forced and gain < _CLOSER_LOOK * LIGHT_GAIN:

@@ -9,7 +9,7 @@ import numpy as np
 
 from scan2albedo.albedo.levels import Level, brightest_around, build_level
 from scan2albedo.albedo.light_parameters import LightModel, Solution
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.albedo.shadows import Horizon, ShadowLattice, shadow_caster
 from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.albedo.uncertainty import LightUncertainty
@@ -75,7 +75,7 @@ class LitImage:
         """Return the cast shadows of a level."""
         horizon = self._horizons.get(level.factor)
         above = None if horizon is None else horizon.at(level.center)
-        return ShadowLattice(level, self.shadows[0], self.options.shadow_offset_mm, above)
+        return ShadowLattice(level, self.shadows[0], SHADOW_OFFSET_MM, above)
 
     def soft(self, level: Level) -> SoftTerms:
         """Return what soft light needs to know of a level; known ones are kept."""
@@ -85,7 +85,7 @@ class LitImage:
 
     def _soft_of(self, level: Level) -> SoftTerms:
         caster, bounce = self.shadows[0], self._bounce(level.anchor, level.normal)
-        surface = level.anchor, level.normal, self.options.shadow_offset_mm
+        surface = level.anchor, level.normal, SHADOW_OFFSET_MM
         if caster is None:
             return SoftTerms(shadowed_transfer(ShadowMap(caster, *surface)), bounce)
         above, middle = None, self.level(self.options.sizes[1])
@@ -120,7 +120,7 @@ class LitImage:
         if caster is None:
             return None
         surface = image.position[mask], image.normal[mask].astype(np.float64)
-        return Patches.among(ShadowMap(caster, *surface, self.options.shadow_offset_mm))
+        return Patches.among(ShadowMap(caster, *surface, SHADOW_OFFSET_MM))
 
     @cached_property
     def directions(self) -> FloatArray:

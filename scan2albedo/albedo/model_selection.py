@@ -348,7 +348,7 @@ def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
         )
     if not found:
         return PlanStep("albedo.limits", False, "the light lies within what is searched", "no limit reached")
-    return PlanStep("albedo.limits", True, "the light lies at an end of what is searched", "; ".join(found))
+    return PlanStep.doubt("albedo.limits", "the light lies at an end of what is searched", "; ".join(found))
 
 
 def _at_end(solution: Solution) -> list[str]:

@@ -168,12 +168,28 @@ def _rounding_variance(linear: FloatArray) -> FloatArray:
     return (srgb_to_linear(code + 0.5 / 255) - srgb_to_linear(code - 0.5 / 255)) ** 2 / 12
 
 
-def _sum(field: FloatArray, window: int) -> FloatArray:
-    """Return sums over square windows; 0 counts outside the image."""
-    import cv2
-
-    box, outside = (window, window), cv2.BORDER_CONSTANT
-    return np.asarray(cv2.boxFilter(field, -1, box, normalize=False, borderType=outside), np.float64)
+@njit(cache=True, nogil=True)
+def _sum(field, window):  # type: ignore[no-untyped-def]
+    """Return (H, W) running sums over square windows of odd sides; 0 counts outside the image."""
+    rows, columns = field.shape
+    radius, result, down = window // 2, np.empty((rows, columns)), np.zeros(columns)
+    for row in range(-radius, rows):
+        if row + radius < rows:
+            for column in range(columns):
+                down[column] += field[row + radius, column]
+        if row > radius:
+            for column in range(columns):
+                down[column] -= field[row - radius - 1, column]
+        if row < 0:
+            continue
+        total = down[:radius].sum()
+        for column in range(columns):
+            if column + radius < columns:
+                total += down[column + radius]
+            if column > radius:
+                total -= down[column - radius - 1]
+            result[row, column] = total
+    return result
 
 
 def window_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 OPTIONAL_STEPS = (
     "albedo.shadows",
@@ -26,6 +25,10 @@ to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient
 off the surface, an environment in spherical harmonics, colours of the light's parts, softening of outlines
 that the texture does not show, repair of the albedo along shadow outlines, repair of saturated texels."""
 
+STARTS, MINIMAL_TEXELS, SATURATION_LINEAR, SHADOW_OFFSET_MM = 3, 64, 0.995, 0.2
+"""Distinct starts that are followed (twice as many for one more light); fewer usable texels are an error;
+texels at or above this value are clipped: no weight, and candidates for inpainting; shadow rays start this
+far along the normal."""
 OBJECTIVES = ("residual", "albedo-deviation")
 
 
@@ -42,20 +45,10 @@ class EstimateOptions:
     third say what the surface hides of soft light."""
     start_directions: int = 60
     """Light directions of which least squares tries a step."""
-    starts: int = 3
-    """Distinct starts that are followed (twice as many for one more light)."""
     descent_iterations: int = 12
     """Evaluations of one descent."""
     maximal_lights: int = 3
     """Most lamps that `lights="auto"` tries; it may find none."""
-    shadow_offset_mm: float = 0.2
-    """Shadow rays start this far along the normal."""
-    saturation_linear: float = 0.995
-    """Texels at or above this value are clipped: no weight, and candidates for inpainting."""
-    minimal_texels: int = 64
-    """Fewer usable texels than this are an error."""
-    shrink: bool = True
-    """Filter white noise of the albedo; False keeps the plain quotient."""
     skip: tuple[str, ...] = ()
     """Names of `OPTIONAL_STEPS` to leave out."""
     force: tuple[str, ...] = ()
@@ -68,20 +61,16 @@ class EstimateOptions:
             raise ValueError(f"maximal_lights is {self.maximal_lights}, expected 1 to 4")
         if len(self.sizes) != 3:
             raise ValueError(f"sizes is {self.sizes}, expected three numbers of cells")
-        counts = ("start_directions", "starts", "descent_iterations", "minimal_texels")
+        counts = ("start_directions", "descent_iterations")
         for name, value in [
             *((name, getattr(self, name)) for name in counts),
             *(("sizes", size) for size in self.sizes),
         ]:
             if value < 1:
                 raise ValueError(f"{name} is {value}, expected 1 or more")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, float) and not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{field.name} is {value}, expected a finite number, 0 or more")
         for name in (*self.skip, *self.force):
             if name not in OPTIONAL_STEPS:
-                raise ValueError(f"{name!r} is no optional step; these are {', '.join(OPTIONAL_STEPS)}")
+                raise ValueError(f"{name!r} is not an optional step; these are {', '.join(OPTIONAL_STEPS)}")
         if both := set(self.skip) & set(self.force):
             raise ValueError(f"{min(both)!r} is in skip and in force: choose one")
 

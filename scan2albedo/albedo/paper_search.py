@@ -13,11 +13,12 @@ from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
 from scan2albedo.albedo.model_selection import allowed_parts, undecided
+from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
-from scan2albedo.optimization import AnnealingOptions, simulated_annealing
+from scan2albedo.optimization import simulated_annealing
 
 _BLOCK_AREA = 0.125
 """Area of one block as a part of the chart's: larger than the texture's grain."""
@@ -63,7 +64,7 @@ class DeviationProblem:
         self._level, self._view, self.meter = level, np.asarray(scene.view), scene.meter
         self._blocks, self._count = level.blocks(_BLOCK_AREA)
         surface = scene.shadows[0], level.anchor, level.normal
-        self._shadows = ShadowMap(*surface, scene.options.shadow_offset_mm)
+        self._shadows = ShadowMap(*surface, SHADOW_OFFSET_MM)
 
     @cached_property
     def _table(self) -> VisibilityTable:
@@ -122,7 +123,7 @@ def _annealed(problem: DeviationProblem, model: LightModel, x: FloatArray, seed:
         *model.bounds,
         seed=seed,
         initial_step=4 * model.steps(),
-        options=AnnealingOptions(evaluations=_ANNEALING * model.lights),
+        evaluations=_ANNEALING * model.lights,
         meter=meter,
     )
     problem.meter.count(meter.evaluations)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.inpainting import resynthesize, surroundings
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import SATURATION_LINEAR, EstimateOptions
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
@@ -45,7 +45,7 @@ def inpainted(
     assert image.texture_linear is not None
     stage = "albedo.inpainting"
     allowed = image.mask if image.inpaint is None else image.mask & image.inpaint
-    clipped = (image.texture_linear >= options.saturation_linear) & image.seen[..., None]
+    clipped = (image.texture_linear >= SATURATION_LINEAR) & image.seen[..., None]
     # Texture lookup mixed the clipped values into their neighbours.
     lost = _with_neighbours(clipped) & (image.seen & allowed)[..., None]
     touched, wholly = any_channel(lost), all_channels(lost)

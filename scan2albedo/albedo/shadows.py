@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage, Occluder
@@ -57,9 +57,7 @@ def shadow_caster(
     caster = RayCaster(vertices, faces)
     if choice is None and meter.exhausted:
         return caster, PlanStep(stage, True, "the budget ended before it was judged", "not judged")
-    largest = _largest_shadow(
-        ShadowMap(caster, level.anchor, level.normal, options.shadow_offset_mm), directions
-    )
+    largest = _largest_shadow(ShadowMap(caster, level.anchor, level.normal, SHADOW_OFFSET_MM), directions)
     evidence = f"at most {100 * largest:.1f} % of the texels facing a light lie in cast shadow"
     if choice is None and largest < LEAST_SHADOW:
         return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)

@@ -9,6 +9,7 @@ import numpy as np
 from scan2albedo.albedo.levels import along_surface, cell_means
 from scan2albedo.albedo.light_parameters import HARMONICS
 from scan2albedo.albedo.lit_image import LightFound, LitImage
+from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.albedo.result import LitSurface, shade_image
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
@@ -45,7 +46,7 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     state = found.solution.hypothesis
     strength = state.reflectance.specular_strength * found.unit
     reflectance, lamps = replace(state.reflectance, specular_strength=strength), state.lights()
-    offset = scene.options.shadow_offset_mm
+    offset = SHADOW_OFFSET_MM
     toward = scene.image.toward_camera(scene.view)
     where = scene.image, lamps, reflectance, toward, found.caster, offset
     lit = shade_image(*where, open_above=scene.open_above())

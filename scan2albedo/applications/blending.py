@@ -12,7 +12,7 @@ from scan2albedo.applications.skin_match import displacement, skin_gains, warped
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.lighting.shading import Reflectance
 
@@ -25,7 +25,7 @@ def blend_faces(
     b: ProcessedFace,
     weight: float = 0.5,
     *,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> ProcessedFace:
     """Return the face `weight` of the way from A to B, in shape and skin.
 
@@ -100,7 +100,7 @@ def _between(a: NDArray, b: NDArray, weight: float | NDArray[np.float64]) -> NDA
 
 
 def _whole_skin(
-    face: ProcessedFace, other: ProcessedFace, weight: float, model: AnnotatedFaceModel | None
+    face: ProcessedFace, other: ProcessedFace, weight: float, model: AnnotatedSurface | None
 ) -> NDArray[np.float64]:
     """Return (H, W, 3) the albedo, continued where it was badly seen unless `weight` of `other` is low."""
     own = face.albedo_linear.astype(np.float64)

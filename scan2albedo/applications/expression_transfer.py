@@ -11,7 +11,7 @@ from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace, on_
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting import FitOptions, FittedFace, fit
 from scan2albedo.fitting.dynamics import factorized
@@ -69,7 +69,7 @@ def transfer_expression(
     neutral_b: ProcessedFace,
     *,
     options: TransferOptions = TransferOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> ProcessedFace:
     """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
 
@@ -108,7 +108,7 @@ def expression_displacement(
     expression_a: FaceMesh,
     *,
     options: TransferOptions = TransferOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> FloatArray:
     """Return (V, 3) mm by which each vertex moves between two meshes of the same triangles.
 
@@ -119,13 +119,13 @@ def expression_displacement(
     moved = laid_on_what_is_still(expression_a.vertices, rest)
     level = level_to_refine(neutral_a, options, model)
     if level is not None:
-        given = model or AnnotatedFaceModel.default()
+        given = model or default_model()
         moved = laid_on_what_is_still(refined_expression(neutral_a, moved, given, level), rest)
     return options.strength * (moved - rest)
 
 
 def level_to_refine(
-    neutral_a: FaceMesh, options: TransferOptions, model: AnnotatedFaceModel | None = None
+    neutral_a: FaceMesh, options: TransferOptions, model: AnnotatedSurface | None = None
 ) -> int | None:
     """Return the refinement of the model that the mesh is; None where A's fits are taken as they are.
 
@@ -133,7 +133,7 @@ def level_to_refine(
     """
     if options.correspondence == "as-fitted":
         return None
-    given = model or AnnotatedFaceModel.default()
+    given = model or default_model()
     level = refinement_level(neutral_a, given)
     if level is None and options.correspondence == "refined":
         raise ApplicationError(
@@ -173,9 +173,7 @@ def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
     return float(np.percentile(along, _STILL_PERCENTILE))
 
 
-def refined_expression(
-    rest: FaceMesh, moved: FloatArray, model: AnnotatedFaceModel, level: int
-) -> FloatArray:
+def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurface, level: int) -> FloatArray:
     """Return where each vertex of the face at rest is with the expression, (V, 3) mm.
 
     Two fits of one person slide along the skin each in its own way. So the face at rest itself becomes the
@@ -203,8 +201,8 @@ def refined_expression(
 
 
 def personal_model(
-    face: FittedFace | ProcessedFace, model: AnnotatedFaceModel | None = None
-) -> AnnotatedFaceModel:
+    face: FittedFace | ProcessedFace, model: AnnotatedSurface | None = None
+) -> AnnotatedSurface:
     """Return a face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
@@ -227,7 +225,7 @@ def personal_model(
     """
     if isinstance(face, FittedFace):
         return replace(face.model, control_vertices=face.control_points)
-    template = AnnotatedFaceModel.default() if model is None else model
+    template = default_model() if model is None else model
     if face.model_name != template.name:
         raise ApplicationError(
             f"{face.name}: was processed with the model {face.model_name!r}, not {template.name!r}; give "
@@ -245,7 +243,7 @@ def personal_model(
     )
 
 
-def refinement_level(mesh: FaceMesh, model: AnnotatedFaceModel) -> int | None:
+def refinement_level(mesh: FaceMesh, model: AnnotatedSurface) -> int | None:
     """Return how often the model's control mesh is refined to these triangles; None when they are others."""
     for level in range(_MOST_LEVELS + 1):
         if len(mesh.faces) == len(model.control_faces) * 4**level:

@@ -13,7 +13,7 @@ from skimage.morphology import disk
 from scan2albedo.albedo.poisson import integrate_gradients
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 
 FEATURES = {
     "eyes": ("left_eye", "right_eye"),
@@ -41,7 +41,7 @@ _FLOOR = 1e-3
 """Part of the level below which albedo has no logarithm."""
 
 
-def feature_texels(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> dict[str, BoolArray]:
+def feature_texels(face: ProcessedFace, model: AnnotatedSurface | None = None) -> dict[str, BoolArray]:
     """Return the (H, W) texels of each of `FEATURES` that the face's annotation knows.
 
     `model` is that of the face, the default model when None; without regions, or of another model, a face has
@@ -52,10 +52,10 @@ def feature_texels(face: ProcessedFace, model: AnnotatedFaceModel | None = None)
 
 
 def region_texels(
-    face: ProcessedFace, names: Sequence[str], model: AnnotatedFaceModel | None = None
+    face: ProcessedFace, names: Sequence[str], model: AnnotatedSurface | None = None
 ) -> BoolArray:
     """Return (H, W) the texels in the named regions of the model; none where they are not known."""
-    template = AnnotatedFaceModel.default() if model is None else model
+    template = default_model() if model is None else model
     if face.region is None or face.model_name != template.name:
         return np.zeros(face.mask.shape, bool)
     known = [template.regions[name].index for name in names if name in template.regions]
@@ -63,7 +63,7 @@ def region_texels(
 
 
 def taken_features(
-    face: ProcessedFace, other: ProcessedFace, model: AnnotatedFaceModel | None = None
+    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None
 ) -> tuple[BoolArray, BoolArray]:
     """Return (H, W) texels of the features that `other` is to give as a whole, and those that stay.
 
@@ -81,7 +81,7 @@ def taken_features(
     return face.mask & grown(taken, _AROUND) & ~kept, kept
 
 
-def without_catchlights(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> FloatArray:
+def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = None) -> FloatArray:
     """Return (H, W, 3) the albedo without small spots on the eyes that are brighter than skin.
 
     They are reflections of the scan's lamps, which are no albedo: V is lowered to its morphological opening.
@@ -97,7 +97,7 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedFaceModel | None = 
     return np.asarray(albedo * factor[..., None])
 
 
-def without_gaps(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> ProcessedFace:
+def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> ProcessedFace:
     """Return the face with smooth skin where none was seen, and on `dark_sides`.
 
     Log albedo is interpolated from around: Laplace's equation. Eyes, brows and lips stay as they are.
@@ -115,7 +115,7 @@ def without_gaps(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -
     return replace(face, albedo_linear=np.where(gaps[..., None], filled, face.albedo_linear))
 
 
-def dark_sides(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> BoolArray:
+def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) dark texels of temples and cheeks along the chart's rim that are no skin.
 
     Hair before the ears, or what was too dark to be seen there: cut out by the face's outline it is a black

@@ -51,7 +51,7 @@ def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     ----------
     .. [1] T. Kroeger et al., "Fast optical flow using dense inverse search", ECCV 2016.
     """
-    with needs_extra("blend"):
+    with needs_extra("opencv"):
         import cv2
 
     side = max(mask.shape)

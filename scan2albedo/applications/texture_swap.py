@@ -13,7 +13,7 @@ from scan2albedo.applications.processed_face import ProcessedFace, on_common_cha
 from scan2albedo.applications.skin_match import skin_gains
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either, and over which a feature at the border fades."""
@@ -42,7 +42,7 @@ def swap_texture(
     b: ProcessedFace,
     *,
     options: SwapOptions = SwapOptions(),
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> ProcessedFace:
     """Return A's geometry with B's albedo and reflectance, under A's lights.
 
@@ -56,7 +56,7 @@ def swap_texture(
     a, b : ProcessedFace
         Of one model and size.
     options : SwapOptions
-    model : AnnotatedFaceModel, optional
+    model : AnnotatedSurface, optional
         With which the faces were processed; the default model when omitted.
 
     Raises
@@ -95,7 +95,7 @@ def swap_texture(
 
 
 def continued_skin(
-    face: ProcessedFace, other: ProcessedFace, model: AnnotatedFaceModel | None = None
+    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None
 ) -> FloatArray:
     """Return (H, W, 3) the albedo of a face without catchlights; `continued`, and with whole features of the
     other face, where it was not seen."""
@@ -106,7 +106,7 @@ def continued_skin(
     return continued(without_catchlights(face, model), known, detail, guide)
 
 
-def trusted(face: ProcessedFace, model: AnnotatedFaceModel | None = None) -> BoolArray:
+def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) texels that were seen, without those close to one that was not, and without hair or black
     at the sides."""
     near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")

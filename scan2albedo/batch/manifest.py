@@ -15,7 +15,7 @@ from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import BatchError, printable
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
-from scan2albedo.pipeline.options import ProcessOptions, option_of_text
+from scan2albedo.pipeline.options import ProcessOptions
 
 SCAN = "scan"
 OWN_OPTIONS = ("unit", "model", "lights", "seed", "landmarks")
@@ -48,7 +48,7 @@ class ManifestScan:
         """
         given: dict[str, Any] = {}
         try:
-            given = {name: option_of_text(name, text) for name, text in self.own.items() if text}
+            given = {name: text for name, text in self.own.items() if text}
             chosen = replace(batch, **given)
         except ValueError as error:
             raise BatchError(f"{self.where}: {error}") from error

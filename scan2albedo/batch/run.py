@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -185,7 +185,7 @@ def _landmarks_of_all(landmarks: Any, count: int) -> str:
 
 def _options_sha256(options: ProcessOptions, model_hash: str | None, scan: Path) -> str:
     """Return the SHA-256 of options, package version, model and the landmarks of a scan."""
-    hashed = {"version": VERSION, "model_sha256": model_hash, **options.plain()}
+    hashed = {"version": VERSION, "model_sha256": model_hash, **asdict(options)}
     if options.model not in ("default", "none"):
         hashed["model"] = Path(str(options.model)).name  # its place does not count
     del hashed["textures"]  # those that a scan uses are part of the input
@@ -331,7 +331,7 @@ class _Run:
             run=self.run,
             status=status,
             manifest=str(self.manifest.path),
-            options=dict(self.options.plain()),
+            options=asdict(self.options),
             jobs=self.jobs,
             jobs_asked=self.asked,
             scheduler=self.scheduler,

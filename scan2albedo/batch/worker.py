@@ -23,8 +23,9 @@ from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.core.plan import Level, Plan
     from scan2albedo.pipeline.options import ProcessOptions
+    from scan2albedo.templates import AnnotatedFaceModel
 
 _ONE_AT_A_TIME = threading.Lock()
 _PARENT_INTERVAL_S = 0.5
@@ -140,10 +141,14 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if FILES.holds(name)},
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
-        "plan_ran": tuple(step.stage for step in result.plan if step.ran),
-        "plan_skipped": tuple(step.stage for step in result.plan if not step.ran),
+        "plan_ran": _stages(result.plan, "did"),
+        "plan_skipped": _stages(result.plan, "left out"),
         "notes": result.notes,
     }
+
+
+def _stages(plan: Plan, level: Level) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(step.stage for step in plan if step.level == level))
 
 
 def _input(task: ScanTask) -> dict[str, str]:
@@ -155,7 +160,7 @@ def _input(task: ScanTask) -> dict[str, str]:
 @lru_cache(_MODELS_KEPT)
 def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
     """Return the model, read once a worker as long as its files' hash is the same."""
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     return chosen_model(model) or "none"
 

@@ -45,7 +45,7 @@ def swap(
 ) -> None:
     """Give A's shape B's skin."""
     from scan2albedo.applications import SwapOptions, load_result, swap_texture
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     _check_new_folder(out, [a, b])
     first, second = load_result(a), load_result(b)
@@ -64,7 +64,7 @@ def blend(
 ) -> None:
     """Make a face between two, in shape and skin."""
     from scan2albedo.applications import blend_faces, load_result
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     if not 0 <= weight <= 1:
         raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
@@ -97,7 +97,7 @@ def transfer_expression(
         apart_where_still,
         level_to_refine,
     )
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     try:
         options = applications.TransferOptions(strength=strength, correspondence=correspondence)  # type: ignore[arg-type]
@@ -132,7 +132,7 @@ def personal_model(
     stays, so results go with those of the model itself.
     """
     from scan2albedo import applications
-    from scan2albedo.face_model import chosen_model
+    from scan2albedo.templates import chosen_model
 
     if out.suffix.lower() != ".json":
         raise typer.BadParameter(f"-o takes a name that ends in .json, not {out}")

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,7 +22,6 @@ from scan2albedo.cli.common import (
     refuse_shared_folders,
     say,
     stop_cleanly_on_interrupt,
-    with_process_flags,
 )
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
@@ -32,7 +30,9 @@ from scan2albedo.cli.report import report
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import Scan2AlbedoError, one_line
-from scan2albedo.pipeline.options import ProcessOptions
+
+if TYPE_CHECKING:
+    from scan2albedo.pipeline.options import ProcessOptions
 
 BARE_ERRORS = (ValueError, MemoryError, OverflowError, RecursionError)
 """What the library raises of options that it refuses, and of work that is too large for the machine."""
@@ -53,6 +53,75 @@ app.command()(report)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 
+# The flags of `process`, `batch` and `demo`, named as the fields of `ProcessOptions`.
+Model = Annotated[
+    str,
+    typer.Option(help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object, no face."),
+]
+Size = Annotated[
+    int | None,
+    typer.Option(help="Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8),
+]
+Lights = Annotated[str, typer.Option(help="'auto', or how many.")]
+Brdf = Annotated[str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")]
+Unit = Annotated[str, typer.Option(help="auto, mm, cm or m.")]
+Preset = Annotated[
+    str,
+    typer.Option(help="draft, standard, best (standard with 1024 texels a side), or paper.", metavar="NAME"),
+]
+Seconds = Annotated[float | None, typer.Option(help="Seconds a scan may take.")]
+Seed = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
+Skip = Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")]
+Force = Annotated[
+    list[str] | None,
+    typer.Option(help="An optional step to carry out in any case, such as albedo.shadows; may be repeated."),
+]
+Pictures = Annotated[bool, typer.Option(help="Draw overview.png and error_vs_time.png among the files.")]
+Files = Annotated[
+    str,
+    typer.Option(help="minimal: without pictures, EXR of the geometry image and light; standard; or all."),
+]
+Textures = Annotated[
+    str | None,
+    typer.Option(help="Folder from which textures may be read beside the scan's own.", metavar="DIR"),
+]
+Landmarks = Annotated[
+    str | None,
+    typer.Option(
+        help="Landmarks placed by hand, any of 68: a CSV, JSON or MeshLab .pp file, or a folder with files "
+        "named after the scans; or auto for those that MediaPipe finds (needs the extra named landmarks).",
+        metavar="FILE|auto",
+    ),
+]
+Unlit = Annotated[
+    str | None,
+    typer.Option(
+        help="Also write the scan itself without its light: 'face', or 'all' of it with the same lamps.",
+        metavar="face|all",
+    ),
+]
+TextureSize = Annotated[
+    int,
+    typer.Option(
+        help="Height and width of the texture on your own template's coordinates, up to 8192.", min=8
+    ),
+]
+
+
+def _process_options(context: typer.Context) -> ProcessOptions:
+    """Return the options that the flags of a command set."""
+    from dataclasses import fields
+
+    from scan2albedo.pipeline.options import ProcessOptions
+
+    names = {option.name for option in fields(ProcessOptions)}
+    given = {name: value for name, value in context.params.items() if name in names}
+    given |= {name: tuple(given.get(name) or ()) for name in ("skip", "force")}
+    try:
+        return ProcessOptions(**given)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
 
 @app.callback()
 def _common() -> None:
@@ -60,23 +129,39 @@ def _common() -> None:
 
 
 @app.command()
-@with_process_flags()
 def process(
+    context: typer.Context,
     scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
     out: OutOption,
-    options: ProcessOptions,
+    model: Model = "default",
+    size: Size = None,
+    lights: Lights = "auto",
+    brdf: Brdf = "oren-nayar",
+    unit: Unit = "auto",
+    quality: Preset = "standard",
+    budget: Seconds = None,
+    seed: Seed = 0,
+    skip: Skip = None,
+    force: Force = None,
+    pictures: Pictures = True,
+    files: Files = "standard",
+    textures: Textures = None,
+    landmarks: Landmarks = None,
+    unlit: Unlit = None,
+    texture_size: TextureSize = 1024,
     json_summary: JsonOption = False,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
     refuse_shared_folders(scans)
-    one = options.landmarks not in (None, AUTO) and not Path(options.landmarks).is_dir()
+    one = landmarks is not None and landmarks.strip().lower() != AUTO and not Path(landmarks).is_dir()
     if len(scans) > 1 and one:
         raise typer.BadParameter(
-            f"--landmarks is {options.landmarks}: for several scans give a folder with files named after them"
+            f"--landmarks is {landmarks}: for several scans give a folder with files named after them"
         )
+    options = _process_options(context)
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.face_model import chosen_model
     from scan2albedo.pipeline.process import process as run
+    from scan2albedo.templates import chosen_model
 
     stop_cleanly_on_interrupt(out)
     template = chosen_model(options.model)
@@ -93,8 +178,8 @@ def process(
                 result = run(path, out=out, on_progress=progress.update, **chosen)
             except (Scan2AlbedoError, *BARE_ERRORS) as error:
                 failures += 1
-                for warning in getattr(error, "__notes__", ()):
-                    progress.say(f"{name}: {one_line(warning)}")
+                for doubt in getattr(error, "__notes__", ()):
+                    progress.say(f"{name}: {one_line(doubt)}")
                 progress.say(f"scan2albedo: error: {one_line(error)}")
                 summaries.append({"scan": str(path), "status": "failed", "reason": one_line(error)})
                 continue
@@ -110,8 +195,8 @@ def process(
 
 
 @app.command()
-@with_process_flags()
 def batch(
+    context: typer.Context,
     manifest: Annotated[
         Path,
         typer.Argument(
@@ -122,7 +207,22 @@ def batch(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the results, catalogue.parquet and batch.json.")
     ],
-    options: ProcessOptions,
+    model: Model = "default",
+    size: Size = None,
+    lights: Lights = "auto",
+    brdf: Brdf = "oren-nayar",
+    unit: Unit = "auto",
+    quality: Preset = "standard",
+    budget: Seconds = None,
+    seed: Seed = 0,
+    skip: Skip = None,
+    force: Force = None,
+    pictures: Pictures = True,
+    files: Files = "standard",
+    textures: Textures = None,
+    landmarks: Landmarks = None,
+    unlit: Unlit = None,
+    texture_size: TextureSize = 1024,
     jobs: Annotated[int, typer.Option(help="Processes; 0 for one a core, memory allowing.", min=0)] = 0,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a dask scheduler, such as tcp://10.0.0.5:8786.")
@@ -138,6 +238,7 @@ def batch(
     """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
     if timeout is not None and not timeout > 0:
         raise typer.BadParameter(f"--timeout is {timeout:g}, expected seconds above 0")
+    options = _process_options(context)
     from scan2albedo.batch import run_batch
     from scan2albedo.cli.progress import BatchLines
     from scan2albedo.io.atomic import removed_if_empty
@@ -145,7 +246,7 @@ def batch(
     try:
         # The stages run in workers, so that signals may unwind here.
         with interrupts_raise(), removed_if_empty(out), BatchLines() as lines:
-            report = run_batch(
+            done = run_batch(
                 manifest,
                 out,
                 options=options,
@@ -153,46 +254,43 @@ def batch(
                 scheduler=scheduler,
                 resume=resume,
                 timeout_s=timeout,
-                on_progress=lines.update,
+                on_progress=lines.show,
             )
     except KeyboardInterrupt as stopped:
         terminated = isinstance(stopped, Terminated)
         what = "terminated" if terminated else "interrupted"
         say(f"scan2albedo: {what}; nothing half-written was left behind, and --resume goes on")
         raise typer.Exit(TERMINATED if terminated else INTERRUPTED) from None
-    for line in report.summary().splitlines():
+    for line in done.summary().splitlines():
         say(line)
     if json_summary:
-        echo_json(report.figures())
-    if report.progress.failed:
-        raise typer.Exit(SOME_FAILED if report.progress.done else USAGE_ERROR)
+        echo_json(done.figures())
+    if done.progress.failed:
+        raise typer.Exit(SOME_FAILED if done.progress.done else USAGE_ERROR)
 
 
 @app.command()
-@with_process_flags("size", "quality", "seed")
 def demo(
-    options: ProcessOptions,
+    context: typer.Context,
+    size: Size = None,
+    quality: Preset = "standard",
+    seed: Seed = 0,
     out: OutOption = Path("demo_out"),
     json_summary: JsonOption = False,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
+    _process_options(context)
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.pipeline.demo import run_demo
 
     with ProgressLines("demo") as progress:
-        report = run_demo(
-            out,
-            seed=options.seed,
-            size=options.size,
-            quality=options.quality,
-            on_progress=progress.update,
-        )
-        progress.say(report.result.summary())
+        done = run_demo(out, seed=seed, size=size, quality=quality, on_progress=progress.update)
+        progress.say(done.result.summary())
     if json_summary:
-        echo_json(report.figures())
+        echo_json(done.figures())
     else:
-        typer.echo(report.table())
+        typer.echo(done.table())
 
 
 @app.command()
@@ -206,25 +304,24 @@ def validate(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.pipeline import validation
 
-    tables: dict[str, Callable[..., Any]] = {
-        "hemisphere": validation.validate_hemisphere,
-        "face": validation.validate_face,
-        "lighting": validation.validate_lighting,
-    }
-    chosen = list(tables) if what == "all" else [what]
-    if unknown := [name for name in chosen if name not in tables]:
-        raise typer.BadParameter(f"{unknown[0]!r} is none of {', '.join(tables)}, all")
-    results = {}
+    names = ("hemisphere", "face", "lighting")
+    chosen = names if what == "all" else (what,)
+    if what not in (*names, "all"):
+        raise typer.BadParameter(f"{what!r} is unknown, expected one of {', '.join(names)}, all")
+    results: dict[str, Any] = {}
     for name in chosen:
         with ProgressLines(name) as progress:
-            results[name] = tables[name](
-                size=size, seed=seed, on_row=lambda row, show=progress.say: show(row.text())
-            )
+            asked: dict[str, Any] = {"size": size, "seed": seed}
+            asked["on_row"] = lambda row, say=progress.say: say(row.text())
+            if name == "lighting":
+                results[name] = validation.validate_lighting(**asked)
+            else:
+                results[name] = validation.validate_scenes(name, **asked)
     if json_summary:
         echo_json({name: table.figures() for name, table in results.items()})
         return
     for table in results.values():
-        typer.echo(validation.format_table(table))
+        typer.echo(table.text())
 
 
 @app.command()

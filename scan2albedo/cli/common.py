@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
 import json
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import Field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,11 +18,9 @@ from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import printable
 from scan2albedo.io.leftovers import remove_unfinished
-from scan2albedo.pipeline.options import ProcessOptions, option_of_text, process_options
 
 DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
-Command = Callable[..., None]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
 OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
 BudgetOption = Annotated[float | None, typer.Option(help="Seconds that the work may take.")]
@@ -135,50 +130,3 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
-
-
-def with_process_flags(*names: str) -> Callable[[Command], Command]:
-    """Return a decorator that replaces a command's parameter `options` by flags.
-
-    `names` are the fields of `ProcessOptions` that become flags, all when none is given; the command gets
-    checked `ProcessOptions`.
-    """
-    flags = {option.name: _flag(option) for option in process_options() if not names or option.name in names}
-
-    def decorated(command: Command) -> Command:
-        @functools.wraps(command)
-        def called(**given: Any) -> None:
-            chosen = {name: given.pop(name) for name in flags}
-            try:
-                options = ProcessOptions(**{name: _value(name, value) for name, value in chosen.items()})
-            except ValueError as error:
-                raise typer.BadParameter(str(error)) from None
-            command(options=options, **given)
-
-        shown: list[inspect.Parameter] = []
-        for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
-            shown += flags.values() if name == "options" else [parameter]
-        keywords = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in shown]
-        called.__signature__ = inspect.Signature(keywords)  # type: ignore[attr-defined]
-        called.__annotations__ = {parameter.name: parameter.annotation for parameter in keywords}
-        return called
-
-    return decorated
-
-
-def _flag(option: Field[Any]) -> inspect.Parameter:
-    shown = dict(option.metadata)
-    kind = shown.pop("flag")
-    return inspect.Parameter(
-        option.name,
-        inspect.Parameter.KEYWORD_ONLY,
-        default=None if option.default == () else option.default,
-        annotation=Annotated[kind, typer.Option(**shown)],
-    )
-
-
-def _value(name: str, given: Any) -> Any:
-    """Return an option as `ProcessOptions` takes it: typer gives None for a list without entries."""
-    if name in ("skip", "force"):
-        return tuple(given or ())
-    return option_of_text(name, given) if isinstance(given, str) else given

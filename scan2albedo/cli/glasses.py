@@ -104,12 +104,14 @@ def canonicalize(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import EyeglassesError
     from scan2albedo.io.atomic import check_writable
+    from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.eyeglasses.canonicalize_run import (
+        FILES,
+        FailedFrameRecord,
         canonicalize_frames,
         read_frames,
         write_canonical_files,
     )
-    from scan2albedo.runs.eyeglasses.records import FailedFrameRecord
 
     if handles not in ("turned", "translated"):
         raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
@@ -123,6 +125,7 @@ def canonicalize(
     spend = checked_budget(budget, unit)
     stop_cleanly_on_interrupt(out)
     check_writable(out)
+    RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
     figures: dict[str, dict[str, Any]] = {}
     with ProgressLines("glasses") as progress:
         frames, failures = read_frames(meshes, keypoints, unit, limits)
@@ -148,7 +151,7 @@ def canonicalize(
             if not done.result.converged:
                 progress.say("glasses: not converged; set.json says which frames, in its plan")
         except EyeglassesError as error:
-            failures += [FailedFrameRecord(file=str(f.mesh_file), reason=str(error)) for f in frames]
+            failures += [FailedFrameRecord(file=f.files["mesh"].file, reason=str(error)) for f in frames]
         for failure in failures:
             progress.say(f"scan2albedo: error: {failure.file}: {one_line(failure.reason)}")
         for name, row in figures.items():
@@ -220,26 +223,28 @@ def register(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.io.atomic import check_writable
-    from scan2albedo.runs.eyeglasses.register_run import register_frame, write_registration_files
-    from scan2albedo.runs.eyeglasses.registration_input import CANONICAL, RegistrationFiles, read_registration
+    from scan2albedo.io.run_folder import RunFolder
+    from scan2albedo.runs.eyeglasses.inputs import CANONICAL, read_registration
+    from scan2albedo.runs.eyeglasses.register_run import FILES, register_frame, write_registration_files
 
     spend = checked_budget(budget, unit)
     if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
         raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
-    files = RegistrationFiles(mesh, cameras, labels, masks, head, keypoints, start, unit)
     stop_cleanly_on_interrupt(out)
     check_writable(out)
+    RunFolder(out, FILES).check()
     with ProgressLines("glasses") as progress:
         progress.say(f"glasses: reading {mesh}")
         try:
-            given = read_registration(files)
+            more = {"masks": masks, "head": head, "keypoints": keypoints, "start": start}
+            given = read_registration(mesh, cameras, labels, **more, unit=unit)
             done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
             figures = write_registration_files(done, out)
         except Scan2AlbedoError as error:
             _report_failure(mesh, error, progress, json_summary)
             raise typer.Exit(USAGE_ERROR) from None
         for note in done.notes:
-            progress.say(f"{given.name}: {note}")
+            progress.say(f"{given.frame.name}: {note}")
         progress.say(f"{done.summary()}; files in {out}")
     if json_summary:
         result = done.result
@@ -251,7 +256,7 @@ def register(
                 **figures,
                 "converged": result.converged,
                 "unobserved": result.unobserved,
-                "views": done.view_figures(),
+                "views": [view.model_dump() for view in done.views],
             }
         )
 
@@ -340,15 +345,16 @@ def lenses(
     Drawn scenes without --environment have a built-in light: an even, neutral room with three soft lamps
     around the wearer, the main one on their right, one on their left, one above. Drawn pictures are exposed
     so that a white plate that faces as the frame does is 0.9 of white, the same for all views; the factor is
-    told. Photographs keep their own light and exposure. Lenses are clear window glass by default.
+    printed. Photographs keep their own light and exposure. Lenses are clear window glass by default.
     """
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses import LensPictureOptions
     from scan2albedo.io.atomic import check_writable
+    from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.io.units import check_unit
-    from scan2albedo.runs.eyeglasses.lens_files import run_lenses
-    from scan2albedo.runs.eyeglasses.lens_input import material_pair, read_lens_input
+    from scan2albedo.runs.eyeglasses.inputs import read_lens_scene
+    from scan2albedo.runs.eyeglasses.lenses_run import FILES, material_pair, run_lenses
 
     try:
         check_unit(unit)
@@ -360,7 +366,7 @@ def lenses(
     stop_cleanly_on_interrupt(out)
     with ProgressLines("lenses") as progress:
         try:
-            source = read_lens_input(
+            source = read_lens_scene(
                 frame,
                 head,
                 cameras,
@@ -371,6 +377,7 @@ def lenses(
                 unit=unit,
             )
             check_writable(out)
+            RunFolder(out, FILES).check()
             options = LensPictureOptions(supersampling=supersampling, light_count=lights)
             record = run_lenses(source, materials, options, out, progress.say)
         except Scan2AlbedoError as error:

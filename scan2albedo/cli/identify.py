@@ -63,7 +63,12 @@ def identify(
     Somebody of the gallery is always the most similar: how similar, and by how much more than the next
     person, shows how reliable that is. Where probes name their person, the rate of right answers is printed.
     """
-    _check_options(probes, out, combine, save_templates)
+    if combine not in COMBINATIONS:
+        raise typer.BadParameter(f"--combine is {combine!r}, expected {' or '.join(COMBINATIONS)}")
+    if save_templates is not None and save_templates.suffix != TEMPLATES:
+        raise typer.BadParameter(f"--save-templates is {save_templates}, expected a name that ends in .npz")
+    if probes is None and (save_templates is None or out is not None):
+        raise typer.BadParameter("there are no probes; give --probes (or --save-templates alone)")
     kinds = _kinds(use)
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
@@ -113,15 +118,6 @@ def identify(
         echo_json(record.model_dump(mode="json"))
     else:
         typer.echo(_table(record))
-
-
-def _check_options(probes: Path | None, out: Path | None, combine: str, save_templates: Path | None) -> None:
-    if combine not in COMBINATIONS:
-        raise typer.BadParameter(f"--combine is {combine!r}, expected {' or '.join(COMBINATIONS)}")
-    if save_templates is not None and save_templates.suffix != TEMPLATES:
-        raise typer.BadParameter(f"--save-templates is {save_templates}, expected a name that ends in .npz")
-    if probes is None and (save_templates is None or out is not None):
-        raise typer.BadParameter("there are no probes; give --probes (or --save-templates alone)")
 
 
 def _kinds(use: str) -> tuple[Kind, ...]:

@@ -12,7 +12,6 @@ from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_i
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG
 
 if TYPE_CHECKING:
-    from scan2albedo.applications import ProcessedFace, RelitFace
     from scan2albedo.core import PointLight
 
 LAMP_INTENSITY = 3.0
@@ -74,7 +73,7 @@ def relight(
     sweep: Annotated[
         int | None,
         typer.Option(
-            help="So many places of a light that goes around the face (a GIF goes there and back). "
+            help="Number of places of a light that goes around the face (a GIF goes there and back). "
             "A film of frames in a folder: "
             "ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4",
             min=1,
@@ -90,19 +89,31 @@ def relight(
     lights = [_light(text, lamp_radius) for text in light or ()]
     camera_at = _angles("--view", view, 2, 2)
     extension = out.suffix.lower()
-    _check_output(extension, sweep, texture)
-    _refuse_result_files(result, out)
-    if not lights and environment is None and sweep is None:
-        raise typer.BadParameter("there is no light; give --light, --environment or --sweep")
-    if environment is not None and sweep is not None:
+    if sweep is None and extension not in (*PICTURES, TEXTURED):
+        wanted = ", ".join((*PICTURES, TEXTURED))
+        raise typer.BadParameter(f"-o takes {wanted}, not {extension or 'a name without extension'}")
+    if sweep is not None and extension not in (ANIMATED, ""):
+        raise typer.BadParameter(f"--sweep writes a .gif or a folder of frames, not {extension}")
+    if sweep is not None and texture:
+        raise typer.BadParameter("--sweep writes pictures; leave out --texture")
+    if sweep is not None and environment is not None:
         raise typer.BadParameter("--sweep moves a lamp; leave out --environment")
+    if not lights and environment is None and sweep is None:
+        raise typer.BadParameter("no light is given; add --light, --environment or --sweep")
     if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
         raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
-    from scan2albedo import applications
-    from scan2albedo.applications.light_sweep import FRAMES
-    from scan2albedo.io.images import read_image_linear
-    from scan2albedo.io.run_folder import RunFolder
+    import numpy as np
 
+    from scan2albedo import applications
+    from scan2albedo.applications.files import FACE_FILES
+    from scan2albedo.applications.light_sweep import FRAMES
+    from scan2albedo.io.images import read_image_linear, write_exr, write_image
+    from scan2albedo.io.run_folder import RunFolder
+    from scan2albedo.pipeline.result import FILES as SCAN_FILES
+
+    ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
+    if out.resolve() == result.resolve() or (ours and out.resolve().parent == result.resolve()):
+        raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
     try:
         options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)  # type: ignore[arg-type]
     except ValueError as error:
@@ -112,8 +123,9 @@ def relight(
         RunFolder(out, FRAMES).check()
     face = applications.load_result(result)
     azimuth, elevation = (math.radians(angle) for angle in camera_at)
+    shape = (size, size)
     try:
-        camera = applications.default_camera(face, (size, size), azimuth_rad=azimuth, elevation_rad=elevation)
+        camera = applications.default_camera(face, shape, azimuth_rad=azimuth, elevation_rad=elevation)
     except ValueError as error:
         raise typer.BadParameter(f"--view {view}: {error}") from None
     map_linear = None if environment is None else read_image_linear(environment)
@@ -123,89 +135,27 @@ def relight(
     for note in relit.notes:
         say(f"{face.name}: {note}")
     if sweep is not None:
-        _write_sweep(relit.face, lights, sweep, lamp_radius, ambient, camera, size, exposure, out)
+        places = applications.light_arc(sweep, intensity=LAMP_INTENSITY, radius_deg=lamp_radius)
+        as_prepared = applications.RelightOptions(gloss="found", fill_gaps=False)
+        asked: dict[str, Any] = {"others": lights, "ambient": ambient, "camera": camera, "shape": shape}
+        pictures = list(applications.sweep(relit.face, places, **asked, options=as_prepared))
+        write = applications.write_gif if extension == ANIMATED else applications.write_frames
+        write(out, applications.frames_srgb(pictures, exposure))
+    elif extension == TEXTURED:
+        relit.write_glb(out, exposure=exposure)
     else:
-        _write_relit(relit, camera, size, texture, exposure, out)
+        if texture:
+            picture = applications.Picture(relit.texture_linear, relit.face.mask.astype(np.float32))
+        else:
+            picture = relit.picture(camera, shape=shape)
+        if extension == ".exr":
+            write_exr(out, np.dstack([picture.linear * (exposure or 1.0), picture.alpha]))
+        else:
+            write_image(out, picture.srgb(exposure))
     say(f"{face.name}: relit; {out}")
     if json_summary:
         summary = {"face": face.name, "status": "done", "out": str(out), "lights": len(lights)}
         echo_json({**summary, "notes": list(relit.notes)})
-
-
-def _check_output(extension: str, sweep: int | None, texture: bool) -> None:
-    if sweep is not None:
-        if extension not in (ANIMATED, ""):
-            raise typer.BadParameter(f"--sweep writes a .gif or a folder of frames, not {extension}")
-        if texture:
-            raise typer.BadParameter("--sweep writes pictures; leave out --texture")
-    elif extension not in (*PICTURES, TEXTURED):
-        wanted = ", ".join((*PICTURES, TEXTURED))
-        raise typer.BadParameter(f"-o takes {wanted}, not {extension or 'a name without extension'}")
-
-
-def _refuse_result_files(result: Path, out: Path) -> None:
-    """Refuse to overwrite files of the result itself."""
-    from scan2albedo.applications.files import FACE_FILES
-    from scan2albedo.pipeline.result import FILES as SCAN_FILES
-
-    ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
-    inside = out.resolve().parent == result.resolve() and ours
-    if inside or out.resolve() == result.resolve():
-        raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
-
-
-def _write_sweep(
-    face: ProcessedFace,
-    others: list[PointLight],
-    count: int,
-    lamp_radius: float,
-    ambient: float | None,
-    camera: Any,
-    size: int,
-    exposure: float | None,
-    out: Path,
-) -> None:
-    from scan2albedo import applications
-
-    places = applications.light_arc(count, intensity=LAMP_INTENSITY, radius_deg=lamp_radius)
-    as_prepared = applications.RelightOptions(gloss="found", fill_gaps=False)
-    pictures = list(
-        applications.sweep(
-            face,
-            places,
-            others=others,
-            ambient=ambient,
-            camera=camera,
-            shape=(size, size),
-            options=as_prepared,
-        )
-    )
-    frames = applications.frames_srgb(pictures, exposure)
-    if out.suffix.lower() == ANIMATED:
-        applications.write_gif(out, frames)
-    else:
-        applications.write_frames(out, frames)
-
-
-def _write_relit(
-    relit: RelitFace, camera: Any, size: int, texture: bool, exposure: float | None, out: Path
-) -> None:
-    import numpy as np
-
-    from scan2albedo.applications import Picture
-    from scan2albedo.io.images import write_exr, write_image
-
-    if out.suffix.lower() == TEXTURED:
-        relit.write_glb(out, exposure=exposure)
-        return
-    if texture:
-        picture = Picture(relit.texture_linear, relit.face.mask.astype(np.float32))
-    else:
-        picture = relit.picture(camera, shape=(size, size))
-    if out.suffix.lower() == ".exr":
-        write_exr(out, np.dstack([picture.linear * (1.0 if exposure is None else exposure), picture.alpha]))
-    else:
-        write_image(out, picture.srgb(exposure))
 
 
 def _light(text: str, radius_deg: float) -> PointLight:

@@ -26,11 +26,11 @@ def report(
     """Show what happened to a scan or a batch as one HTML page that needs no network."""
     if path is not None and path.suffix.lower() not in (".html", ".htm"):
         raise typer.BadParameter(f"-o takes a name that ends in .html, not {path}")
-    from scan2albedo.report.html import ReportOptions, write_report
+    from scan2albedo.report.html import write_report
     from scan2albedo.report.html.texts import size_text
 
     stop_cleanly_on_interrupt(None)
-    written = write_report(out, path, options=ReportOptions(scans=scans), on_progress=say)
+    written = write_report(out, path, scans=scans, on_progress=say)
     say(f"{written.path}: {written.scans} scans, {size_text(written.size_bytes)}")
     if json_summary:
         echo_json(

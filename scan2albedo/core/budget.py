@@ -41,18 +41,7 @@ class Budget:
 
 
 def checked_seed(seed: int) -> int:
-    """Return a random seed.
-
-    Parameters
-    ----------
-    seed : int
-        0 or more.
-
-    Raises
-    ------
-    ValueError
-        When it is none: None would give another answer every time.
-    """
+    """Return a random seed, 0 or more; ValueError for others (None would give another answer every time)."""
     if isinstance(seed, Integral) and seed >= 0:
         return int(seed)
     raise ValueError(f"seed is {seed!r}, expected a whole number, 0 or more")

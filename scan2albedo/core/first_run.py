@@ -163,7 +163,7 @@ def _help(number: int, count: int) -> None:
     # From there on a helper stays ahead of the run, which does its work besides.
     ahead = len(kernels) // (count + 2)
     for kernel in (*kernels[ahead:][number::count], *kernels[:ahead][::-1][number::count]):
-        # Whatever fails here is told by the run itself, if it ever comes to it.
+        # What fails here fails in the run itself, too, if it comes to it.
         with contextlib.suppress(Exception):
             kernel.dispatcher().compile(kernel.argument_types())
 

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.arguments import require_linear
 from scan2albedo.errors import GeometryImageError
 
-SMALLEST_SIZE = 8
-LARGEST_SIZE = 16384
+SMALLEST_SIZE, LARGEST_SIZE = 8, 16384
 """A texel takes some hundred bytes on its way: 16384 texels a side are near 30 GB."""
 
 NO_CAMERA = 255
@@ -38,27 +37,12 @@ _LENGTH = 0.01
 """Normals whose length differs from 1 by more are wrong; those shorter than this are not known."""
 
 
-def _checked_occluder(vertices: ArrayLike, faces: ArrayLike) -> Occluder:
-    xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-    if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
-        raise GeometryImageError(
-            f"occluder has vertices {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)"
-        )
-    if not np.isfinite(xyz).all():
-        raise GeometryImageError("occluder holds NaN or infinite vertices")
-    if len(index) and (index.min() < 0 or index.max() >= len(xyz)):
-        raise GeometryImageError(
-            f"occluder has faces that refer to vertices {index.min()} ... {index.max()} of {len(xyz)}"
-        )
-    return xyz, index
-
-
 @dataclass(frozen=True)
 class GeometryImage:
     """Position, normal, texture and annotation per texel; row 0 is v = 1 (the forehead).
 
     Raises GeometryImageError for shapes that disagree, values that are not finite inside the mask, skin
-    beyond 0 to 1, a texture in integers, or an occluder that is no mesh.
+    beyond 0 to 1, a texture in integers, or an occluder that is not a mesh.
     """
 
     position: NDArray[np.float64]
@@ -112,26 +96,33 @@ class GeometryImage:
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
         if self.skin is not None and not ((self.skin >= 0) & (self.skin <= 1))[self.mask].all():
             raise GeometryImageError("skin holds values beyond 0 to 1 inside the mask")
-        self._check_cameras()
-        if self.occluder is not None:
-            object.__setattr__(self, "occluder", _checked_occluder(*self.occluder))
-
-    def _check_cameras(self) -> None:
-        if self.camera is None and self.camera_positions is None:
-            return
-        if self.camera is None or self.camera_positions is None:
+        if (self.camera is None) != (self.camera_positions is None):
             raise GeometryImageError("camera and camera_positions belong together, and one of them is None")
-        positions = np.array(self.camera_positions, np.float64)
-        if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
-            raise GeometryImageError(
-                f"camera_positions has shape {positions.shape}, expected (K, 3), finite numbers"
-            )
-        unknown = (self.camera >= len(positions)) & (self.camera != NO_CAMERA)
-        if unknown.any():
-            raise GeometryImageError(
-                f"camera refers to number {self.camera[unknown].max()} of {len(positions)} cameras"
-            )
-        object.__setattr__(self, "camera_positions", positions)
+        if self.camera is not None:
+            positions = np.array(self.camera_positions, np.float64)
+            if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
+                raise GeometryImageError(
+                    f"camera_positions has shape {positions.shape}, expected (K, 3), finite numbers"
+                )
+            unknown = (self.camera >= len(positions)) & (self.camera != NO_CAMERA)
+            if unknown.any():
+                raise GeometryImageError(
+                    f"camera refers to number {self.camera[unknown].max()} of {len(positions)} cameras"
+                )
+            object.__setattr__(self, "camera_positions", positions)
+        if self.occluder is not None:
+            xyz, index = np.asarray(self.occluder[0], np.float64), np.asarray(self.occluder[1], np.int64)
+            if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
+                raise GeometryImageError(
+                    f"occluder has vertices {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)"
+                )
+            if not np.isfinite(xyz).all():
+                raise GeometryImageError("occluder holds NaN or infinite vertices")
+            if len(index) and (index.min() < 0 or index.max() >= len(xyz)):
+                raise GeometryImageError(
+                    f"occluder has faces that refer to vertices {index.min()} ... {index.max()} of {len(xyz)}"
+                )
+            object.__setattr__(self, "occluder", (xyz, index))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -145,7 +136,7 @@ class GeometryImage:
 
     @property
     def border(self) -> NDArray[np.bool_]:
-        """(H, W) texels of the surface with a side neighbour that is none: the chart's rim, or its seams."""
+        """(H, W) texels of the surface with a side neighbour outside it: the chart's rim, or its seams."""
         padded = np.pad(self.mask, 1)
         surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
         return self.mask & ~surrounded
@@ -230,10 +221,8 @@ def wound_like(
 
 def check_size(size: int) -> None:
     """Raise GeometryImageError unless `size` is a whole number from `SMALLEST_SIZE` to `LARGEST_SIZE`."""
-    if isinstance(size, Integral) and SMALLEST_SIZE <= size <= LARGEST_SIZE:
-        return
-    reason = "too small" if isinstance(size, Integral) and size < SMALLEST_SIZE else "no size"
-    raise GeometryImageError(
-        f"size {size} is {reason} for a geometry image; give a whole number of texels, {SMALLEST_SIZE} to "
-        f"{LARGEST_SIZE}"
-    )
+    if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= LARGEST_SIZE:
+        raise GeometryImageError(
+            f"size {size} does not suit a geometry image; give a whole number of texels, {SMALLEST_SIZE} to "
+            f"{LARGEST_SIZE}"
+        )

@@ -58,7 +58,7 @@ class PlacedLandmarks:
                 f"landmark {partly[0]} is {points[partly[0]].tolist()}, expected three finite coordinates"
             )
         if unknown.all():
-            raise ScanError("there is no landmark among the landmarks; give at least one, or leave them out")
+            raise ScanError("no landmark among the 68 is given; give at least one, or leave them out")
         if not (sigma_mm > 0).all() or not np.isfinite(sigma_mm).all():
             raise ScanError("a landmark's standard deviation must be finite and above 0 mm")
         object.__setattr__(self, "points", points)
@@ -68,30 +68,29 @@ class PlacedLandmarks:
     def of(cls, given: Any, mm_per_unit: float = 1.0) -> PlacedLandmarks:
         """Return landmarks given as {number: (3,)} or a (68, 3) array with NaN, in a scan's unit.
 
-        Raises ScanError for numbers that are none of the 68 and what `PlacedLandmarks` refuses, TypeError for
-        other objects.
+        Raises ScanError for unknown numbers and what `PlacedLandmarks` refuses, TypeError for other objects.
         """
         if isinstance(given, PlacedLandmarks):
             return given
-        sigma_mm = np.full(COUNT, PLACED_SIGMA_MM)
-        if not isinstance(given, Mapping):
-            if not isinstance(given, np.ndarray | list | tuple):
-                raise TypeError(
-                    f"landmarks are of type {type(given).__name__}, expected a file, "
-                    "{number: (x, y, z)} or a (68, 3) array"
-                )
+        if isinstance(given, Mapping):
+            points = np.full((COUNT, 3), np.nan)
+            for number, point in given.items():
+                if not isinstance(number, Integral) or int(number) not in range(COUNT):
+                    raise ScanError(f"unknown landmark {number!r}; iBUG-68 has numbers from 0 to {COUNT - 1}")
+                if np.shape(point) != (3,) or not all(isinstance(value, Real) for value in point):
+                    raise ScanError(f"landmark {number} is {point!r}, expected three coordinates")
+                points[int(number)] = point
+        elif isinstance(given, np.ndarray | list | tuple):
             try:
-                return cls(np.asarray(given, np.float64) * mm_per_unit, sigma_mm)
+                points = np.asarray(given, np.float64)
             except (ValueError, TypeError) as error:
-                raise ScanError(f"landmarks are no (68, 3) array of numbers: {error}") from error
-        points = np.full((COUNT, 3), np.nan)
-        for number, point in given.items():
-            if not isinstance(number, Integral) or int(number) not in range(COUNT):
-                raise ScanError(f"there is no landmark {number!r}; iBUG-68 has numbers from 0 to {COUNT - 1}")
-            if np.shape(point) != (3,) or not all(isinstance(value, Real) for value in point):
-                raise ScanError(f"landmark {number} is {point!r}, expected three coordinates")
-            points[int(number)] = point
-        return cls(points * mm_per_unit, sigma_mm)
+                raise ScanError(f"landmarks are not a (68, 3) array of numbers: {error}") from error
+        else:
+            raise TypeError(
+                f"landmarks are of type {type(given).__name__}, expected a file, "
+                "{number: (x, y, z)} or a (68, 3) array"
+            )
+        return cls(points * mm_per_unit, np.full(COUNT, PLACED_SIGMA_MM))
 
     @property
     def placed(self) -> BoolArray:
@@ -101,8 +100,3 @@ class PlacedLandmarks:
     def scaled(self, factor: float) -> PlacedLandmarks:
         """Return the points of the scan made `factor` times as large."""
         return replace(self, points=self.points * factor)
-
-    def without(self, numbers: BoolArray) -> PlacedLandmarks | None:
-        """Return all but those marked in `numbers` (68,); None when none is left."""
-        points = np.where(numbers[:, None], np.nan, self.points)
-        return None if np.isnan(points).all() else replace(self, points=points)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
@@ -31,6 +32,9 @@ class PlanStep:
     """"did" or "left out" by `ran`; "doubt" for what a person should check, "wrong" for a known fault."""
 
     def __post_init__(self) -> None:
+        # No threshold at infinity, no zero with a sign.
+        finite = re.sub(r" \(inf[^()]* asked\)", "", self.evidence)
+        object.__setattr__(self, "evidence", re.sub(r"(?<![\w.])-(0(?:\.0+)?)(?![\w.])", r"\1", finite))
         if not self.ran and self.level == "did":
             object.__setattr__(self, "level", "left out")
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-_MEAN_TOLERANCE = 1e-6
 LAMP_RADIUS_DEG = 4.0
 """Angular radius of a usual lamp for portraits: 30 cm across, two metres away."""
 
@@ -43,7 +42,7 @@ class PointLight:
         if not self.distance_mm > 0:
             raise ValueError(f"{self}: distance_mm must be above 0; inf is a distant light")
         color = self.color_linear
-        if len(color) != 3 or not (min(color) >= 0 and abs(sum(color) / 3 - 1) <= _MEAN_TOLERANCE):
+        if len(color) != 3 or not (min(color) >= 0 and round(sum(color) / 3 - 1, 5) == 0):
             raise ValueError(f"{self}: color_linear must be three numbers, 0 or more, whose mean is 1")
         if not 0 <= self.radius_deg < 90:
             raise ValueError(f"{self}: radius_deg must be from 0, a point, to below 90")

@@ -77,7 +77,7 @@ class RawScan:
 
     Raises ScanError for wrong shapes, no faces, an empty texture, non-finite or absurdly large numbers, face
     indices out of range, a unit of no length, or a name that names no folder; TypeError for colours in
-    integers. Warns of colours that are hardly linear light, unless `notes` say so already.
+    integers. Warns of colours that are hardly linear light, and says so in `notes`, once.
     """
 
     vertices: NDArray[np.float64]
@@ -156,6 +156,7 @@ class RawScan:
         for what, values in colors.items():
             if values is not None and (doubt := linear_doubt(what, values)) and doubt not in self.notes:
                 warnings.warn(f"{self.name}: {doubt}", UserWarning, stacklevel=3)
+                object.__setattr__(self, "notes", (*self.notes, doubt))
 
     def _checked(self, field: str, value: object, dtype: type, shape: tuple[int | None, ...]):  # type: ignore[no-untyped-def]
         array = np.ascontiguousarray(value)

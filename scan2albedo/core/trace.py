@@ -10,17 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-_PANELS_A_ROW = 6
-_LOG_FROM = 5.0
-"""Ratio of errors from which their axis is logarithmic: within a decade it has hardly a number on it."""
-_SHORT_S = 0.1
-"""Stages that take less are drawn in milliseconds."""
-_TICKS = 5
-"""Intervals between labels of an axis, at most: more overlap."""
 
 
 @dataclass(frozen=True)
@@ -91,55 +81,38 @@ class Trace:
     def plot(self) -> Figure:
         """Draw error against elapsed seconds, one panel a stage, and return the matplotlib figure.
 
-        A stage that ran twice has two curves, each over the time since its own run began.
+        A stage that ran twice has two curves, each over the time since its own run began; an error that does
+        not change is written, for it makes no curve.
         """
         from matplotlib.figure import Figure
+        from matplotlib.ticker import MaxNLocator
 
         stages = self.stages or ("nothing recorded",)
-        columns = min(len(stages), _PANELS_A_ROW)
-        rows_of_panels = -(-len(stages) // columns)
-        figure = Figure(figsize=(4.2 * columns, 3.2 * rows_of_panels), layout="constrained")
-        axes = figure.subplots(rows_of_panels, columns, squeeze=False).ravel()
-        for unused in axes[len(stages) :]:
-            unused.set_axis_off()
-        for axis, stage in zip(axes, stages, strict=False):
-            axis.set_title(stage)
-            _draw(axis, self.of_stage(stage))
+        columns = min(len(stages), 6)
+        panel_rows = -(-len(stages) // columns)
+        figure = Figure(figsize=(4.2 * columns, 3.2 * panel_rows), layout="constrained")
+        for number, stage in enumerate(stages, start=1):
+            axis = figure.add_subplot(panel_rows, columns, number, title=stage)
+            found = self.of_stage(stage)
+            errors = [row.error for row in found]
+            if len(set(errors)) < 2:
+                axis.set_axis_off()
+                for last in found.rows[-1:]:
+                    spent = f"{last.evaluations} evaluations, {last.elapsed_s:.3g} s"
+                    text = f"{last.error:.3g} {last.unit}\n{spent}"
+                    axis.text(0.5, 0.5, text, ha="center", va="center", transform=axis.transAxes)
+                continue
+            runs = found.runs()
+            for count, run in enumerate(runs, start=1):
+                times, reached = [row.elapsed_s for row in run], [row.error for row in run]
+                axis.plot(times, reached, marker=".", linewidth=1, label=f"run {count}")
+            if len(runs) > 1:
+                axis.legend(fontsize=8)
+            axis.set(xlabel="elapsed [s]", ylabel=f"error [{found.rows[0].unit}]")
+            # Within half a decade an axis in logarithms has hardly a number on it.
+            if 0 < 5 * min(errors) < max(errors):
+                axis.set_yscale("log")
+            axis.xaxis.set_major_locator(MaxNLocator(3))
+            axis.ticklabel_format(axis="x", useOffset=False, style="plain")
+            axis.grid(True, which="both", alpha=0.3)
         return figure
-
-
-def _draw(axis: Axes, trace: Trace) -> None:
-    """Draw one stage's error against its run time; a single error is told in words, for it makes no curve."""
-    from matplotlib.ticker import MaxNLocator
-
-    rows, runs = trace.rows, trace.runs()
-    errors = [row.error for row in rows]
-    if len(set(errors)) < 2:
-        told = "nothing recorded"
-        if rows:
-            done = "evaluation" if rows[-1].evaluations == 1 else "evaluations"
-            told = (
-                f"{errors[0]:.3g} {rows[0].unit}\n{rows[-1].evaluations} {done}, {_span(rows[-1].elapsed_s)}"
-            )
-        axis.set_axis_off()
-        axis.text(0.5, 0.5, told, ha="center", va="center", transform=axis.transAxes)
-        return
-    short = max(row.elapsed_s for row in rows) < _SHORT_S
-    for number, run in enumerate(runs, start=1):
-        times, reached = [row.elapsed_s * (1000 if short else 1) for row in run], [row.error for row in run]
-        axis.plot(times, reached, marker=".", linewidth=1, label=f"run {number}")
-    if len(runs) > 1:
-        axis.legend(fontsize=8)
-    axis.set_xlabel("elapsed [ms]" if short else "elapsed [s]")
-    axis.set_ylabel(f"error [{rows[0].unit}]")
-    axis.xaxis.set_major_locator(MaxNLocator(_TICKS))
-    if min(errors) > 0 and max(errors) > _LOG_FROM * min(errors):
-        axis.set_yscale("log")
-    else:
-        axis.yaxis.set_major_locator(MaxNLocator(_TICKS))
-    axis.ticklabel_format(axis="x", useOffset=False, style="plain")
-    axis.grid(True, which="both", alpha=0.3)
-
-
-def _span(seconds: float) -> str:
-    return f"{1000 * seconds:.3g} ms" if seconds < _SHORT_S else f"{seconds:.3g} s"

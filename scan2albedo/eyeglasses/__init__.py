@@ -1,8 +1,8 @@
 """Eyeglasses, after the supplement of Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023.
 
 S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning) and
-`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`. `files`
-holds what people exchange, `app` the runs of the commands.
+`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files
+that people exchange: `frame_files`, `view_files`.
 """
 
 from scan2albedo.eyeglasses.canonical.canonicalization import (
@@ -11,27 +11,15 @@ from scan2albedo.eyeglasses.canonical.canonicalization import (
     CanonicalSet,
     canonicalize,
 )
-from scan2albedo.eyeglasses.files.camera_files import (
-    Camera,
-    read_cameras,
-    read_masks,
-    write_cameras,
-    write_masks,
-)
-from scan2albedo.eyeglasses.files.frame_files import (
+from scan2albedo.eyeglasses.frame_files import (
     read_canonical,
+    read_keypoints,
     read_registered,
     read_start,
     write_canonical,
+    write_keypoints,
     write_registered,
     write_start,
-)
-from scan2albedo.eyeglasses.files.keypoint_files import (
-    ViewLabels,
-    read_keypoints,
-    read_labels,
-    write_keypoints,
-    write_labels,
 )
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, lens_mesh
@@ -39,11 +27,20 @@ from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, LensPictureO
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, RefractedRays, ThinLens, refract
 from scan2albedo.eyeglasses.lenses.rims import LensRim, find_lens_rim
 from scan2albedo.eyeglasses.lenses.scenes import Surface
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions, RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
-from scan2albedo.eyeglasses.on_face.triangulation import TriangulatedPoints, triangulate
+from scan2albedo.eyeglasses.on_face.start_poses import TriangulatedPoints, triangulate
 from scan2albedo.eyeglasses.skinning import skin
-from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
+from scan2albedo.eyeglasses.view_files import (
+    Camera,
+    ViewLabels,
+    read_cameras,
+    read_labels,
+    read_masks,
+    write_cameras,
+    write_labels,
+    write_masks,
+)
 from scan2albedo.eyeglasses.weighting.weights import (
     BoundedBiharmonicWeights,
     bounded_biharmonic_weights,
@@ -76,7 +73,6 @@ __all__ = [
     "ThinLens",
     "TriangulatedPoints",
     "ViewLabels",
-    "WeightOptions",
     "bounded_biharmonic_weights",
     "canonicalize",
     "distant_directions",

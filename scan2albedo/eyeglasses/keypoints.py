@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from typing import NamedTuple
 
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
 
 
-@dataclass(frozen=True)
-class KeyPointPlace:
+class KeyPointPlace(NamedTuple):
     """Where a key point goes: of the frame's middle, or of each side (`name` without the side)."""
 
     name: str
@@ -23,104 +23,53 @@ class KeyPointPlace:
     """On a typical frame, of the left one: x to the wearer's left, y up, z to the front."""
 
 
-_LEFT_OUT = "leave out, or null"
+_ABSENT = "leave out, or null"
 _RIMLESS = "rimless: the same place on the lens's edge; without lenses null"
-_BRIDGE_PLACES = (
-    KeyPointPlace(
-        "bridge_top",
-        "top of the bridge, in its middle; of two bridges the upper one",
-        "surface",
-        _LEFT_OUT,
-        (0, 15, 0),
-    ),
-    KeyPointPlace(
-        "bridge_bottom",
-        "underside of the bridge, in its middle; of two bridges the lower one",
-        "surface",
-        _LEFT_OUT,
-        (0, 10, 0),
-    ),
+_BARE = f"no temples: {_ABSENT}"
+_OUTER_HINGE = "no temples: the front's outermost place"
+_EAR = "where the temple turns down behind the ear; of a straight one two thirds from the hinge to the tip"
+_OUTSIDE = "surface, outside"
+KEY_POINT_PLACES = tuple(
+    KeyPointPlace(*row)
+    for row in (
+        ("bridge_top", "top of the bridge, in its middle; of two bridges the upper one", "surface")
+        + (_ABSENT, (0, 15, 0)),
+        ("bridge_bottom", "underside of the bridge, in its middle; of two bridges the lower one", "surface")
+        + (_ABSENT, (0, 10, 0)),
+        ("rim_top", "highest place of the rim", _OUTSIDE, _RIMLESS, (37, 22, -3)),
+        ("rim_bridge", "where the (lower) bridge meets the rim", "surface, lens side")
+        + (_RIMLESS, (14, 10, 0)),
+        ("rim_inner", "the rim's side at the nose, below the bridge", _OUTSIDE, _RIMLESS, (12, -13, 0)),
+        ("rim_bottom", "lowest place of the rim", _OUTSIDE, _RIMLESS, (37, -22, -3)),
+        ("rim_outer", "the rim's side at the temple, below the hinge", _OUTSIDE, _RIMLESS, (62, -13, -7)),
+        ("hinge", "where the temple leaves the front", _OUTSIDE, _OUTER_HINGE, (68, 11, -8)),
+        ("temple_middle", "half way from the hinge to the ear bend", _OUTSIDE, _BARE, (71, 11, -62)),
+        ("ear_bend", _EAR, _OUTSIDE, _BARE, (74, 8, -117)),
+        ("temple_tip", "end of the temple", "middle of the end", _BARE, (74, -18, -144)),
+    )
 )
-_SIDE_PLACES = (
-    KeyPointPlace("rim_top", "highest place of the rim", "surface, outside", _RIMLESS, (37, 22, -3)),
-    KeyPointPlace(
-        "rim_bridge", "where the (lower) bridge meets the rim", "surface, lens side", _RIMLESS, (14, 10, 0)
-    ),
-    KeyPointPlace(
-        "rim_inner",
-        "the rim's side at the nose, below the bridge",
-        "surface, outside",
-        _RIMLESS,
-        (12, -13, 0),
-    ),
-    KeyPointPlace("rim_bottom", "lowest place of the rim", "surface, outside", _RIMLESS, (37, -22, -3)),
-    KeyPointPlace(
-        "rim_outer",
-        "the rim's side at the temple, below the hinge",
-        "surface, outside",
-        _RIMLESS,
-        (62, -13, -7),
-    ),
-    KeyPointPlace(
-        "hinge",
-        "where the temple leaves the front",
-        "surface, outside",
-        "no temples: the front's outermost place",
-        (68, 11, -8),
-    ),
-    KeyPointPlace(
-        "temple_middle",
-        "half way from the hinge to the ear bend",
-        "surface, outside",
-        "no temples: leave out, or null",
-        (71, 11, -62),
-    ),
-    KeyPointPlace(
-        "ear_bend",
-        "where the temple turns down behind the ear; of a straight one two thirds from the hinge to the tip",
-        "surface, outside",
-        "no temples: leave out, or null",
-        (74, 8, -117),
-    ),
-    KeyPointPlace(
-        "temple_tip",
-        "end of the temple",
-        "middle of the end",
-        "no temples: leave out, or null",
-        (74, -18, -144),
-    ),
-)
-KEY_POINT_PLACES = (*_BRIDGE_PLACES, *_SIDE_PLACES)
 """Where the key points go, those of a side once."""
-_SIDE_BONES = (
-    ("hinge", "rim_top"),
-    ("rim_top", "rim_bridge"),
-    ("rim_bridge", "rim_inner"),
-    ("rim_inner", "rim_bottom"),
-    ("rim_bottom", "rim_outer"),
-    ("rim_outer", "hinge"),
-    ("hinge", "temple_middle"),
-    ("temple_middle", "ear_bend"),
-    ("ear_bend", "temple_tip"),
-)
-
+_SIDE = tuple(place.name for place in KEY_POINT_PLACES[2:])
 KEY_POINT_NAMES: tuple[str, ...] = (
-    *(place.name for place in _BRIDGE_PLACES),
-    *(f"{side}_{place.name}" for side in ("left", "right") for place in _SIDE_PLACES),
+    *(place.name for place in KEY_POINT_PLACES[:2]),
+    *(f"{side}_{name}" for side in ("left", "right") for name in _SIDE),
 )
 """Names in the order of all (20, 3) arrays. Left and right are the wearer's; `KEY_POINT_PLACES` says where
 they go."""
 KEY_POINT_COUNT = len(KEY_POINT_NAMES)
-
 MIRROR: tuple[int, ...] = (0, 1, *range(11, 20), *range(2, 11))
 """Index of each key point's counterpart on the other side."""
+
+_RING = ("hinge", "rim_top", "rim_bridge", "rim_inner", "rim_bottom", "rim_outer", "hinge")
+_TEMPLE = ("hinge", "temple_middle", "ear_bend", "temple_tip")
 
 
 def _bones() -> tuple[tuple[int, int], ...]:
     number = {name: index for index, name in enumerate(KEY_POINT_NAMES)}
     pairs = [("bridge_top", "bridge_bottom")]
     for side in ("left", "right"):
-        pairs += [(f"{side}_{a}", f"{side}_{b}") for a, b in _SIDE_BONES]
+        for chain in (_RING, _TEMPLE):
+            pairs += [(f"{side}_{a}", f"{side}_{b}") for a, b in itertools.pairwise(chain)]
         pairs += [(f"bridge_{end}", f"{side}_rim_bridge") for end in ("top", "bottom")]
     return tuple((number[a], number[b]) for a, b in pairs)
 
@@ -129,9 +78,8 @@ SKELETON: tuple[tuple[int, int], ...] = _bones()
 """Pairs of key points that one stretch of the frame joins: both rims, the bridge, both temples."""
 
 
-def _tree(root: int) -> tuple[int, ...]:
-    """Return each key point's parent on the shortest way to the root, -1 for the root itself."""
-    parents, queue = {root: -1}, [root]
+def _tree() -> tuple[int, ...]:
+    parents, queue = {0: -1}, [0]
     for joint in queue:
         for neighbour in sorted(j for bone in SKELETON if joint in bone for j in bone):
             if neighbour not in parents:
@@ -140,24 +88,12 @@ def _tree(root: int) -> tuple[int, ...]:
     return tuple(parents[k] for k in range(KEY_POINT_COUNT))
 
 
-PARENTS: tuple[int, ...] = _tree(0)
-"""A tree of bones that hangs on the top of the bridge: rims and bridge are circles, cut once each."""
+PARENTS: tuple[int, ...] = _tree()
+"""Each key point's parent in a tree of bones that hangs on the top of the bridge, whose own is -1: rims and
+bridge are circles, cut once each."""
 
 
 def typical_key_points() -> FloatArray:
     """Return the key points (20, 3) of a typical frame in mm: x to the left, y up, z to the front."""
     left = np.array([place.typical_mm for place in KEY_POINT_PLACES], np.float64)
-    return np.concatenate([left, left[len(_BRIDGE_PLACES) :] * [-1, 1, 1]])
-
-
-def key_point_rows() -> list[tuple[str, str, str, str]]:
-    """Return the table of key points: names, places, spots on the tube, and what to do if there is none."""
-    return [
-        (
-            place.name if place in _BRIDGE_PLACES else f"left_{place.name}, right_{place.name}",
-            place.where,
-            place.spot,
-            place.absent,
-        )
-        for place in KEY_POINT_PLACES
-    ]
+    return np.concatenate([left, left[2:] * [-1, 1, 1]])

@@ -80,15 +80,11 @@ def skin(
     across = np.asarray(normals, np.float64)
     if across.shape != xyz.shape:
         raise ValueError(f"normals must have shape {xyz.shape} like vertices, got {across.shape}")
-    return moved, normalized(_inverse_transpose_directions(blended[:, :, :3], across))
-
-
-def _inverse_transpose_directions(linear: FloatArray, directions: FloatArray) -> FloatArray:
-    """Return (V, 3) vectors parallel to B^-T n by the cofactors of B, which exist where B is singular too."""
-    a, b, c = linear[:, :, 0], linear[:, :, 1], linear[:, :, 2]
+    # Parallel to B^-T n by the cofactors of B, which exist where B is singular too.
+    a, b, c = blended[:, :, 0], blended[:, :, 1], blended[:, :, 2]
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 2)
     mirrored = np.where(np.einsum("vi,vi->v", a, cofactors[:, :, 0]) < 0, -1.0, 1.0)
-    return mirrored[:, None] * np.einsum("vij,vj->vi", cofactors, directions)
+    return moved, normalized(mirrored[:, None] * np.einsum("vij,vj->vi", cofactors, across))
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:

@@ -1,6 +1,5 @@
-"""The Annotated Face Model, the default one and templates of your own."""
+"""The annotated surface that the stages work on, the default one and files of others."""
 
-from scan2albedo.face_model.annotation import Region
-from scan2albedo.face_model.model import AnnotatedFaceModel, chosen_model
+from scan2albedo.face_model.annotation import AnnotatedSurface, Region, default_model
 
-__all__ = ["AnnotatedFaceModel", "Region", "chosen_model"]
+__all__ = ["AnnotatedSurface", "Region", "default_model"]

@@ -1,24 +1,35 @@
-"""An annotated surface: the limit surface of a Loop control mesh with regions, landmarks and one chart."""
+"""An annotated surface: the limit surface of a Loop control mesh with regions, landmarks and one chart.
+
+On disk it is `afm.json` with the annotation, and an .npz beside it with the arrays.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
+from importlib.resources import files
+from pathlib import Path
 from types import MappingProxyType
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.io.npz import Arrays, read_npz, write_npz
+from scan2albedo.io.records import read_record, write_record
 
 LANDMARK_LEVELS = 3
 """Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
 MOUTH_REGION = "between_lips"
 """The film between the lips, which closes the model's surface. It is no skin: no scan pulls at it."""
+REST_REGION, FILLED_REGION = "face", "filled"
+"""Of models made from templates: what is in no region, and the faces over the template's own holes."""
 SKIN_SHARE: Mapping[str, float] = MappingProxyType(
     {
         **dict.fromkeys(("left_brow", "right_brow"), 0.8),
@@ -63,14 +74,14 @@ class AnnotatedSurface:
 
     `control_vertices` (C, 3) in mm: +x the subject's left, +y up, +z out of the face, origin at the centroid.
     `control_faces` (F, 3) form a disc, counter-clockwise seen from outside. `uv` (C, 2) is one continuous
-    flip-free chart in the unit square, u grows with +x, v with +y. `region` (F,) uint8 indexes the regions.
+    flip-free chart in the unit square, u grows with +x, v with +y. `region` (F,) uint8 indexes the `regions`.
     `landmark_points` are 68 in iBUG-68 order on the control faces, or None.
 
     A surface made by `from_mesh` also has `template_points`, the place of each dense template vertex,
     `template_offset` (T, 3), vertex minus that surface point at rest in the point's local frame or zeros,
     `template_faces` (T_F, 3), where it has them `template_uv` (T_F, 3, 2), texture coordinates of their
     corners, `template_from_model` (4, 4), the similarity from the model's frame in mm to
-    the template's own axes, origin and unit, and `notes`, a sentence for each thing decided and mended.
+    the template's own axes, origin and unit, `notes`, a sentence for each thing decided and mended, `name`.
 
     .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
        Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
@@ -104,6 +115,64 @@ class AnnotatedSurface:
             raise ModelError(
                 f"{self.name}: faces carry region indices {unknown} that `regions` does not name"
             )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a model from its JSON file; raises `ModelError` when files are damaged or do not match."""
+        entry = read_record(
+            path,
+            FaceModelFile,
+            what="face model",
+            advice="give the .json file of a model (data_schemas/annotated_face_model.schema.json)",
+            error=ModelError,
+        )
+        file = Path(path).with_name(entry.arrays)
+        advice = "copy it beside its .json file again"
+        arrays = read_npz(file, what="face model", advice=advice, error=ModelError)
+        _check_arrays(entry, arrays, file)
+        found: dict[str, Any] = {
+            name: arrays[name].astype(np.int64 if kind is np.int32 else kind)
+            for name, kind in _STORED.items()
+            if name in arrays
+        }
+        for prefix in ("landmark", "template"):
+            if f"{prefix}_face" in arrays:
+                face, barycentric = arrays[f"{prefix}_face"], arrays[f"{prefix}_barycentric"]
+                points = SurfacePoints(face.astype(np.int64), barycentric.astype(np.float64))
+                found[f"{prefix}_points"] = points
+        regions = {name: Region(name, **region.model_dump()) for name, region in entry.regions.items()}
+        return cls(**found, regions=regions, notes=tuple(entry.notes), name=entry.name)
+
+    def save(self, path: str | Path) -> None:
+        """Write `path` (.json) and, beside it, the arrays in `<stem>.npz`; same model, same bytes."""
+        file = Path(path).with_suffix(".npz")
+        arrays: Arrays = {
+            name: getattr(self, name).astype(kind)
+            for name, kind in _STORED.items()
+            if getattr(self, name) is not None
+        }
+        for prefix in ("landmark", "template"):
+            points = getattr(self, f"{prefix}_points")
+            if points is not None:
+                arrays[f"{prefix}_face"] = points.face.astype(np.int32)
+                arrays[f"{prefix}_barycentric"] = points.barycentric.astype(np.float64)
+        entry = FaceModelFile(
+            format="scan2albedo-afm-1",
+            name=self.name,
+            arrays=file.name,
+            control_vertices=len(self.control_vertices),
+            control_faces=len(self.control_faces),
+            landmarks=68 if self.landmark_points is not None else 0,
+            template_vertices=len(arrays.get("template_face", ())),
+            template_faces=len(arrays.get("template_faces", ())),
+            notes=list(self.notes),
+            regions={
+                name: RegionEntry(**{key: value for key, value in vars(region).items() if key != "name"})
+                for name, region in self.regions.items()
+            },
+        )
+        write_npz(file, arrays, what="face model", compression=6)
+        write_record(path, entry)
 
     def subdivision(self, levels: int) -> LoopSubdivision:
         """Return the (cached) limit-surface matrices after `levels` refinements."""
@@ -185,3 +254,104 @@ def surface_frames(corners: FloatArray) -> FloatArray:
     edge = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     return np.stack([edge, np.cross(normal, edge), normal], axis=2)
+
+
+@lru_cache(maxsize=1)
+def default_model() -> AnnotatedSurface:
+    """Return the model that ships with the package (cached)."""
+    return AnnotatedSurface.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))
+
+
+_STORED: dict[str, type[np.generic]] = {
+    "control_vertices": np.float64,
+    "control_faces": np.int32,
+    "uv": np.float64,
+    "region": np.uint8,
+    "template_offset": np.float64,
+    "template_from_model": np.float64,
+    "template_faces": np.int32,
+    "template_uv": np.float64,
+}
+"""Type on disk of the fields that are arrays; integers have 64 bits in memory."""
+
+
+class RegionEntry(BaseModel):
+    """One region, as in `annotation.Region`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    index: int = Field(ge=0, le=254, description="value of the `region` array")
+    stiffness: float = Field(gt=0, description="relative stiffness in the fit, 1 = average")
+    specular_scale: float = Field(ge=0, description="relative strength of highlights, 1 = average skin")
+    inpaint: bool = Field(description="whether saturated texels may be filled there")
+
+
+class FaceModelFile(BaseModel):
+    """Annotated Face Model: its annotation, and which arrays its .npz file holds.
+
+    These are control_vertices (C, 3) mm, control_faces (F, 3), uv (C, 2), region (F,), and where the counts
+    below are not 0 landmark_face (68,) with landmark_barycentric (68, 3), template_face (T,),
+    template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3), template_uv (T_F, 3, 2),
+    template_from_model (4, 4).
+    """
+
+    model_config = ConfigDict(extra="forbid", title="scan2albedo annotated face model")
+
+    format: Literal["scan2albedo-afm-1"] = Field(description="name and version of this format")
+    name: str
+    unit: Literal["mm"] = "mm"
+    frame: Literal["+x subject's left, +y up, +z out of the face"] = (
+        "+x subject's left, +y up, +z out of the face"
+    )
+    arrays: str = Field(description="file name of the .npz, in the same folder", pattern=r"^[^/\\]+\.npz$")
+    control_vertices: int = Field(ge=3, description="C")
+    control_faces: int = Field(ge=1, description="F")
+    landmarks: Literal[0, 68] = Field(description="0, or 68 in iBUG order")
+    template_vertices: int = Field(ge=0, description="T, 0 when the model carries no dense template")
+    template_faces: int = Field(ge=0, description="T_F")
+    notes: list[str] = Field(default=[], description="what was decided and mended when the model was made")
+    regions: dict[str, RegionEntry] = Field(description="by name, for example left_cheek")
+
+
+def _check_arrays(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
+    expected: dict[str, tuple[int, ...]] = {
+        "control_vertices": (entry.control_vertices, 3),
+        "control_faces": (entry.control_faces, 3),
+        "uv": (entry.control_vertices, 2),
+        "region": (entry.control_faces,),
+    }
+    if entry.landmarks:
+        expected |= {"landmark_face": (68,), "landmark_barycentric": (68, 3)}
+    if entry.template_vertices:
+        expected |= {
+            "template_face": (entry.template_vertices,),
+            "template_barycentric": (entry.template_vertices, 3),
+        }
+    if "template_offset" in arrays:
+        expected["template_offset"] = (entry.template_vertices, 3)
+    if "template_from_model" in arrays:
+        expected["template_from_model"] = (4, 4)
+    if entry.template_faces:
+        expected["template_faces"] = (entry.template_faces, 3)
+    if "template_uv" in arrays:
+        expected["template_uv"] = (entry.template_faces, 3, 2)
+    for name, shape in expected.items():
+        got = arrays[name].shape if name in arrays else None
+        if got != shape:
+            found = "missing" if got is None else f"of shape {got}"
+            raise ModelError(
+                f"face model: {name} in {path} is {found}, the .json file says {shape}; "
+                "the two files do not belong together"
+            )
+    for name, values in arrays.items():
+        if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
+            raise ModelError(f"face model: {name} in {path} holds NaN or infinite values")
+    limits = {
+        "control_faces": entry.control_vertices,
+        "landmark_face": entry.control_faces,
+        "template_face": entry.control_faces,
+        "template_faces": entry.template_vertices,
+    }
+    for name, limit in limits.items():
+        if name in arrays and (arrays[name].min() < 0 or arrays[name].max() >= limit):
+            raise ModelError(f"face model: {name} in {path} points outside 0 ... {limit - 1}")

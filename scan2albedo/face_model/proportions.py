@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import default_model
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 UPPER = np.arange(17, 48)
@@ -57,7 +57,7 @@ def proportions(landmarks: FloatArray) -> Proportions:
     Width, height and depth are the diagonal of the stretch in the affine map (a rotation after a stretch)
     that takes the default model's landmarks to these in the least-squares sense.
     """
-    reference = AnnotatedFaceModel.default().landmarks
+    reference = default_model().landmarks
     assert reference is not None
     stretch = _stretch(reference[UPPER_AND_SIDES], landmarks[UPPER_AND_SIDES])
     width, height, depth = np.log(np.maximum(np.diag(stretch), 1e-9))

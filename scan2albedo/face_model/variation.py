@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.geometry.mesh import vertex_normals
 
 STRETCH_SD = np.array([0.035, 0.035, 0.045])
@@ -117,7 +117,7 @@ def _gaussian(points: FloatArray, center: FloatArray, radius_mm: float) -> Float
     return np.exp(-squared / (2 * radius_mm**2))[:, None]
 
 
-def shape_modes(model: AnnotatedFaceModel, weights: FloatArray) -> FloatArray:
+def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:
     """Return (K, C, 3) displacements in mm of the model's control points, each one standard deviation.
 
     The head's width, height and depth, bumps of identities, expressions and captures, and smooth waves. None

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from cholespy import CholeskySolverD, MatrixType
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
@@ -100,8 +101,8 @@ def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
     """Return a solver for a symmetric positive definite (C, C) matrix and (C, K) right-hand sides.
 
     The matrix is scaled to unit diagonal first, so that it factors whatever its units. CHOLMOD's supernodal
-    factorisation through cholespy; SuperLU where cholespy is missing or the matrix is indefinite by rounding.
-    Raises `FitError` when the matrix holds values that are not finite, or is singular.
+    factorisation through cholespy; SuperLU where the matrix is indefinite by rounding. Raises `FitError` when
+    the matrix holds values that are not finite, or is singular.
     """
     csc = sparse.csc_matrix(matrix)
     diagonal = csc.diagonal()
@@ -112,41 +113,24 @@ def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
         )
     scale = 1 / np.sqrt(diagonal)
     scaled = (sparse.diags(scale) @ csc @ sparse.diags(scale)).tocsc()
-    solve = _cholesky(scaled)
-    return lambda rhs: scale[:, None] * solve(scale[:, None] * rhs)
-
-
-def _cholesky(matrix: sparse.csc_matrix) -> Callable[[FloatArray], FloatArray]:
+    coo = scaled.tocoo()
+    entries = coo.row.astype(np.int32), coo.col.astype(np.int32), coo.data.astype(np.float64)
     try:
-        from cholespy import CholeskySolverD, MatrixType
-    except ImportError:
-        return _lu(matrix)
-    coo = matrix.tocoo()
-    try:
-        solver = CholeskySolverD(
-            matrix.shape[0],
-            coo.row.astype(np.int32),
-            coo.col.astype(np.int32),
-            coo.data.astype(np.float64),
-            MatrixType.COO,
-        )
+        cholesky = CholeskySolverD(len(scale), *entries, MatrixType.COO)
     except ValueError:
-        return _lu(matrix)
+        try:
+            lu = splu(scaled)
+        except RuntimeError as error:
+            raise FitError(
+                f"the fit's system matrix cannot be factored ({error}); a stiffness, a mass or the time step "
+                "is extreme"
+            ) from error
+        return lambda rhs: scale[:, None] * lu.solve(scale[:, None] * rhs)
 
     def solve(rhs: FloatArray) -> FloatArray:
-        result = np.zeros_like(rhs, order="C")
-        solver.solve(np.ascontiguousarray(rhs), result)
-        return result
+        scaled_rhs = np.ascontiguousarray(scale[:, None] * rhs)
+        result = np.zeros_like(scaled_rhs)
+        cholesky.solve(scaled_rhs, result)
+        return scale[:, None] * result
 
-    return solve
-
-
-def _lu(matrix: sparse.csc_matrix) -> Callable[[FloatArray], FloatArray]:
-    try:
-        solve: Callable[[FloatArray], FloatArray] = splu(matrix).solve
-    except RuntimeError as error:
-        raise FitError(
-            f"the fit's system matrix cannot be factored ({error}); a stiffness, a mass or the time step is "
-            "extreme"
-        ) from error
     return solve

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
 from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
 from scan2albedo.fitting.covers import Uncovered, uncovered
-from scan2albedo.fitting.forces import ForceGates
+from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates
 from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
@@ -47,7 +46,7 @@ class Posed(Protocol):
 
 def fit(
     scan: RawScan,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     reg: Posed | FloatArray,
     budget: Budget | float | None = None,
     *,
@@ -61,9 +60,9 @@ def fit(
     surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
     implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
     Before that, pose and size s are refined over the stiff regions (`refine_similarity`), lenses before the
-    eyes are left out with a warning (`covers`), the mouth is opened and its corners are drawn back as the
-    scan's are, brows, eyes and lips are looked for in its colours (`painted_features`), and the face gets its
-    proportions (`proportioned`).
+    eyes are left out with a doubt in the plan (`covers`), the mouth is opened and its corners are drawn back
+    as the scan's are, brows, eyes and lips are looked for in its colours (`painted_features`), and the face
+    gets its proportions (`proportioned`).
 
     Raises FitError when there is next to no scan where the model is; TypeError for other objects than a scan,
     a model and a pose.
@@ -95,7 +94,7 @@ def fit(
        Computer-Aided Design 32, 2000.
     """
     require_type(scan, RawScan, "fit: scan", "load_scan(path) returns one")
-    require_type(model, AnnotatedFaceModel, "fit: model", "AnnotatedFaceModel.default() returns one")
+    require_type(model, AnnotatedSurface, "fit: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, (FitOptions, type(None)), "fit: options", "make them with FitOptions()")
     chosen = options or FitOptions()
     pose = _pose_of(reg)
@@ -109,7 +108,14 @@ def fit(
     pose, surface = correction @ pose, surface.moved(correction)
     pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
-    bare = _uncovered(surface, model, reference, meter, scan.name) if chosen.covers else Uncovered(surface)
+    steps = list[PlanStep]()
+    bare = uncovered(surface, model, reference, meter) if chosen.covers else Uncovered(surface)
+    if bare.covered_mm2 > 0:
+        reason = (
+            f"{bare.covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses do; they are "
+            "left out, and the model's own shape stands there"
+        )
+        steps.append(PlanStep.doubt("fit.covers", reason))
     covered = np.any(bare.of_covers(transform_points(pose, scan.vertices))[scan.faces], axis=1)
     deformation = Deformation(model, reference, bare.scan, chosen, meter, covered_mm2=bare.covered_mm2)
     if chosen.open_mouth:
@@ -120,51 +126,34 @@ def fit(
         pull = painted if pull is None else pull.with_more(painted)
     samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
     reference = proportioned(bare.scan, samples, deformation.reference, chosen, meter, pull)
-    deformation = _following(pull, deformation, reference, scan.name)
+    if pull is not None:
+        pull, left_out = _believed(pull, model, reference)
+        steps += left_out
+    if pull is not None:
+        reference = pull.followed(model, reference)
+        pull = pull.held(reference, bare.scan)
+    deformation = replace(deformation, reference=reference, landmarks=pull)
     reached = run_stages(deformation)
     fitted = fitted_face(deformation, reached, pose, similarity.scale, scan.name)
-    return replace(fitted, covered_faces=covered) if covered.any() else fitted
+    return replace(
+        fitted, covered_faces=covered if covered.any() else None, plan=Plan(tuple(steps)) + fitted.plan
+    )
 
 
-def _uncovered(
-    surface: ScanSurface, model: AnnotatedFaceModel, reference: FloatArray, meter: Meter, name: str
-) -> Uncovered:
-    """Return the scan without covers, and warn of them."""
-    found = uncovered(surface, model, reference, meter)
-    if found.covered_mm2 > 0:
-        warnings.warn(
-            f"{name}: {found.covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses do; "
-            "they are left out, and the model's own shape stands there",
-            UserWarning,
-            stacklevel=3,
-        )
-    return found
-
-
-def _following(
-    landmarks: LandmarkPull | None, deformation: Deformation, reference: FloatArray, name: str
-) -> Deformation:
-    """Return the deformation that starts from `reference` bent to placed landmarks, and holds them.
-
-    Warns of landmarks that are left out.
-    """
-    if landmarks is None:
-        return replace(deformation, reference=reference)
-    believed, left_out = landmarks.without_wrong(deformation.model, reference)
-    if wrong := [number for number in left_out.tolist() if number >= 0]:
-        placed = int((landmarks.numbers >= 0).sum())
-        listed = ", ".join(map(str, wrong))
-        warnings.warn(
-            f"{name}: {len(wrong)} of {placed} landmarks (number {listed}) lie more than "
-            f"{WRONG_MM:.0f} mm from where the face and the others put them, and are left out: check their "
-            "numbers, frame and unit",
-            UserWarning,
-            stacklevel=3,
-        )
-    if believed is None:
-        return replace(deformation, reference=reference)
-    bent = believed.followed(deformation.model, reference)
-    return replace(deformation, reference=bent, landmarks=believed.held(bent, deformation.scan))
+def _believed(
+    pull: LandmarkPull, model: AnnotatedSurface, reference: FloatArray
+) -> tuple[LandmarkPull | None, list[PlanStep]]:
+    """Return the landmarks without wrong ones, and a doubt about those that somebody placed."""
+    believed, left_out = pull.without_wrong(model, reference)
+    wrong = [number for number in left_out.tolist() if number >= 0]
+    if not wrong:
+        return believed, []
+    reason = (
+        f"{len(wrong)} of {int((pull.numbers >= 0).sum())} landmarks (number {', '.join(map(str, wrong))}) "
+        f"lie more than {WRONG_MM:.0f} mm from where the face and the others put them, and are left out: "
+        "check their numbers, frame and unit"
+    )
+    return believed, [PlanStep.doubt("fit.landmarks", reason)]
 
 
 def _pose_of(reg: Posed | FloatArray) -> FloatArray:
@@ -191,7 +180,7 @@ def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
 
 
 def _scan_surface(
-    scan: RawScan, model: AnnotatedFaceModel, pose: FloatArray, options: FitOptions
+    scan: RawScan, model: AnnotatedSurface, pose: FloatArray, options: FitOptions
 ) -> ScanSurface:
     low, high = model.control_vertices.min(0), model.control_vertices.max(0)
     margin = CROP_MARGIN * float(np.max(high - low))
@@ -209,7 +198,7 @@ def _scan_surface(
 
 def _refined(
     surface: ScanSurface,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     options: FitOptions,
     meter: Meter,
     landmarks: LandmarkPull | None,
@@ -223,7 +212,7 @@ def _refined(
         samples,
         model.control_vertices,
         samples.area * samples.rigidity * relief,
-        (ForceGates.at(options, 0.0), ForceGates.at(options, 1.0)),
+        ForceGates(options.gate_mm[0], options.tangential, MIN_ROBUST_MM[1]),
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,
         meter=meter,

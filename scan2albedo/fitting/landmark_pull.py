@@ -9,7 +9,7 @@ from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.landmarks import PlacedLandmarks
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.fitting.dynamics import Springs, factorized
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -59,7 +59,7 @@ class LandmarkPull:
 
     @classmethod
     def of(
-        cls, model: AnnotatedFaceModel, placed: PlacedLandmarks | None, frame_from_scan: FloatArray
+        cls, model: AnnotatedSurface, placed: PlacedLandmarks | None, frame_from_scan: FloatArray
     ) -> LandmarkPull | None:
         """Return the pull of placed landmarks, moved into a frame; None without any on scan or model."""
         if placed is None or model.landmark_points is None:
@@ -82,14 +82,9 @@ class LandmarkPull:
         """Return the pull to both their targets."""
         if other is None:
             return self
+        pairs = [(getattr(self, part.name), getattr(other, part.name)) for part in fields(self)]
         return LandmarkPull(
-            numbers=np.concatenate([self.numbers, other.numbers]),
-            matrix=sparse.vstack([self.matrix, other.matrix]).tocsr(),
-            targets=np.concatenate([self.targets, other.targets]),
-            sigma_mm=np.concatenate([self.sigma_mm, other.sigma_mm]),
-            wrong_mm=np.concatenate([self.wrong_mm, other.wrong_mm]),
-            axes=np.concatenate([self.axes, other.axes]),
-            still=np.concatenate([self.still, other.still]),
+            *(sparse.vstack(p).tocsr() if sparse.issparse(p[0]) else np.concatenate(p) for p in pairs)
         )
 
     @property
@@ -125,7 +120,7 @@ class LandmarkPull:
         return np.where(self.still, weight, 0.0)
 
     def without_wrong(
-        self, model: AnnotatedFaceModel, control_points: FloatArray
+        self, model: AnnotatedSurface, control_points: FloatArray
     ) -> tuple[LandmarkPull | None, IntArray]:
         """Return those that agree with each other and the shape, and the numbers of the others.
 
@@ -151,7 +146,7 @@ class LandmarkPull:
         """Return the pull of some of the landmarks (L,)."""
         return LandmarkPull(*(getattr(self, part.name)[used] for part in fields(self)))
 
-    def followed(self, model: AnnotatedFaceModel, control_points: FloatArray) -> FloatArray:
+    def followed(self, model: AnnotatedSurface, control_points: FloatArray) -> FloatArray:
         """Return the control points (C, 3), bent smoothly so that the landmarks come near their targets.
 
         The displacement u of least sum |B u - d|^2 / sigma^2 + int m |u|^2 + D |laplacian u|^2: what is
@@ -182,7 +177,7 @@ class LandmarkPull:
         return _HOLDING_MM2 / self.sigma_mm**2
 
     def _smoother(
-        self, model: AnnotatedFaceModel, control_points: FloatArray
+        self, model: AnnotatedSurface, control_points: FloatArray
     ) -> tuple[Springs, sparse.csr_matrix]:
         """Return the solver of the system, and (C, L) what takes offsets to its right-hand side."""
         faces = model.control_faces

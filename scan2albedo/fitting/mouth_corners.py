@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.nearest_surface import NearestSurface
 
 CORNERS = (48, 54)
 EARS = (0, 16)
@@ -70,7 +70,7 @@ class MouthCorners:
     left: FloatArray
 
     @classmethod
-    def of(cls, model: AnnotatedFaceModel, control_points: FloatArray) -> MouthCorners | None:
+    def of(cls, model: AnnotatedSurface, control_points: FloatArray) -> MouthCorners | None:
         """Return the pulls of an annotated model at `control_points`; None without landmarks.
 
         A corner moves toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles pull
@@ -111,7 +111,7 @@ class MouthScan:
 
     @classmethod
     def of(
-        cls, model: AnnotatedFaceModel, control_points: FloatArray, scan: ScanSurface, level: int
+        cls, model: AnnotatedSurface, control_points: FloatArray, scan: ScanSurface, level: int
     ) -> MouthScan:
         """Take the scan within ZONE_MM of the mouth of an annotated model."""
         landmarks = model.landmarks_of(control_points)

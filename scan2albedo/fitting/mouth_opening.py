@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.landmark_pull import LandmarkPull
@@ -91,7 +91,7 @@ class JawHinge:
     limit: sparse.csr_matrix
 
     @classmethod
-    def of(cls, model: AnnotatedFaceModel, control_points: FloatArray) -> JawHinge | None:
+    def of(cls, model: AnnotatedSurface, control_points: FloatArray) -> JawHinge | None:
         """Return the hinge of an annotated model at `control_points`; None without landmarks.
 
         The weight is 1 at chin and lower lip, 0 at the upper face and the neck, harmonic in between.

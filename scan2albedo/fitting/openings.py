@@ -10,11 +10,11 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
-from scan2albedo.face_model.template_cleaning import boundary_loops
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_HOLE, LandmarkPull
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.mesh import boundary_loops
 
 EYES = (tuple(range(36, 42)), tuple(range(42, 48)))
 """iBUG-68, the subject's right eye first."""
@@ -59,11 +59,6 @@ class _Hole:
         (least, most), (lowest, highest) = size
         return least < self.width_mm < most and lowest < self.height_mm < highest
 
-    def is_as_large(self, width_mm: float, height_mm: float) -> bool:
-        """Whether another's width and height differ from these by no more than those of two eyes."""
-        sizes = ((self.width_mm, width_mm), (self.height_mm, height_mm))
-        return all(max(pair) < ratio * min(pair) for pair, ratio in zip(sizes, _ALIKE, strict=True))
-
     def distance_mm(self, point: FloatArray) -> float:
         """Return how far the middle is from a point."""
         return float(np.linalg.norm(self.middle - point))
@@ -72,18 +67,12 @@ class _Hole:
         self, whole: tuple[int, ...], ends: tuple[int, int]
     ) -> Iterator[tuple[FloatArray, FloatArray, float]]:
         """Yield weights (68,) of landmarks, the point (3,) they belong on, and its standard deviation."""
-        yield _mean_of(whole), self.middle, _MIDDLE_MM
+        yield np.eye(68)[list(whole)].mean(0), self.middle, _MIDDLE_MM
         for number, end in zip(ends, self.ends, strict=True):
-            yield _mean_of((number,)), end, _END_MM
+            yield np.eye(68)[number], end, _END_MM
 
 
-def _mean_of(numbers: tuple[int, ...]) -> FloatArray:
-    weights = np.zeros(68)
-    weights[list(numbers)] = 1 / len(numbers)
-    return weights
-
-
-def openings(scan: ScanSurface, model: AnnotatedFaceModel) -> LandmarkPull | None:
+def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     """Return the pull of lids and lips to the holes that they surround; None where the scan has none.
 
     The scan lies in the model's frame, registered. Two holes are eyes when both have about the size of an
@@ -115,25 +104,20 @@ def openings(scan: ScanSurface, model: AnnotatedFaceModel) -> LandmarkPull | Non
 def _eyes(holes: list[_Hole], landmarks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, float]]:
     middles = [landmarks[list(eye)].mean(0) for eye in EYES]
     near = [[h for h in holes if h.has_size(_EYE_MM) and h.distance_mm(m) < _REACH_MM] for m in middles]
-    pairs = [
-        (right, left)
-        for right, left in product(*near)
-        if _are_eyes(right, left, float(np.mean(middles, axis=0)[0]))
-    ]
+    pairs = []
+    for right, left in product(*near):
+        apart, up, _ = left.middle - right.middle
+        sizes = (right.width_mm, left.width_mm), (right.height_mm, left.height_mm)
+        alike = all(max(pair) < ratio * min(pair) for pair, ratio in zip(sizes, _ALIKE, strict=True))
+        aside = (right.middle + left.middle)[0] / 2 - np.mean(middles, axis=0)[0]
+        level = abs(up) < _LEVEL_MM and abs(aside) < _ASIDE_MM
+        if _APART_MM[0] < apart < _APART_MM[1] and level and alike:
+            pairs.append((right, left))
     if not pairs:
         return
     best = min(pairs, key=lambda pair: sum(h.distance_mm(m) for h, m in zip(pair, middles, strict=True)))
     for eye, hole in zip(EYES, best, strict=True):
         yield from hole.rows(eye, (eye[0], eye[3]))
-
-
-def _are_eyes(right: _Hole, left: _Hole, aside_mm: float) -> bool:
-    apart, up, _ = left.middle - right.middle
-    alike = right.is_as_large(left.width_mm, left.height_mm)
-    middle = (right.middle + left.middle)[0] / 2 - aside_mm
-    return bool(
-        _APART_MM[0] < apart < _APART_MM[1] and abs(up) < _LEVEL_MM and alike and abs(middle) < _ASIDE_MM
-    )
 
 
 def _mouth(holes: list[_Hole], landmarks: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, float]]:

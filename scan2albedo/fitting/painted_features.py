@@ -18,7 +18,7 @@ from scipy.stats import norm, qmc
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.fitting.even_light import evenly_lit
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
@@ -135,7 +135,7 @@ class _Template:
 
 
 def painted_pull(
-    scan: RawScan, frame_from_scan: FloatArray, model: AnnotatedFaceModel, control_points: FloatArray
+    scan: RawScan, frame_from_scan: FloatArray, model: AnnotatedSurface, control_points: FloatArray
 ) -> LandmarkPull | None:
     """Return the pull of the model's landmarks to where the scan's colours show them; None for nowhere."""
     landmarks = model.landmarks_of(control_points)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.annotation import MOUTH_REGION
-from scan2albedo.face_model.from_mesh import FILLED_REGION, REST_REGION
+from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.face_model.annotation import FILLED_REGION, MOUTH_REGION, REST_REGION
 from scan2albedo.face_model.proportions import proportions
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
@@ -57,28 +57,28 @@ ITERATIONS, ROBUST_MM = 6, 1.0
 """Of laying the mirror image on the face: distances above `ROBUST_MM` count less and less."""
 
 
-def doubts(fitted: FittedFace) -> Iterator[str]:
-    """Yield a sentence for each thing about a fitted face that no scan of one whole person has."""
+def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
+    """Yield a row for each thing about a fitted face that scans of one whole person do not have."""
     if missing := missing_parts(fitted):
         names = " and ".join(filter(None, (", ".join(missing[:-1]), missing[-1])))
-        yield (
-            f"no scan to follow where the {names} should be (a hole, glasses, a beard?): the shape there is "
-            "the model's own"
-        )
+        reason = f"no scan near the {names} (a hole, glasses, a beard?): the shape there is the model's own"
+        yield PlanStep.doubt("fit.missing", reason)
     found = asymmetry(fitted)
     if found is not None and found.unlikeness > 1:
-        yield (
-            f"the halves of the face differ more than any person's: by {found.upper_mm:.1f} mm in the upper "
-            f"part, {found.middle_mm:.1f} mm in the middle and {found.step_mm:.1f} mm beside the midline; is "
-            "the scan joined of two people's?"
+        reason = "asymmetry exceeds that of real faces; the scan may be merged from two people"
+        evidence = (
+            f"{found.upper_mm:.1f} mm in the upper part, {found.middle_mm:.1f} mm in the middle, "
+            f"{found.step_mm:.1f} mm beside the midline"
         )
+        yield PlanStep.doubt("fit.asymmetry", reason, evidence)
     # Where covers were left out, the proportions are half the model's own.
     measured = fitted.landmarks is not None and fitted.metrics["covered_mm2"] == 0
     if fitted.landmarks is not None and measured and (ratios := proportions(fitted.landmarks).doubt()):
-        yield (
-            f"the face's proportions are no person's, relative to the model's (and people's): {ratios}; was "
-            "the scan stretched along an axis?"
+        reason = (
+            "proportions are outside the range of the people measured (n = 9, and 164 synthetic ones); the "
+            "scan may be stretched along an axis"
         )
+        yield PlanStep.doubt("fit.proportions", reason, f"relative to the model's: {ratios}")
 
 
 def face_coverage(fitted: FittedFace) -> float:
@@ -205,7 +205,7 @@ def _between(values: FloatArray, ends: tuple[float, float]) -> BoolArray:
     return np.asarray((values > ends[0]) & (values < ends[1]))
 
 
-def _in_regions(model: AnnotatedFaceModel, level: int, *names: str) -> BoolArray:
+def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
     """Return (V,) which vertices of a refinement touch the regions."""
     subdivision = model.subdivision(level)
     faces = np.logical_or.reduce([model.in_region(name) for name in names])[subdivision.parent]

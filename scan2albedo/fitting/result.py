@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core import Trace
+from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.landmark_deviation import landmark_deviation_mm
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import Deformation, StagesResult, imbalance_mm
-from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
-from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
 
 RESIDUAL_GATE_MM = 5.0
 """Residuals beyond this count as "no scan near"."""
@@ -60,7 +58,7 @@ class FittedFace:
     """Steps taken."""
     trace: Trace
     """Stage "fit", mm."""
-    model: AnnotatedFaceModel
+    model: AnnotatedSurface
     """That was fitted."""
     metrics: dict[str, float] = field(default_factory=dict)
     """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
@@ -69,6 +67,8 @@ class FittedFace:
     draw (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
     (``jaw_deg``) and how far its corners were drawn back; how much of the scan was left out because it stands
     far before the eyes (``covered_mm2``): for result.json."""
+    plan: Plan = Plan()
+    """What is doubtful about the fit: "fit.<step>"."""
     covered_faces: BoolArray | None = None
     """(F,): faces of the raw scan that were left out because they stand far before the eyes; None: none."""
     landmark_deviation_mm: FloatArray | None = None
@@ -84,8 +84,8 @@ def fitted_face(
 ) -> FittedFace:
     """Assemble the result.
 
-    Warns when the model was stretched as no face stretches it; raises `FitError` when less than MIN_COVERAGE
-    of the surface has scan near it.
+    The plan has a doubt when the model was stretched more than faces stretch it; raises `FitError` when less
+    than MIN_COVERAGE of the surface has scan near it.
     """
     model, options = deformation.model, deformation.options
     subdivision = model.subdivision(options.result_levels)
@@ -114,7 +114,13 @@ def fitted_face(
             f"{RESIDUAL_GATE_MM:.0f} mm, at least {100 * MIN_COVERAGE:.0f} % needed; "
             "the pose is wrong, or the scan holds too little of a face"
         )
-    _warn_of_strain(metrics["strain"], name)
+    plan = Plan()
+    if (strain := metrics["strain"]) > MOST_STRAIN:
+        reason = (
+            f"the fit stretched the model's edges by {100 * strain:.0f} % (RMS), people's faces by about "
+            "5 %: the pose is wrong, the scan holds no face, or it is very noisy"
+        )
+        plan += [PlanStep.doubt("fit.strain", reason)]
     landmarks = model.landmarks_of(control)
     deviation = None if landmarks is None else landmark_deviation_mm(landmarks, vertices, residual)
     if deviation is not None and (held := deformation.landmarks) is not None:
@@ -137,6 +143,7 @@ def fitted_face(
         trace=deformation.meter.trace,
         model=model,
         metrics={**metrics, "scale": scale},
+        plan=plan,
         landmark_deviation_mm=deviation,
     )
 
@@ -173,13 +180,3 @@ def _strain(before: FloatArray, after: FloatArray, faces: IntArray) -> float:
     ]
     floor = 1e-6 * float(lengths[0].mean())
     return float(np.sqrt(np.mean(np.log(np.maximum(lengths[1], floor) / np.maximum(lengths[0], floor)) ** 2)))
-
-
-def _warn_of_strain(strain: float, name: str) -> None:
-    if strain > MOST_STRAIN:
-        warnings.warn(
-            f"{name}: the fit stretched the model's edges by {100 * strain:.0f} % (RMS), people's faces by "
-            "about 5 %: the pose is wrong, the scan holds no face, or it is very noisy",
-            UserWarning,
-            stacklevel=4,
-        )

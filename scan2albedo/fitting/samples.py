@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
@@ -41,7 +41,7 @@ class SurfaceSamples:
     rim: FloatArray
 
     @classmethod
-    def of(cls, model: AnnotatedFaceModel, control_points: FloatArray, level: int) -> SurfaceSamples:
+    def of(cls, model: AnnotatedSurface, control_points: FloatArray, level: int) -> SurfaceSamples:
         """Sample `model` at the limit vertices of `level` refinements, areas taken at `control_points`."""
         subdivision = model.subdivision(level)
         points = subdivision.matrix @ control_points

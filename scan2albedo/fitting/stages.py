@@ -10,7 +10,7 @@ from scipy import sparse
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.dynamics import ImplicitSystem, State
 from scan2albedo.fitting.folds import FoldFinder, guarded
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
@@ -46,7 +46,7 @@ class Deformation:
     `covered_mm2` before the eyes were left out.
     """
 
-    model: AnnotatedFaceModel
+    model: AnnotatedSurface
     reference: FloatArray
     scan: ScanSurface
     options: FitOptions

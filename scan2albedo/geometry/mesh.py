@@ -105,6 +105,14 @@ def boundary_vertex_mask(vertex_count: int, faces: IntArray) -> BoolArray:
     return mask
 
 
+def boundary_loops(faces: IntArray) -> list[IntArray]:
+    """Return the boundary loops, longest (in vertices) first, in the direction of the faces' own edges."""
+    import igl
+
+    loops = [np.asarray(loop, np.int64) for loop in igl.boundary_loop_all(np.asarray(faces, np.int64))]
+    return sorted(loops, key=len, reverse=True)
+
+
 def adjacency(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     """Return the symmetric (V, V) 0/1 adjacency of vertices joined by an edge."""
     begins, neighbours = neighbour_lists(vertex_count, faces)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -32,18 +30,25 @@ def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
     return np.copysign(np.where(size <= 0.0031308, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055), value)
 
 
-@functools.cache
-def _decoding_table(bits: int) -> NDArray[np.float32]:
-    return srgb_to_linear(np.arange(2**bits) / (2**bits - 1)).astype(np.float32)
-
-
 def decode_srgb_integers(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
     """Return float32 linear values of 8- or 16-bit sRGB samples by table, in row blocks to spare memory."""
-    table = _decoding_table(8 * pixels.dtype.itemsize)
+    most = np.iinfo(pixels.dtype).max
+    table = srgb_to_linear(np.arange(most + 1) / most).astype(np.float32)
     linear = np.empty(pixels.shape, np.float32)
     for row in range(0, len(pixels), 256):
         linear[row : row + 256] = table[pixels[row : row + 256]]
     return linear
+
+
+def linear_of_srgb_numbers(colors: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Return linear colours of sRGB numbers as mesh files hold them: 8 or 16 bits, or floats up to 1 or 255.
+
+    NaN and negative numbers are black.
+    """
+    if colors.dtype in (np.uint8, np.uint16):
+        return decode_srgb_integers(np.asarray(colors))
+    values = np.nan_to_num(colors.astype(np.float64)).clip(0)
+    return srgb_to_linear(values / 255 if values.max(initial=0) > 1 else values).astype(np.float32)
 
 
 def encode_srgb_bytes(linear: ArrayLike) -> NDArray[np.uint8]:

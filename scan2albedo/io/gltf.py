@@ -200,28 +200,29 @@ def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tup
     offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
     uvs = [np.full((len(p.faces), 3, 2), np.nan) if p.uv is None else p.uv for p in parts]
     material = [p.material for p in parts if p.material is not None]
+    colors = None
+    if any(p.vertex_color_linear is not None for p in parts):
+        plain = [
+            materials[p.material[0]] if p.material is not None and len(p.material) else Material("")
+            for p in parts
+        ]
+        colors = np.concatenate(
+            [
+                np.tile(np.array(base.base_color_linear, np.float32), (len(p.vertices), 1))
+                if p.vertex_color_linear is None
+                else p.vertex_color_linear
+                for p, base in zip(parts, plain, strict=True)
+            ]
+        )
     return ParsedMesh(
         vertices=np.concatenate([p.vertices for p in parts]),
         faces=np.concatenate([p.faces + offset for p, offset in zip(parts, offsets, strict=False)]),
         uv=np.concatenate(uvs) if any(p.uv is not None for p in parts) else None,
         material=np.concatenate(material),
         materials=materials,
-        vertex_color_linear=_joined_colors(parts, materials),
+        vertex_color_linear=colors,
         notes=notes,
     )
-
-
-def _joined_colors(parts: list[ParsedMesh], materials: tuple[Material, ...]) -> NDArray[np.float32] | None:
-    if all(p.vertex_color_linear is None for p in parts):
-        return None
-    colors = []
-    for part in parts:
-        base = Material("").base_color_linear
-        if part.material is not None and len(part.material):
-            base = materials[part.material[0]].base_color_linear
-        plain = np.tile(np.array(base, np.float32), (len(part.vertices), 1))
-        colors.append(plain if part.vertex_color_linear is None else part.vertex_color_linear)
-    return np.concatenate(colors)
 
 
 def _skinning_transforms(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Any
 
 from scan2albedo.errors import MissingDependencyError, ScanError
 from scan2albedo.io import limits
@@ -19,14 +19,8 @@ _NOT_DECODED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _MANY_COPIES = "KHR_materials_pbrSpecularGlossiness"
 """Its pictures are converted in floats of 64 bits, several at a time."""
 _COPIES = 8
-
-
-class _Size(NamedTuple):
-    """Vertices, triangles and primitives of a mesh."""
-
-    vertices: int
-    triangles: int
-    primitives: int
+_STRIP = 5
+"""Mode of a primitive."""
 
 
 def require_readable(name: str, tree: Tree, image_bytes: Callable[[int], bytes | None]) -> None:
@@ -36,55 +30,55 @@ def require_readable(name: str, tree: Tree, image_bytes: Callable[[int], bytes |
     when the library that decodes the file's compression is not installed; LookupError, TypeError or
     ValueError for a damaged tree.
     """
-    _require_decoders(name, tree)
-    _require_accessors(name, tree)
-    _require_scene(name, tree)
-    _require_pictures(name, tree, image_bytes)
-
-
-def _require_decoders(name: str, tree: Tree) -> None:
-    used = {*tree.get("extensionsUsed", ()), *tree.get("extensionsRequired", ())}
+    used, required = tree.get("extensionsUsed", ()), tree.get("extensionsRequired", ())
     advice = f"export {name} again without compression"
     for extension in _NOT_DECODED:
-        if extension in tree.get("extensionsRequired", ()):
+        if extension in required:
             raise ScanError(f"{name}: is compressed with {extension}, which is not decoded here; {advice}")
-    if _DRACO in used and find_spec("DracoPy") is None:
+    if _DRACO in (*used, *required) and find_spec("DracoPy") is None:
         raise MissingDependencyError(
             f"{name}: is compressed with Draco; install what reads it with: "
             f"pip install 'scan2albedo[draco]', or {advice}"
         )
-
-
-def _require_accessors(name: str, tree: Tree) -> None:
     total = 0
     for accessor in tree.get("accessors", ()):
-        element = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
         if accessor["count"] < 0:
             raise ValueError(f"an accessor has {accessor['count']} elements")
+        element = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
         total += element * accessor["count"]
     limits.require_at_most(name, "bytes of arrays", total, limits.FILE_BYTES, "decimate it")
-
-
-def _require_scene(name: str, tree: Tree) -> None:
-    """Judge all meshes, as the file has them and as often as its scene shows them."""
-    meshes = [_mesh_size(tree, mesh) for mesh in tree.get("meshes", ())]
+    # All meshes, as the file has them and as often as its scene shows them: vertices, triangles, primitives.
+    meshes = []
+    for mesh in tree.get("meshes", ()):
+        vertices = triangles = 0
+        for primitive in mesh["primitives"]:
+            corners = count = tree["accessors"][primitive["attributes"]["POSITION"]]["count"]
+            if "indices" in primitive:
+                corners = tree["accessors"][primitive["indices"]]["count"]
+            vertices += count
+            triangles += corners if primitive.get("mode") == _STRIP else corners // 3
+        meshes.append((vertices, triangles, len(mesh["primitives"])))
+    most = {"vertices": limits.VERTICES, "triangles": limits.TRIANGLES, "primitives": limits.NODES}
     shown = [meshes[node["mesh"]] for node in _nodes(name, tree) if "mesh" in node]
     for sizes in (meshes, shown):
         totals = [sum(column) for column in zip(*sizes, strict=True)] or [0, 0, 0]
-        most = (limits.VERTICES, limits.TRIANGLES, limits.NODES)
-        for what, count, limit in zip(_Size._fields, totals, most, strict=True):
+        for (what, limit), count in zip(most.items(), totals, strict=True):
             limits.require_at_most(name, f"{what} of all its meshes", count, limit, "decimate or join them")
-
-
-def _mesh_size(tree: Tree, mesh: Tree) -> _Size:
-    vertices = triangles = 0
-    for primitive in mesh["primitives"]:
-        corners = count = tree["accessors"][primitive["attributes"]["POSITION"]]["count"]
-        if "indices" in primitive:
-            corners = tree["accessors"][primitive["indices"]]["count"]
-        vertices += count
-        triangles += corners if primitive.get("mode") == 5 else corners // 3  # 5 is a strip
-    return _Size(vertices, triangles, len(mesh["primitives"]))
+    # Every picture by its header, and all base colours together.
+    colors = set()
+    for material in tree.get("materials", ()):
+        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {}).get("index")
+        entry = {} if texture is None else tree["textures"][texture]
+        webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
+        colors.add(webp.get("source", entry.get("source")))
+    copies, total = _COPIES if _MANY_COPIES in used else 1, 0
+    for number in range(len(tree.get("images", ()))):
+        data = image_bytes(number)
+        size = None if data is None else require_small_picture(data, f"{number} of {name}")
+        if size is not None and (number in colors or copies > 1):
+            total += copies * size.pixels
+    what, advice = f"the textures of {name}", "save its textures with fewer pixels"
+    limits.require_at_most(what, "pixels", total, limits.PIXELS, advice)
 
 
 def _nodes(name: str, tree: Tree) -> Iterator[Tree]:
@@ -104,29 +98,3 @@ def _nodes(name: str, tree: Tree) -> Iterator[Tree]:
         children = nodes[number].get("children", ())
         limits.require_at_most(name, "nodes in its scene", count + len(children), limits.NODES, advice)
         left += [(child, depth + 1) for child in children]
-
-
-def _require_pictures(name: str, tree: Tree, image_bytes: Callable[[int], bytes | None]) -> None:
-    """Judge every picture by its header, and all base colours together."""
-    colors = {_base_color(tree, material) for material in tree.get("materials", ())}
-    copies = _COPIES if _MANY_COPIES in tree.get("extensionsUsed", ()) else 1
-    total = 0
-    for number in range(len(tree.get("images", ()))):
-        data = image_bytes(number)
-        size = None if data is None else require_small_picture(data, f"{number} of {name}")
-        if size is not None and (number in colors or copies > 1):
-            total += copies * size.pixels
-    limits.require_at_most(
-        f"the textures of {name}", "pixels", total, limits.PIXELS, "save its textures with fewer pixels"
-    )
-
-
-def _base_color(tree: Tree, material: Tree) -> int | None:
-    """Return the picture of a material's base colour."""
-    texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {}).get("index")
-    if texture is None:
-        return None
-    entry = tree["textures"][texture]
-    webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
-    number = webp.get("source", entry.get("source"))
-    return None if number is None else int(number)

@@ -100,7 +100,21 @@ class ScanPictures:
         if file is None:
             missing = self.folder.why_missing(text.texture_file)
             return plain, f"texture {text.texture_file} {missing}: went on without it"
-        picture = self._picture(file)
+        file = file.resolve()
+        if file not in self.read:
+            try:
+                size = require_small_picture(limits.read_bytes(file), file)
+                self._count(0 if size is None else size.pixels)
+                self.read[file] = pixels = read_image_linear(file)
+                if size is None:
+                    self._count(pixels.shape[0] * pixels.shape[1])
+            except TooLargeError:
+                raise
+            except OSError as error:
+                self.read[file] = ScanError(f"image {file.name} cannot be read: {error.strerror or error}")
+            except ScanError as error:
+                self.read[file] = error
+        picture = self.read[file]
         if isinstance(picture, ScanError):
             return plain, f"{picture}: went on without it"
         return Material(plain.name, picture, plain.base_color_linear), None
@@ -113,27 +127,6 @@ class ScanPictures:
                 material, _ = self.material(MaterialText(file.name, texture_file=file.name))
                 return material if material.texture_linear is not None else None
         return None
-
-    def _picture(self, file: Path) -> NDArray[np.float32] | ScanError:
-        file = file.resolve()
-        if file not in self.read:
-            self.read[file] = self._new_picture(file)
-        return self.read[file]
-
-    def _new_picture(self, file: Path) -> NDArray[np.float32] | ScanError:
-        try:
-            size = require_small_picture(limits.read_bytes(file), file)
-            self._count(0 if size is None else size.pixels)
-            picture = read_image_linear(file)
-            if size is None:
-                self._count(picture.shape[0] * picture.shape[1])
-            return picture
-        except TooLargeError:
-            raise
-        except OSError as error:
-            return ScanError(f"image {file.name} cannot be read: {error.strerror or error}")
-        except ScanError as error:
-            return error
 
     def _count(self, pixels: int) -> None:
         self.pixels += pixels

@@ -6,20 +6,14 @@ import codecs
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits
 from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
-from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.mtl import (
-    MaterialText,
-    ScanPictures,
-    decoded,
-    parse_mtl,
-)
+from scan2albedo.io.color import linear_of_srgb_numbers
+from scan2albedo.io.mtl import MaterialText, ScanPictures, decoded, parse_mtl
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
 from scan2albedo.io.scan_folder import ScanFolder
 
@@ -93,7 +87,14 @@ def read_obj(path: Path, textures: Path | None = None) -> ParsedMesh:
     triangles, face_of_triangle = fan_triangles(counts)
     pictures = ScanPictures(ScanFolder(path.parent, textures))
     material, materials, notes = _materials(lines, pictures)
-    uv = _corner_uv(coordinates, corners[:, 1], triangles)
+    uv = None
+    if len(coordinates) and (corners[:, 1] >= 0).any():
+        corner = corners[triangles, 1]
+        uv = np.where((corner >= 0)[..., None], coordinates[corner], np.nan)
+    srgb, colors = positions[:, 3:6], None
+    # Numbers below 0 are no colours, but normals.
+    if len(positions) and (tokens >= 6).all() and np.isfinite(srgb).all() and srgb.min() >= 0:
+        colors = linear_of_srgb_numbers(srgb)
     lost = not materials or any(note.startswith("texture ") for note in notes)
     lost = lost and uv is not None and all(m.texture_linear is None for m in materials)
     if lost and (found := pictures.named_like(path)) is not None:
@@ -106,7 +107,7 @@ def read_obj(path: Path, textures: Path | None = None) -> ParsedMesh:
         uv=uv,
         material=None if material is None else material[face_of_triangle],
         materials=materials,
-        vertex_color_linear=_vertex_colors(positions, tokens),
+        vertex_color_linear=colors,
         notes=cut_note(counts) + notes,
     )
 
@@ -140,24 +141,6 @@ def _read_corners(lines: _Lines, vertex_count: int, uv_count: int) -> tuple[IntA
         lines.raise_for(line_of_corner[written > total], f"but there are {total} {name}")
         corners[:, column] = written - 1
     return corners, counts
-
-
-def _corner_uv(coordinates: FloatArray, index: IntArray, triangles: IntArray) -> FloatArray | None:
-    if len(coordinates) == 0 or not (index >= 0).any():
-        return None
-    corner = index[triangles]
-    uv = coordinates[corner]
-    uv[corner < 0] = np.nan
-    return uv
-
-
-def _vertex_colors(positions: FloatArray, tokens: IntArray) -> NDArray[np.float32] | None:
-    if len(positions) == 0 or not (tokens >= 6).all():
-        return None
-    srgb = positions[:, 3:6]
-    if not np.isfinite(srgb).all() or srgb.min() < 0:
-        return None
-    return srgb_to_linear(srgb / 255 if srgb.max() > 1 else srgb).astype(np.float32)
 
 
 def _materials(

@@ -64,7 +64,15 @@ def read_landmarks(file: str | Path, mm_per_unit: float = 1.0) -> PlacedLandmark
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.full(COUNT, PLACED_SIGMA_MM)
     seen: dict[int, str] = {}
     for point in reader(text, path):
-        number = _number(point)
+        try:
+            number = int(str(point.number))
+        except ValueError:
+            number = -1
+        if not 0 <= number < COUNT:
+            raise ScanError(
+                f"{point.where}: {str(point.number)[:40]!r} is not the number of a landmark "
+                f"(0 to {COUNT - 1}); {_ADVICE}"
+            )
         if number in seen:
             raise ScanError(f"{point.where}: landmark {number} was given before ({seen[number]}); keep one")
         seen[number] = point.where
@@ -74,19 +82,6 @@ def read_landmarks(file: str | Path, mm_per_unit: float = 1.0) -> PlacedLandmark
         return PlacedLandmarks(points, sigma_mm)
     except ScanError as error:
         raise ScanError(f"{path}: {error}") from error
-
-
-def _number(point: _Point) -> int:
-    try:
-        number = int(str(point.number))
-    except ValueError:
-        number = -1
-    if not 0 <= number < COUNT:
-        raise ScanError(
-            f"{point.where}: {str(point.number)[:40]!r} is the number of no landmark (0 to {COUNT - 1}); "
-            f"{_ADVICE}"
-        )
-    return number
 
 
 def _finite(point: _Point, value: Any) -> float:

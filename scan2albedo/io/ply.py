@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits
-from scan2albedo.io.color import decode_srgb_integers, srgb_to_linear
+from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.mtl import MaterialText, ScanPictures
-from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles
+from scan2albedo.io.parsed_mesh import ParsedMesh, cut_note, fan_triangles
 from scan2albedo.io.scan_folder import ScanFolder
 from scan2albedo.io.text_tables import NumberLines, NumberTable, number_lines, walk_rows
 
@@ -95,39 +95,32 @@ def read_ply(path: Path, textures: Path | None = None) -> ParsedMesh:
     corners, polygon = fan_triangles(index.counts)
     faces = index.items.astype(np.int64)[corners]
     uv = _corner_uv(vertex, face, index, faces, corners)
-    folder = ScanFolder(path.parent, textures)
-    materials, notes = _textures(file.texture_files, path, folder, has_uv=uv is not None)
+    names = next((names for names in _COLOR_NAMES if all(name in vertex for name in names)), None)
+    colors = None
+    if names is not None and len(vertices):
+        colors = linear_of_srgb_numbers(np.stack([vertex[name] for name in names], axis=1))
+    count = len(file.texture_files)
+    limits.require_at_most(path.name, "textures", count, limits.MATERIALS, "join them into one")
+    pictures = ScanPictures(ScanFolder(path.parent, textures))
+    loaded = [pictures.material(MaterialText(name, texture_file=name)) for name in file.texture_files]
+    materials, notes = tuple(m for m, _ in loaded), tuple(note for _, note in loaded if note)
+    lost = uv is not None and all(m.texture_linear is None for m in materials)
+    if lost and (found := pictures.named_like(path)) is not None:
+        materials = (found,)
+        notes = (*notes, f"texture {found.name} was found by the scan's name")
+    number, material = face.get("texnumber"), None
+    if len(materials) > 1 and isinstance(number, np.ndarray):
+        chosen = number.astype(np.int64)[polygon]
+        material = np.where((chosen >= 0) & (chosen < len(materials)), chosen, -1)
     return ParsedMesh(
         vertices=vertices,
         faces=faces,
         uv=uv,
-        material=_texture_of_face(face, polygon, len(materials)),
+        material=material,
         materials=materials,
-        vertex_color_linear=_vertex_colors(vertex),
+        vertex_color_linear=colors,
         notes=cut_note(index.counts) + notes,
     )
-
-
-def _textures(
-    names: tuple[str, ...], path: Path, folder: ScanFolder, *, has_uv: bool
-) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-    """Return materials and notes; where no picture of the header is there, one of the scan's own name is."""
-    limits.require_at_most(path.name, "textures", len(names), limits.MATERIALS, "join them into one")
-    pictures = ScanPictures(folder)
-    loaded = [pictures.material(MaterialText(name, texture_file=name)) for name in names]
-    materials, notes = tuple(m for m, _ in loaded), tuple(note for _, note in loaded if note)
-    lost = has_uv and all(m.texture_linear is None for m in materials)
-    if lost and (found := pictures.named_like(path)) is not None:
-        return (found,), (*notes, f"texture {found.name} was found by the scan's name")
-    return materials, notes
-
-
-def _texture_of_face(face: Columns, polygon: IntArray, count: int) -> IntArray | None:
-    number = face.get("texnumber")
-    if count < 2 or not isinstance(number, np.ndarray):
-        return None
-    chosen = number.astype(np.int64)[polygon]
-    return np.where((chosen >= 0) & (chosen < count), chosen, -1)
 
 
 def _corner_uv(
@@ -147,21 +140,6 @@ def _corner_uv(
             inside = (faces >= 0) & (faces < len(per_vertex))
             return per_vertex[np.where(inside, faces, 0)]
     return None
-
-
-def _vertex_colors(vertex: Columns) -> NDArray[np.float32] | None:
-    for names in _COLOR_NAMES:
-        if all(name in vertex for name in names):
-            colors = np.stack([np.asarray(vertex[name]) for name in names], axis=1)
-            return _linear(colors) if len(colors) else None
-    return None
-
-
-def _linear(colors: NDArray[Any]) -> NDArray[np.float32]:
-    if colors.dtype in (np.uint8, np.uint16):
-        return decode_srgb_integers(colors)
-    values = np.nan_to_num(colors.astype(np.float64)).clip(0)
-    return srgb_to_linear(values / 255 if values.max() > 1 else values).astype(np.float32)
 
 
 def _read_elements(path: Path) -> _PlyFile:

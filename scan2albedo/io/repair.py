@@ -61,7 +61,11 @@ def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
     [0, 1, 0]
     """
     first = np.arange(len(rows))
-    hashes = _row_hashes(rows)
+    hashes = np.zeros(len(rows), np.uint64)
+    for column in range(rows.shape[1]):
+        plain = np.ascontiguousarray(rows[:, column]) + rows.dtype.type(0)  # -0.0 becomes 0.0
+        hashes = (hashes ^ plain.view(np.uint64)) * np.uint64(_HASH_PRIMES[column])
+        hashes ^= hashes >> np.uint64(29)
     ordered = np.sort(hashes)
     repeated = ordered[1:][ordered[1:] == ordered[:-1]]
     if len(repeated) == 0:
@@ -78,15 +82,6 @@ def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
     return first
 
 
-def _row_hashes(rows: NDArray[np.generic]) -> NDArray[np.uint64]:
-    hashes = np.zeros(len(rows), np.uint64)
-    for column in range(rows.shape[1]):
-        plain = np.ascontiguousarray(rows[:, column]) + rows.dtype.type(0)  # -0.0 becomes 0.0
-        hashes = (hashes ^ plain.view(np.uint64)) * np.uint64(_HASH_PRIMES[column])
-        hashes ^= hashes >> np.uint64(29)
-    return hashes
-
-
 def repair(mesh: ParsedMesh) -> ParsedMesh:
     """Return the mesh with equal positions merged and useless faces and vertices dropped.
 
@@ -98,8 +93,27 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     first = first_equal_row(mesh.vertices)
     merged = int((used & (first != np.arange(len(first)))).sum())
     notes = (f"vertices merged at equal positions (seams): {merged}",) if merged else ()
-    cleaned = _drop_faces(replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes))
-    return _drop_vertices(_wound_alike(cleaned), merged)
+    mesh = _drop_faces(replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes))
+    turned = turned_against_neighbours(mesh.faces)
+    if turned.any():
+        note = f"faces reversed that were wound against their neighbours: {int(turned.sum())}"
+        mesh = replace(
+            mesh,
+            faces=np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces),
+            uv=None if mesh.uv is None else np.where(turned[:, None, None], mesh.uv[:, ::-1], mesh.uv),
+            notes=(*mesh.notes, note),
+        )
+    used = _used(mesh)
+    if used.all():
+        return mesh
+    color, dropped = mesh.vertex_color_linear, int((~used).sum()) - merged
+    return replace(
+        mesh,
+        vertices=mesh.vertices[used],
+        faces=(np.cumsum(used) - 1)[mesh.faces],
+        vertex_color_linear=None if color is None else color[used],
+        notes=mesh.notes + ((f"unreferenced vertices dropped: {dropped}",) if dropped > 0 else ()),
+    )
 
 
 def _used(mesh: ParsedMesh) -> BoolArray:
@@ -126,19 +140,6 @@ def _drop_faces(mesh: ParsedMesh) -> ParsedMesh:
     )
 
 
-def _wound_alike(mesh: ParsedMesh) -> ParsedMesh:
-    """Reverse the faces that are wound against their neighbours, their coordinates with them."""
-    turned = turned_against_neighbours(mesh.faces)
-    if not turned.any():
-        return mesh
-    return replace(
-        mesh,
-        faces=np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces),
-        uv=None if mesh.uv is None else np.where(turned[:, None, None], mesh.uv[:, ::-1], mesh.uv),
-        notes=(*mesh.notes, f"faces reversed that were wound against their neighbours: {int(turned.sum())}"),
-    )
-
-
 def _zero_area(vertices: FloatArray, faces: IntArray) -> BoolArray:
     """Return (F,) True for faces without a usable normal, in blocks to spare memory."""
     flat = np.empty(len(faces), bool)
@@ -151,18 +152,3 @@ def _zero_area(vertices: FloatArray, faces: IntArray) -> BoolArray:
         doubled = np.sqrt(np.einsum("fi,fi->f", cross, cross))
         flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
     return flat
-
-
-def _drop_vertices(mesh: ParsedMesh, merged: int) -> ParsedMesh:
-    used = _used(mesh)
-    if used.all():
-        return mesh
-    color = mesh.vertex_color_linear
-    dropped = int((~used).sum()) - merged
-    return replace(
-        mesh,
-        vertices=mesh.vertices[used],
-        faces=(np.cumsum(used) - 1)[mesh.faces],
-        vertex_color_linear=None if color is None else color[used],
-        notes=mesh.notes + ((f"unreferenced vertices dropped: {dropped}",) if dropped > 0 else ()),
-    )

@@ -74,7 +74,12 @@ def write_skinned_glb(
     above = _known_parents(parent, set(known.tolist()))
     order, kept, cut = _largest(shares[:, known], influences)
     file = GlbFile()
-    mesh = file.add_mesh("frame", xyz, index, attributes=_skin_attributes(order, kept))
+    kind, attributes = "u1" if order.max() < 256 else "u2", dict[str, tuple[NDArray[Any], str]]()
+    for n, start in enumerate(range(0, order.shape[1], _A_SET)):
+        part = slice(start, start + _A_SET)
+        attributes[f"JOINTS_{n}"] = (order[:, part].astype(kind), "VEC4")
+        attributes[f"WEIGHTS_{n}"] = (kept[:, part].astype("f4"), "VEC4")
+    mesh = file.add_mesh("frame", xyz, index, attributes=attributes)
     skin, nodes, roots = _skeleton(file, joints * METRES_PER_MM, known, above, names)
     # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
     first: list[dict[str, Any]] = [
@@ -151,16 +156,6 @@ def _largest(weights: FloatArray, influences: int | None) -> tuple[IntArray, NDA
     order = np.where(rounded > 0, order, 0)
     filling = ((0, 0), (0, -width % _A_SET))
     return np.pad(order, filling), np.pad(rounded, filling), max(cut, 0.0)
-
-
-def _skin_attributes(joints: IntArray, weights: NDArray[np.float32]) -> dict[str, tuple[NDArray[Any], str]]:
-    kind = "u1" if joints.max() < 256 else "u2"
-    attributes: dict[str, tuple[NDArray[Any], str]] = {}
-    for n, start in enumerate(range(0, joints.shape[1], _A_SET)):
-        part = slice(start, start + _A_SET)
-        attributes[f"JOINTS_{n}"] = (joints[:, part].astype(kind), "VEC4")
-        attributes[f"WEIGHTS_{n}"] = (weights[:, part].astype("f4"), "VEC4")
-    return attributes
 
 
 def _skeleton(

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits
-from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.parsed_mesh import ParsedMesh, cut_note, fan_triangles
 from scan2albedo.io.text_tables import (
     NumberTable,
@@ -111,9 +111,12 @@ def read_off(path: Path) -> ParsedMesh:
     if vertex_count and vertices.counts.min() < 3:
         raise _damaged(path, "a vertex has fewer than 3 coordinates")
     faces, notes = _faces(path, rows)
+    xyz, colors = vertices.values[vertices.first[:, None] + np.arange(3)], None
     declared = bool(header[2]) and not (header[1] or header[3])
-    xyz = vertices.values[vertices.first[:, None] + np.arange(3)]
-    return ParsedMesh(xyz, faces, vertex_color_linear=_colors(vertices) if declared else None, notes=notes)
+    if declared and vertex_count and vertices.counts.min() >= 6:
+        srgb = vertices.values[vertices.first[:, None] + np.arange(3, 6)]
+        colors = linear_of_srgb_numbers(srgb) if np.isfinite(srgb).all() else None
+    return ParsedMesh(xyz, faces, vertex_color_linear=colors, notes=notes)
 
 
 def _damaged(path: Path, what: str, kind: str = "ASCII OFF") -> ScanError:
@@ -132,14 +135,3 @@ def _faces(path: Path, rows: NumberTable) -> tuple[IntArray, tuple[str, ...]]:
     corners = rows.ranges(np.ones(len(counts), np.int64), counts)
     index = np.where(np.abs(corners) < _LARGEST_INDEX, corners, -1).astype(np.int64)
     return index[fan_triangles(counts).corners], cut_note(counts)
-
-
-def _colors(vertices: NumberTable) -> NDArray[np.float32] | None:
-    """Return linear colours from sRGB in [0, 1] or [0, 255], behind the coordinates."""
-    if len(vertices.counts) == 0 or vertices.counts.min() < 6:
-        return None
-    values: FloatArray = vertices.values[vertices.first[:, None] + np.arange(3, 6)]
-    if not np.isfinite(values).all():
-        return None
-    srgb = values.clip(0)
-    return srgb_to_linear(srgb / 255 if srgb.max(initial=0) > 1 else srgb).astype(np.float32)

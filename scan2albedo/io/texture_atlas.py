@@ -47,7 +47,9 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     material = np.zeros(len(mesh.faces), np.int64) if mesh.material is None else mesh.material
     textured = np.array([m.texture_linear is not None for m in mesh.materials] + [False])
     mapped = has_uv & textured[material]
-    material_of_picture = np.array([*_first_with_same_picture(mesh.materials), -1])
+    first: dict[int, int] = {}  # material of each picture: several may share one
+    same = [first.setdefault(id(m.texture_linear), i) for i, m in enumerate(mesh.materials)]
+    material_of_picture = np.array([*same, -1])
     if not mapped.any():
         return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
     tiles, names, tile, uv, notes = _tiles(mesh, np.where(mapped, material_of_picture[material], -1))
@@ -63,13 +65,11 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
             f"packed {pictures} textures into one of {texture.shape[1]}x{texture.shape[0]}",
         )
     placed = tuple(TextureTile(name, *box) for name, box in zip(names, boxes.tolist(), strict=True))
-    return PackedTexture(_into_boxes(uv, boxes[tile], texture.shape), texture, notes, placed)
-
-
-def _first_with_same_picture(materials: tuple[Material, ...]) -> list[int]:
-    """Return for each material the first one that shares its texture."""
-    first: dict[int, int] = {}
-    return [first.setdefault(id(m.texture_linear), i) for i, m in enumerate(materials)]
+    # Texel centres of a tile stay texel centres in its box of the atlas.
+    left, top, width, height = (boxes[tile, k, None].astype(float) for k in range(4))
+    across, down = left + uv[..., 0] * width, top + (1 - uv[..., 1]) * height
+    uv = np.stack([across / texture.shape[1], 1 - down / texture.shape[0]], axis=-1)
+    return PackedTexture(uv, texture, notes, placed)
 
 
 def _tiles(
@@ -156,11 +156,3 @@ def _lay_out(tiles: list[Image]) -> tuple[Image, IntArray]:
         area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
         area[:] = np.pad(tile, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), mode="edge")
     return atlas, boxes
-
-
-def _into_boxes(uv: FloatArray, box: IntArray, shape: tuple[int, ...]) -> FloatArray:
-    """Map uv of a tile into its box of the atlas; texel centres stay texel centres."""
-    left, top, width, height = (box[:, i, None].astype(float) for i in range(4))
-    across = (left + uv[..., 0] * width) / shape[1]
-    down = (top + (1 - uv[..., 1]) * height) / shape[0]
-    return np.stack([across, 1 - down], axis=-1)

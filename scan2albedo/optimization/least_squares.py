@@ -20,17 +20,14 @@ _SMALLEST_DIAGONAL = 1e-9
 class NormalEquations:
     """The quadratic model cost(d) = cost + gradient . d + d . matrix d / 2 of a step d (P,), within bounds.
 
-    A common factor of `matrix` and `gradient` does not matter.
+    `matrix` (P, P) is the Gauss-Newton matrix J^T W J, `gradient` (P,) J^T W r of the residuals r; a common
+    factor does not matter. A step stays between `lower` (P,) <= 0 and `upper` (P,) >= 0, when given.
     """
 
     matrix: FloatArray
-    """(P, P) Gauss-Newton matrix J^T W J."""
     gradient: FloatArray
-    """(P,) J^T W r of the residuals r."""
     lower: FloatArray | None = None
-    """(P,) <= 0: what a step may take off each parameter at most; None without limit."""
     upper: FloatArray | None = None
-    """(P,) >= 0: what a step may add to each parameter at most; None without limit."""
 
 
 class LeastSquaresPoint(Protocol):
@@ -57,34 +54,33 @@ Point = TypeVar("Point", bound=LeastSquaresPoint)
 
 @dataclass(frozen=True)
 class Damping:
-    """How the damping, a factor of the matrix's diagonal, follows the success of the steps."""
+    """How the damping, a factor of the matrix's diagonal, follows the success of the steps.
+
+    It starts with `first`, is multiplied by `decrease` after a step that lowered the cost, by `increase`
+    after one that did not, and is at least `least` and `after_failure`. Beyond `largest` no step along the
+    descent direction helps: the state is a minimum.
+    """
 
     first: float = 1e-3
-    """Of the first step."""
     decrease: float = 0.2
-    """Factor after a step that lowered the cost."""
     increase: float = 8.0
-    """Factor after one that did not."""
     least: float = 1e-9
-    """Never less than this."""
     after_failure: float = 0.0
-    """Least damping after a step that did not lower the cost: skips trials that would hardly differ."""
     largest: float = 1e10
-    """Beyond it no step along the descent direction helps: the state is a minimum."""
 
 
 @dataclass(frozen=True)
 class Descent(Generic[Point]):
-    """Where `minimize` ended."""
+    """Where `minimize` ended: the `best` point, the start where nothing better was found.
+
+    `converged` at a minimum within the tolerances, not when trials, steps or budget ended first. `steps`
+    lowered the cost; another run may go on with `damping`.
+    """
 
     best: Point
-    """The start where nothing better was found."""
     converged: bool
-    """True at a minimum within the tolerances, False when trials, steps or budget ended first."""
     steps: int
-    """Steps that lowered the cost."""
     damping: float
-    """At the end, with which another run may go on."""
 
 
 def minimize(
@@ -152,13 +148,9 @@ def minimize(
 
 
 def damped_step(model: NormalEquations, damping: float) -> FloatArray:
-    """Return the damped step (P,) within its bounds; parameters that would leave them at once stay.
+    """Return the step (P,) with `damping` times the diagonal added to the matrix, within its bounds.
 
-    Parameters
-    ----------
-    model : NormalEquations
-    damping : float
-        Factor of the matrix's diagonal that is added to it.
+    Parameters that would leave them at once stay.
     """
     free = np.ones(len(model.gradient), bool)
     if model.lower is not None:

@@ -13,10 +13,10 @@ from scan2albedo.albedo import AlbedoError, AlbedoEstimate, albedo_error
 from scan2albedo.core import PointLight, ProgressCallback
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
+from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.process import process
-from scan2albedo.pipeline.quality import Quality, quality_of
 from scan2albedo.pipeline.result import ProcessResult
-from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, raw_scan
+from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 INNER_LANDMARKS = slice(17, 68)
 """iBUG-68 without the jaw line, which no point of a smooth jaw defines."""
@@ -82,9 +82,9 @@ def run_demo(
     The `seed` is that of the person, its pose and its lights, and of the pipeline; `size` and `quality` are
     as in `process`, which also writes files to `out` unless it is None.
     """
-    preset = quality_of(quality)
-    scan, truth = raw_scan(seed, options=RawScanOptions(size=size or preset.size))
-    result = process(scan, out, size=size, quality=preset, seed=seed, on_progress=on_progress)
+    texels = ProcessOptions(size=size, quality=quality).texels
+    scan, truth = raw_scan(seed, scanner=Scanner(size=texels))
+    result = process(scan, out, size=size, quality=quality, seed=seed, on_progress=on_progress)
     return compare_with_truth(result, truth)
 
 

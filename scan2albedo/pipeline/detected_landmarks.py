@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
@@ -34,7 +35,7 @@ _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 _FACING = 0.5
 """Cosine between the surface and the view: what is seen at a more grazing angle is left out."""
 _FEWEST_VIEWS, _APART_MM = 2, 5.0
-"""At least so many views must see a landmark this near to the median of all."""
+"""Least number of views that see a landmark, and how near to the median of all."""
 _LEAST_SECONDS = 2.0
 """What loading the network and looking take."""
 _TEXTURE_PIXELS = 2048
@@ -52,7 +53,7 @@ _SIGMA_MM = {range(17, 27): 5.0, range(27, 36): 4.0, range(36, 48): 3.0, range(4
 """Deviation of the network's points from those that people place; points of a feature err alike, so these are
 larger than the deviation of one."""
 _GREY = 2.0
-"""The network knows photographs: on grey shapes it errs about so many times as far."""
+"""The network knows photographs: factor of its errors on grey shapes."""
 
 
 def require_detector() -> None:
@@ -62,22 +63,24 @@ def require_detector() -> None:
     _network_file()
 
 
-def with_detected(scan: RawScan, pose: FloatArray, seconds: float | None = None) -> RawScan:
+def with_detected(
+    scan: RawScan, pose: FloatArray, seconds: float | None = None
+) -> tuple[RawScan, list[PlanStep]]:
     """Return the scan with the landmarks that MediaPipe finds on it, beside those it has; these win.
 
-    Warns, and leaves the scan as it is, where it sees no face, or where `seconds` are too few.
+    It stays as it is, with a doubt, where no face is seen, or where `seconds` are too few.
     """
     if seconds is not None and seconds < _LEAST_SECONDS:
-        warnings.warn("too little of the budget is left to look for landmarks with MediaPipe", stacklevel=2)
-        return scan
+        reason = "too little of the budget is left to look for landmarks with MediaPipe"
+        return scan, [PlanStep.doubt("fit.landmarks", reason)]
     found, given = detected_landmarks(scan, pose), scan.landmarks
     if found is None:
-        warnings.warn("MediaPipe finds no face on the scan: no landmarks of it are used", stacklevel=2)
-        return scan
+        reason = "MediaPipe finds no face on the scan: no landmarks of it are used"
+        return scan, [PlanStep.doubt("fit.landmarks", reason)]
     if given is not None:
         points = np.where(given.placed[:, None], given.points, found.points)
         found = PlacedLandmarks(points, np.where(given.placed, given.sigma_mm, found.sigma_mm))
-    return replace(scan, landmarks=found)
+    return replace(scan, landmarks=found), []
 
 
 def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLandmarks | None:

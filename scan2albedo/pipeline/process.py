@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import inspect
+import difflib
 import os
 import time
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from itertools import chain
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Never
 
 import numpy as np
 
 from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
-from scan2albedo.core import Budget, Plan, ProgressCallback, RawScan, Trace
+from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
+from scan2albedo.applications.template_baking import TemplateTexture, template_texture
+from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import InsideOutError, memory_errors_named
-from scan2albedo.face_model import AnnotatedFaceModel, chosen_model
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.plausibility import doubts, face_coverage
 from scan2albedo.io import load_scan
@@ -30,67 +31,57 @@ from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.load_scan import with_landmarks
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
-from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.plan_of_result import plan_of
+from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
-from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
-from scan2albedo.pipeline.unlit_stage import MOST_OF_BUDGET, unlit_seconds, without_light
-from scan2albedo.registration import Registration, RegistrationOptions, register
-from scan2albedo.registration.refined_pose import refined_registration
+from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale
+from scan2albedo.registration import Registration, register
+from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
+from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
 """Share of the seconds still left for searching that each stage may take."""
+SAMPLING_S, DIVISION_S, UNLIT_S, PAINTED_S = 3e-6, 2e-6, 0.8e-6, 4e-6
+"""Seconds a texel that what follows the searches takes, whatever the budget: the geometry image, the removal
+of its light, that of the light on the scan's own texture, and the texture of a template."""
+MOST_OF_BUDGET = 0.3
+"""Part of a budget that is kept for the unlit scan: the face itself comes first."""
 WHOLE_FACE = 0.8
 """Part of the model with scan near, below which a person is warned: whole faces have 0.85 and more."""
 KNOWN_LIGHT = 0.25
 """Relative standard deviation of a lamp's strength above which a person is warned."""
-SAMPLING_S, DIVISION_S = 3e-6, 2e-6
-"""Seconds a texel that a geometry image and the removal of its light take, whatever the budget."""
-
-_Parameters = ParamSpec("_Parameters")
-_Result = TypeVar("_Result")
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Call(ProcessOptions):
-    """The parameters of `process`: its own, and the options."""
-
-    source: str | Path | RawScan = field(kw_only=False)
-    out: str | Path | None = field(default=None, kw_only=False)
-    name: str | None = None
-    on_progress: ProgressCallback | None = None
-
-
-def _called_as(
-    call: Callable[_Parameters, object],
-) -> Callable[[Callable[..., _Result]], Callable[_Parameters, _Result]]:
-    """Show type checkers, `help` and editors the parameters of `call` in place of `**options`."""
-
-    def typed(function: Callable[..., _Result]) -> Callable[_Parameters, _Result]:
-        returns = inspect.signature(function).return_annotation
-        shown = inspect.signature(call).replace(return_annotation=returns)
-        function.__signature__ = shown  # type: ignore[attr-defined]
-        return function
-
-    return typed
-
-
-@_called_as(_Call)
 def process(
     source: str | Path | RawScan,
     out: str | Path | None = None,
     *,
     name: str | None = None,
+    model: AnnotatedFaceModel | str | Path | None = "default",
+    size: int | None = None,
+    lights: int | str = "auto",
+    brdf: str = "oren-nayar",
+    unit: str = "auto",
+    quality: Quality | str = "standard",
+    budget: Budget | float | None = None,
+    seed: int = 0,
+    skip: Sequence[str] = (),
+    force: Sequence[str] = (),
+    pictures: bool = True,
+    files: str = "standard",
+    textures: str | Path | None = None,
+    landmarks: Any = None,
+    unlit: str | None = None,
+    texture_size: int = 1024,
     on_progress: ProgressCallback | None = None,
-    **options: Any,
+    **unknown: Never,
 ) -> ProcessResult:
     """Return the result of one raw scan, taken through every stage it needs.
 
     Raises Scan2AlbedoError with one clear message when the scan cannot be read, holds no face, cannot be
-    fitted, or the results cannot be written; earlier warnings of the stages are in its notes (`__notes__`).
-    Raises ValueError for options that `ProcessOptions` refuses, TypeError for another source than a path or a
-    `RawScan`.
+    fitted, or the results cannot be written; earlier doubts of the stages are in its notes (`__notes__`).
+    Raises ValueError for options that `ProcessOptions` refuses, TypeError for unknown options and for another
+    source than a path or a `RawScan`.
 
     Parameters
     ----------
@@ -100,48 +91,73 @@ def process(
         Folder that gets a subfolder named after the scan with the files of the result.
     name : str, optional
         Name of the scan and of its folder; the file's stem, or that of the `RawScan`, when omitted.
+    model, size, lights, brdf, unit, quality, budget, seed, skip, force, pictures, files, textures, \
+landmarks, unlit, texture_size
+        See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-    **options
-        The fields of `ProcessOptions`, such as ``size=1024``, ``budget=20`` or ``skip=["albedo"]``.
     """
+    for wrong in unknown:
+        names = ["name", "on_progress", *(option.name for option in fields(ProcessOptions))]
+        near = difflib.get_close_matches(wrong, names, 1)
+        hint = f": did you mean {near[0]!r}?" if near else f"; options are {', '.join(names)}"
+        raise TypeError(f"process() has no option {wrong!r}{hint}")
     advice = "give the path of a scan, or what load_scan(path) returns"
     require_type(source, (str, Path, RawScan), "process: source", advice)
     if out is not None:
         require_type(out, (str, Path), "process: out", "give the folder for the results")
-    chosen = ProcessOptions(**options)
+    chosen = ProcessOptions(
+        model=model,
+        size=size,
+        lights=lights,
+        brdf=brdf,
+        unit=unit,
+        quality=quality,
+        budget=budget,
+        seed=seed,
+        skip=skip,
+        force=force,
+        pictures=pictures,
+        files=files,
+        textures=textures,
+        landmarks=landmarks,
+        unlit=unlit,
+        texture_size=texture_size,
+    )
+    if name is None:
+        known = source.name if isinstance(source, RawScan) else scan_name(source)
+    elif not is_folder_name(known := name):
+        raise ValueError(f"name is {name!r}, expected a name that a folder can have")
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
-        RunFolder(Path(out) / _name(source, name), FILES).check()
+        RunFolder(Path(out) / known, FILES).check()
         check_writable(Path(out))
         remove_leftovers(Path(out))
-    with memory_errors_named(_name(source, name)), compiled_beside():
-        result = _processed(source, name, chosen, on_progress)
+    plan: dict[str, Sequence[PlanStep]] = {}
+    with memory_errors_named(known), compiled_beside():
+        try:
+            result = _processed(source, name, chosen, on_progress, plan)
+        except Exception as error:
+            for step in Plan(tuple(chain(*plan.values()))).doubts():
+                error.add_note(step.text)
+            raise
         if out is None:
             return result
-        return replace(
-            result, out=write_result(result, Path(out), files=chosen.files, pictures=chosen.pictures)
-        )
-
-
-def _name(source: str | Path | RawScan, name: str | None) -> str:
-    """Return the name of the scan, and of its folder."""
-    if name is not None:
-        if not is_folder_name(name):
-            raise ValueError(f"name is {name!r}, expected a name that a folder can have")
-        return name
-    return source.name if isinstance(source, RawScan) else scan_name(source)
+        folder = write_result(result, Path(out), files=chosen.files, pictures=chosen.pictures)
+        return replace(result, out=folder)
 
 
 @dataclass
 class _Clock:
     """Times the stages of one run, and shares what is left of its budget among them."""
 
-    options: ProcessOptions
-    timings_s: dict[str, float] = field(default_factory=dict)
-    start: float = field(default_factory=time.perf_counter)
+    budget: Budget
+    texels: int
+    """Of the geometry image."""
     kept_s: float = 0.0
     """Seconds kept back for what follows the last search."""
+    timings_s: dict[str, float] = field(default_factory=dict)
+    start: float = field(default_factory=time.perf_counter)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
@@ -154,22 +170,16 @@ class _Clock:
 
     def left_s(self) -> float:
         """Return the seconds left of the budget."""
-        seconds = Budget.of(self.options.budget).seconds
+        seconds = self.budget.seconds
         return float("inf") if seconds is None else seconds - (time.perf_counter() - self.start)
-
-    def keep(self, seconds: float) -> None:
-        """Keep seconds back, but no more than a part of the budget."""
-        budget = Budget.of(self.options.budget).seconds
-        self.kept_s = seconds if budget is None else min(seconds, MOST_OF_BUDGET * budget)
 
     def share(self, stage: str) -> Budget:
         """Return the stage's part of what is left of the budget."""
-        budget = Budget.of(self.options.budget)
-        if budget.seconds is None:
-            return budget
+        if self.budget.seconds is None:
+            return self.budget
         texel_s = DIVISION_S if stage == "albedo" else SAMPLING_S + DIVISION_S
-        left = self.left_s() - texel_s * self.options.texels**2 - self.kept_s
-        return replace(budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
+        left = self.left_s() - texel_s * self.texels - self.kept_s
+        return replace(self.budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
 
 def _processed(
@@ -177,62 +187,93 @@ def _processed(
     name: str | None,
     options: ProcessOptions,
     on_progress: ProgressCallback | None,
+    plan: dict[str, Sequence[PlanStep]],
 ) -> ProcessResult:
-    """Take the scan through the stages; no file is written."""
-    clock = _Clock(options)
+    """Take the scan through the stages; no file is written. `plan` gets the rows of each stage."""
+    clock = _Clock(Budget.of(options.budget), options.texels**2)
     if options.landmarks_detected:
         require_detector()
     file = None if isinstance(source, RawScan) else Path(source)
     with clock.timed("load"):
         # Hashed before it is read: a file that changes meanwhile is stale at once.
         sha256 = input_sha256(file, options.textures) if file is not None and os.path.isfile(file) else None
-        scan, scaled = _loaded(source, name, options)
+        size_fits = None
+        if isinstance(source, RawScan):
+            scan = source if name is None else replace(source, name=name)
+        elif options.unit == "auto" and options.model != "none" and "register" not in options.skip:
+            scan, size_fits = load_of_any_size(Path(source), name, options.textures)
+        else:
+            scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
+        if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
+            scan = with_landmarks(scan, options.landmarks, file)
         model = chosen_model(options.model)
-    clock.keep(unlit_seconds(scan, options))
+    unlit_s = _unlit_seconds(scan, options)
+    seconds = clock.budget.seconds
+    clock.kept_s = unlit_s if seconds is None else min(unlit_s, MOST_OF_BUDGET * seconds)
     registration, fitted, estimate = None, None, None
-    unlit, template, unlit_plan = None, None, Plan(())
-    with _warnings_as_messages() as messages:
-        if model is None and not (options.landmarks is None and scan.landmarks is None):
-            warnings.warn("landmarks are not used: without a model nothing is fitted to them", stacklevel=2)
-        if model is not None and "register" not in options.skip:
+    if model is None:
+        steps = [PlanStep(stage, False, "no model was asked for") for stage in ("register", "fit")]
+        if options.landmarks is not None or scan.landmarks is not None:
+            reason = "landmarks are not used: without a model nothing is fitted to them"
+            steps.append(PlanStep.doubt("fit.landmarks", reason))
+        plan["fit"] = steps
+    else:
+        pose = np.eye(4)
+        if "register" in options.skip:
+            reason = "skipped by the caller: the scan is taken to lie in the model's frame"
+            plan["register"] = [PlanStep("register", False, reason)]
+        else:
             with clock.timed("register"):
-                scan, registration = _registered(scan, scaled, model, clock, options, on_progress)
-        if model is not None:
-            pose = np.eye(4) if registration is None else registration.model_from_scan
-            with clock.timed("fit"):
-                if options.landmarks_detected:
-                    scan = with_detected(scan, pose, clock.share("fit").seconds)
-                fitted = fit(
-                    scan, model, pose, clock.share("fit"), options=options.stages.fit, on_progress=on_progress
-                )
-                if registration is not None:
-                    pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
-                    stage = options.stages.registration
-                    registration = refined_registration(registration, scan, model, pose, scale, options=stage)
-        with clock.timed("geometry_image"):
-            if fitted is not None:
-                image = geometry_image(fitted, scan, options.texels)
-            else:
-                image = geometry_image_of_scan(scan, options.texels)
-        if image.texture_linear is not None and "albedo" not in options.skip:
-            with clock.timed("albedo"):
-                estimate = estimate_albedo(
-                    image,
-                    lights=options.lights,
-                    brdf=options.brdf,
-                    budget=clock.share("albedo"),
-                    seed=options.seed,
-                    options=_estimate_options(options),
-                    on_progress=on_progress,
-                )
-        if options.unlit is not None or (fitted is not None and fitted.model.template_uv is not None):
-            with clock.timed("unlit"):
-                left = clock.left_s()
-                unlit, template, unlit_plan = without_light(scan, fitted, estimate, options, left)
-            for step in unlit_plan:
-                if not step.ran:
-                    warnings.warn(f"{step.stage} is left out: {step.reason}", stacklevel=2)
+                scan, registration = _registered(scan, size_fits, model, clock, options, on_progress)
+            pose = registration.model_from_scan
+            plan["register"] = _register_rows(registration)
+        with clock.timed("fit"):
+            steps = []
+            if options.landmarks_detected:
+                scan, steps = with_detected(scan, pose, clock.share("fit").seconds)
+            share, stage = clock.share("fit"), options.stages.fit
+            fitted = fit(scan, model, pose, share, options=stage, on_progress=on_progress)
+            if registration is not None:
+                pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
+                registration = refined_registration(registration, scan, model, pose, scale)
+                plan["register"] = _register_rows(registration)
+        plan["fit"] = [*steps, *_fit_rows(options, scan, fitted)]
+    with clock.timed("geometry_image"):
+        if fitted is not None:
+            image = geometry_image(fitted, scan, options.texels)
+        else:
+            image = geometry_image_of_scan(scan, options.texels)
+    plan["geometry_image"] = [_image_row(image, scan, fitted)]
+    if image.texture_linear is not None and "albedo" not in options.skip:
+        with clock.timed("albedo"):
+            estimate = estimate_albedo(
+                image,
+                lights=options.lights,
+                brdf=options.brdf,
+                budget=clock.share("albedo"),
+                seed=options.seed,
+                options=_estimate_options(options),
+                on_progress=on_progress,
+            )
+        plan["albedo"] = estimate.plan.steps
+        unsure = 0.0 if estimate.uncertainty is None else max(estimate.uncertainty.intensity, default=0.0)
+        if unsure > KNOWN_LIGHT:
+            reason = (
+                f"a lamp's strength is known to {100 * unsure:.0f} % only: its light may be in the albedo"
+            )
+            plan["albedo"] = [*estimate.plan, PlanStep.doubt("albedo.lamp_strength", reason)]
+    elif "albedo" in options.skip:
+        plan["albedo"] = [PlanStep("albedo", False, "skipped by the caller")]
+    else:
+        plan["albedo"] = [PlanStep("albedo", False, "the scan has no usable colour")]
+    unlit, template = None, None
+    painted = fitted is not None and fitted.model.template_uv is not None
+    if options.unlit is not None or painted:
+        with clock.timed("unlit"):
+            left_s = clock.left_s()
+            unlit, template, plan["unlit"] = _without_light(scan, fitted, estimate, options, left_s)
     ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
+    loaded = [PlanStep("load", True, note) for note in scan.notes]
     return ProcessResult(
         scan=scan,
         registration=registration,
@@ -241,38 +282,19 @@ def _processed(
         albedo=estimate,
         unlit=unlit,
         template=template,
-        plan=plan_of(options, scan, registration, fitted, image, estimate) + unlit_plan,
+        plan=Plan((*loaded, *chain(*plan.values()))),
         trace=sum((stage.trace for stage in ran), Trace()),
         timings_s=clock.timings_s,
         options=options.recorded(model),
         seed=options.seed,
         input_sha256=sha256,
         source=file,
-        messages=(*messages, *_cautions(registration, fitted, estimate)),
     )
-
-
-def _loaded(
-    source: str | Path | RawScan, name: str | None, options: ProcessOptions
-) -> tuple[RawScan, ScaledScan | None]:
-    """Return the scan with the landmarks that are given; `scaled` where its unit is still to be found."""
-    file, scaled = None if isinstance(source, RawScan) else Path(source), None
-    if isinstance(source, RawScan):
-        scan = source if name is None else replace(source, name=name)
-    elif options.unit == "auto" and options.model != "none" and "register" not in options.skip:
-        scaled = load_of_any_size(Path(source), name, options.textures)
-        scan = scaled.scan
-    else:
-        scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
-    if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
-        scan = with_landmarks(scan, options.landmarks, file)
-        scaled = None if scaled is None else replace(scaled, scan=scan)
-    return scan, scaled
 
 
 def _registered(
     scan: RawScan,
-    scaled: ScaledScan | None,
+    size_fits: bool | None,
     model: AnnotatedFaceModel,
     clock: _Clock,
     options: ProcessOptions,
@@ -280,14 +302,19 @@ def _registered(
 ) -> tuple[RawScan, Registration]:
     """Return the scan, its triangles reversed where they face inward, and the pose of its face.
 
-    A scan whose unit nobody gave is `scaled`: it is brought to the scale at which it holds a face.
+    A scan whose unit nobody gave, where `size_fits` is not None, is brought to the scale of a face in it.
     """
-
-    def registration(of: RawScan) -> Registration:
-        share, stage = clock.share("register"), _registration_options(options)
-        return register(of, model, share, options.seed, options=stage, on_progress=on_progress)
+    stage, step = options.stages.registration, "register.depth_annealing"
+    if step in options.skip:
+        stage = replace(stage, annealing_evaluations=0)
+    elif step in options.force:
+        stage = replace(stage, force_annealing=True)
 
     def as_it_should_be(of: RawScan) -> tuple[RawScan, Registration]:
+        def registration(turned: RawScan) -> Registration:
+            share = clock.share("register")
+            return register(turned, model, share, options.seed, options=stage, on_progress=on_progress)
+
         try:
             return of, registration(of)
         except InsideOutError:
@@ -298,15 +325,68 @@ def _registered(
             turned = replace(of.inside_out(), notes=(*of.notes, note))
             return turned, registration(turned)
 
-    return as_it_should_be(scan) if scaled is None else registered_at_any_scale(scaled, as_it_should_be)
+    if size_fits is None:
+        return as_it_should_be(scan)
+    return registered_at_any_scale(scan, size_fits, as_it_should_be)
 
 
-def _registration_options(options: ProcessOptions) -> RegistrationOptions:
-    """Return the preset's options with the step that the caller skips or forces."""
-    preset, step = options.stages.registration, "register.depth_annealing"
-    if step in options.skip:
-        return replace(preset, annealing_evaluations=0)
-    return replace(preset, force_annealing=True) if step in options.force else preset
+def _register_rows(registration: Registration) -> list[PlanStep]:
+    evidence = f"rmse {registration.rmse_mm:.2f} mm"
+    rows = [PlanStep("register", True, "pose of the face in the scan", evidence), *registration.plan]
+    if registration.confidence < SURE:
+        reason = (
+            f"the pose is unsure (confidence {registration.confidence:.2f}): another one is nearly as good, "
+            "or the scan hardly resembles a face; look at overview.png"
+        )
+        rows.append(PlanStep.doubt("register.confidence", reason))
+    return rows
+
+
+def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> list[PlanStep]:
+    """Return what the fit used of the scan, and what is doubtful about the face."""
+    rows = []
+    if scan.landmarks is not None:
+        reason = "MediaPipe finds landmarks" if options.landmarks_detected else "landmarks are given"
+        rows.append(PlanStep("fit.landmarks", True, reason, f"{int(scan.landmarks.placed.sum())}"))
+    evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
+    rows.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
+    if (area_mm2 := fitted.metrics["covered_mm2"]) > 0:
+        reason = "some of the scan stands far before the eyes, as glasses do"
+        rows.append(PlanStep("fit.covers", True, reason, f"{area_mm2 / 100:.0f} cm2 left out"))
+    elif not options.stages.fit.covers:
+        rows.append(PlanStep("fit.covers", False, "the preset keeps all of the scan"))
+    elif fitted.landmarks is None:
+        rows.append(PlanStep("fit.covers", False, "the model has no landmarks that say where eyes are"))
+    else:
+        rows.append(PlanStep("fit.covers", False, "nothing is found before the eyes"))
+    if count := int(fitted.metrics.get("painted_landmarks", 0)):
+        reason = "the scan's colours show brows, eyes or lips"
+        rows.append(PlanStep("fit.colors", True, reason, f"{count} landmarks"))
+    else:
+        reason = "the scan's colours show no feature surely" if scan.has_color else "the scan has no colour"
+        rows.append(PlanStep("fit.colors", False, reason))
+    rows += fitted.plan
+    if (coverage := face_coverage(fitted)) < WHOLE_FACE:
+        why = (
+            "what lies before the eyes was left out" if area_mm2 > 0 else "a file cut short, or half a face?"
+        )
+        reason = (
+            f"only {100 * coverage:.0f} % of the face has scan near it, else the model's own shape: {why}"
+        )
+        rows.append(PlanStep.doubt("fit.coverage", reason))
+    return [*rows, *doubts(fitted)]
+
+
+def _image_row(image: GeometryImage, scan: RawScan, fitted: FittedFace | None) -> PlanStep:
+    figures = image.figures()
+    evidence = (
+        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
+        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
+    )
+    if fitted is not None and scan.has_color:
+        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
+    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
+    return PlanStep("geometry_image", True, chart, evidence)
 
 
 def _estimate_options(options: ProcessOptions) -> EstimateOptions:
@@ -320,57 +400,49 @@ def _estimate_options(options: ProcessOptions) -> EstimateOptions:
     return replace(preset, skip=steps(preset.skip, options.skip), force=steps(preset.force, options.force))
 
 
-@contextmanager
-def _warnings_as_messages() -> Iterator[list[str]]:
-    """Give a list that holds the block's user warnings when it ends; other warnings pass on.
+def _unlit_seconds(scan: RawScan, options: ProcessOptions) -> float:
+    """Return the seconds that the unlit scan needs; beyond the face a texel takes half as long."""
+    if options.unlit is None or scan.texture_linear is None:
+        return 0.0
+    return UNLIT_S * (1.5 if options.unlit == "all" else 1.0) * scan.texture_linear[..., 0].size
 
-    An error that leaves the block carries them as notes, since there is no result then to hold them.
+
+def _without_light(
+    scan: RawScan,
+    fitted: FittedFace | None,
+    estimate: AlbedoEstimate | None,
+    options: ProcessOptions,
+    left_s: float,
+) -> tuple[UnlitScan | None, TemplateTexture | None, list[PlanStep]]:
+    """Return the unlit scan where it is asked for, the texture of a template that has coordinates, the plan.
+
+    What would take longer than `left_s` is left out.
     """
-    messages: list[str] = []
-    caught: list[warnings.WarningMessage] = []
-    try:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", UserWarning)
-            yield messages
-    # Whatever ends the block carries the notes, and is raised again.
-    except Exception as error:
-        for warning in caught:
-            if issubclass(warning.category, UserWarning):
-                error.add_note(str(warning.message))
-        raise
-    finally:
-        for warning in caught:
-            if issubclass(warning.category, UserWarning):
-                messages.append(str(warning.message))
-            else:
-                warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-
-
-def _cautions(
-    registration: Registration | None, fitted: FittedFace | None, estimate: AlbedoEstimate | None
-) -> Iterator[str]:
-    """Yield what a person should doubt: the pose, the face that was fitted, a light that is hardly known."""
-    if registration is not None and registration.confidence < SURE:
-        yield (
-            f"the pose is unsure (confidence {registration.confidence:.2f}): another one is nearly as good, "
-            "or the scan hardly resembles a face; look at overview.png"
-        )
-    coverage = 1.0 if fitted is None else face_coverage(fitted)
-    if coverage < WHOLE_FACE:
-        covered = fitted is not None and fitted.metrics["covered_mm2"] > 0
-        why = (
-            "what lies before the eyes was left out" if covered else "is the file cut short, or half a face?"
-        )
-        yield f"only {100 * coverage:.0f} % of the face has scan near it, else the model's own shape: {why}"
-    if fitted is not None:
-        yield from doubts(fitted)
-    if estimate is None:
-        return
-    unsure = 0.0 if estimate.uncertainty is None else max(estimate.uncertainty.intensity, default=0.0)
-    if unsure > KNOWN_LIGHT:
-        yield f"a lamp's strength is known to {100 * unsure:.0f} % only: its light may be in the albedo"
-    yield from (
-        f"{step.reason}: {step.evidence}"
-        for step in estimate.plan
-        if step.stage == "albedo.limits" and step.ran
-    )
+    unlit, template, steps = None, None, list[PlanStep]()
+    late = "the budget ended before it"
+    if options.unlit is not None:
+        if fitted is None or estimate is None:
+            why = "there is no face" if fitted is None else "no albedo was estimated"
+            steps.append(PlanStep.wrong("unlit", f"unlit is left out: {why}, so the light is not known"))
+        elif _unlit_seconds(scan, options) > left_s:
+            steps.append(PlanStep.wrong("unlit", f"unlit is left out: {late}", f"{left_s:.1f} s left"))
+        else:
+            unlit = unlit_scan(scan, fitted, estimate, options.unlit)
+            size = unlit.confidence.shape
+            evidence = f"{' x '.join(map(str, size))} {'texels' if len(size) == 2 else 'vertices'}"
+            what = "whole scan" if options.unlit == "all" else "face"
+            steps.append(PlanStep("unlit", True, f"the light is taken off the {what}", evidence))
+    if fitted is not None and fitted.model.template_uv is not None and estimate is not None:
+        if PAINTED_S * options.texture_size**2 > left_s:
+            reason = f"template_texture is left out: {late}"
+            steps.append(PlanStep.wrong("template_texture", reason, f"{left_s:.1f} s left"))
+        else:
+            # A template may reach beyond the face, so its texture has no light anywhere.
+            everywhere = unlit if options.unlit == "all" else None
+            colors = (everywhere or unlit_scan(scan, fitted, estimate, "all")).scan
+            template = template_texture(colors, fitted, options.texture_size)
+            seen = sum(float(tile.seen.mean()) for tile in template.tiles) / max(len(template.tiles), 1)
+            evidence = f"{len(template.tiles)} tile(s), {seen:.0%} of their texels seen"
+            reason = "the template has texture coordinates"
+            steps.append(PlanStep("template_texture", True, reason, evidence))
+    return unlit, template, steps

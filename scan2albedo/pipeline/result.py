@@ -69,7 +69,7 @@ LEFT_OUT = PICTURES | {"geometry_image.exr", "shading.exr", "specular.exr", "sha
 
 
 SURE = 0.5
-"""Confidence of a registration below which a person is told: whole faces have more."""
+"""Confidence of a registration below which there is a doubt: whole faces have more."""
 
 
 @dataclass(frozen=True)
@@ -104,15 +104,13 @@ class ProcessResult:
     """File the scan was read from."""
     out: Path | None = None
     """Folder with the files, when they were written."""
-    messages: tuple[str, ...] = ()
-    """Warnings that stages gave."""
     input_sha256: str | None = None
     """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What loading decided and repaired, and what is doubtful, one sentence each."""
-        return (*self.scan.notes, *self.messages)
+        """What loading decided and repaired, and what is doubtful or wrong, one sentence each."""
+        return (*self.scan.notes, *(step.text for step in self.plan.doubts()))
 
     @property
     def landmarks_scan(self) -> FloatArray | None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,75 +30,50 @@ Register = Callable[[RawScan], tuple[RawScan, Registration]]
 """Returns the pose of a scan's face, and the scan, turned if need be."""
 
 
-@dataclass(frozen=True)
-class ScaledScan:
-    """A scan, and whether its size `fits` a head with what a unit of its file was taken for."""
+def load_of_any_size(file: Path, name: str | None, textures: str | Path | None) -> tuple[RawScan, bool]:
+    """Load a scan as `load_scan` does; one of no head's size in any unit becomes as long as a head.
 
-    scan: RawScan
-    fits: bool
-
-
-def load_of_any_size(file: Path, name: str | None, textures: str | Path | None) -> ScaledScan:
-    """Load a scan as `load_scan` does; one of no head's size in any unit becomes as long as a head."""
-    fits: list[bool] = []
+    Returns the scan, and whether its size fits a head in the unit that its file was taken to have.
+    """
+    fits = True
 
     def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
+        nonlocal fits
         try:
-            factor, note = millimetres_per_unit(mesh.vertices, components, "auto", file.name)
+            return millimetres_per_unit(mesh.vertices, components, "auto", file.name)
         except UnitError:
             extent = largest_extent(mesh.vertices, components)
             if not 0 < extent < np.inf:
                 raise
-            factor, note = _EXTENTS_MM[0] / extent, f"unit: none fits (largest extent {extent:.4g} units)"
-            fits.append(False)
-        else:
-            fits.append(True)
-        return factor, note
+            fits = False
+            return _EXTENTS_MM[0] / extent, f"unit: none fits (largest extent {extent:.4g} units)"
 
-    scan = load_scan_with(file, decide, name=name, textures=textures)
-    return ScaledScan(scan, fits[-1])
+    return load_scan_with(file, decide, name=name, textures=textures), fits
 
 
-def registered_at_any_scale(scaled: ScaledScan, register: Register) -> tuple[RawScan, Registration]:
+def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tuple[RawScan, Registration]:
     """Return the scan, at the scale at which it holds a face, and the face's pose.
 
-    It is taken as it is where its size fits and it holds a face of a person's size. Where that is in doubt it
-    is tried at the sizes of heads, and brought to the scale at which a face beyond doubt has the model's.
+    It is taken as it is where its size `fits` and it holds a face of a person's size. Where that is in doubt
+    it is tried at the sizes of heads, and brought to the scale at which a sure face has the model's size.
     Raises RegistrationError, that of the scan as it is if its size fits, where there is no face.
     """
     refusal = NoFaceError(
-        f"{scaled.scan.name}: no face found beyond doubt at any scale; give the unit with unit='mm', 'cm' or "
-        "'m'"
+        f"{scan.name}: no face found beyond doubt at any scale; give the unit with unit='mm', 'cm' or 'm'"
     )
-    known, held_back = None, list[warnings.WarningMessage]()
-    if scaled.fits:
+    known = None
+    if fits:
         try:
-            with warnings.catch_warnings(record=True) as held_back:
-                warnings.simplefilter("always")
-                known = register(scaled.scan)
+            known = register(scan)
         except NoFaceError as error:
             refusal = error
     low, high = HUMAN_SCALE
-    if known is None or known[1].confidence < SURE or not low <= known[1].face_scale <= high:
-        larger = _as_large_as_heads(scaled, register)
-        if larger is not None:
-            return register(larger)
-    if known is None:
-        raise refusal
-    for warning in held_back:
-        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-    return known
-
-
-def _as_large_as_heads(scaled: ScaledScan, register: Register) -> RawScan | None:
-    """Return the scan at the scale of a face that it holds beyond doubt, with a note, or None."""
-    scan = scaled.scan
+    if known is not None and known[1].confidence >= SURE and low <= known[1].face_scale <= high:
+        return known
     extent = largest_extent(scan.vertices, vertex_components(len(scan.vertices), scan.faces))
     for tried_mm in _EXTENTS_MM:
-        tried = scan.scaled(tried_mm / extent)
-        with warnings.catch_warnings(), suppress(RegistrationError):
-            warnings.simplefilter("ignore")
-            _, found = register(tried)
+        with suppress(RegistrationError):
+            _, found = register(scan.scaled(tried_mm / extent))
             if found.confidence >= _SURE:
                 factor = tried_mm / extent / found.face_scale
                 note = (
@@ -108,5 +82,9 @@ def _as_large_as_heads(scaled: ScaledScan, register: Register) -> RawScan | None
                     "the unit if you know it"
                 )
                 others = (n for n in scan.notes if not n.startswith("unit: "))
-                return replace(scan.scaled(factor), notes=(note, *others))
-    return None
+                break
+    else:
+        if known is None:
+            raise refusal
+        return known
+    return register(replace(scan.scaled(factor), notes=(note, *others)))

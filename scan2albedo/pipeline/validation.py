@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,14 +21,10 @@ from scan2albedo.synthetic import (
     with_normal_error,
 )
 
-PAPER_HEMISPHERE_MSE_PERCENT = 1.07
-PAPER_FACE_MSE_PERCENT = 2.01
-PAPER_LIGHTING_STD_PERCENT = (11.0, 4.0)
-"""The paper's mean standard deviation over three lights: of the texture, of the albedo."""
-
-CAPTURE_NOISE = 0.005
-NORMAL_ERROR_DEG = 3.0
-
+PAPER_MSE_PERCENT, PAPER_LIGHTING = {"hemisphere": 1.07, "face": 2.01}, (11.0, 4.0)
+"""The paper's albedo MSE by scene, and its mean standard deviation over three lights in percent, of the
+texture and of the albedo."""
+CAPTURE_NOISE, NORMAL_ERROR_DEG = 0.005, 3.0
 LIGHT_ANGLES_DEG = (0.0, 30.0, 60.0)
 TEXTURES: tuple[TextureName, ...] = ("wood", "skin")
 REFLECTANCES = {
@@ -85,18 +80,28 @@ class ValidationTable:
         """Return the table as plain numbers for JSON."""
         return {**asdict(self), "worst_mse_percent": self.worst_mse_percent}
 
+    def text(self) -> str:
+        """Return the table for a terminal, the paper's figure beside ours."""
+        head = (
+            f"{'reflectance':<20}{'texture':<9}{'light':>6}{'input':>9}{'albedo':>10}{'on V':>10}"
+            f"{'rel. RMSE':>11}{'light off':>11}"
+        )
+        title = f"{self.scene}: albedo MSE in percent after the best single scale"
+        worst = f"worst: {self.worst_mse_percent:.4f} %   the paper: {self.paper_mse_percent:.2f} %"
+        return "\n".join([title, head, "-" * len(head), *(row.text() for row in self.rows), worst])
+
 
 @dataclass(frozen=True)
 class LightingRow:
     """One subject under several lights: mean standard deviation over the lights, percent of white."""
 
-    seed: int
+    seed: int | str
     texture_std_percent: float
     albedo_std_percent: float
 
     def text(self) -> str:
         """Return the row as a line of the table."""
-        return _lighting_line(self.seed, self.texture_std_percent, self.albedo_std_percent)
+        return f"{self.seed!s:<10}{self.texture_std_percent:>8.2f} %{self.albedo_std_percent:>8.2f} %"
 
 
 @dataclass(frozen=True)
@@ -119,49 +124,40 @@ class LightingTable:
 
     def figures(self) -> dict[str, Any]:
         """Return the table as plain numbers for JSON."""
-        means = {
-            "texture_std_percent": self.texture_std_percent,
-            "albedo_std_percent": self.albedo_std_percent,
-        }
-        return {**asdict(self), **means}
+        means = ("texture_std_percent", "albedo_std_percent")
+        return {**asdict(self), **{name: getattr(self, name) for name in means}}
+
+    def text(self) -> str:
+        """Return the table for a terminal, the paper's figures beside ours."""
+        title = "lighting: mean standard deviation over three lights, percent of white"
+        mean = LightingRow("mean", self.texture_std_percent, self.albedo_std_percent)
+        paper = LightingRow("the paper", self.paper_texture_std_percent, self.paper_albedo_std_percent)
+        lines = [row.text() for row in (*self.rows, mean, paper)]
+        return "\n".join([title, f"{'subject':<10}{'texture':>10}{'albedo':>10}", "-" * 30, *lines])
 
 
-def _lighting_line(name: object, texture_std_percent: float, albedo_std_percent: float) -> str:
-    return f"{name!s:<10}{texture_std_percent:>8.2f} %{albedo_std_percent:>8.2f} %"
-
-
-def validate_hemisphere(
-    *, size: int = 256, seed: int = 0, on_row: Callable[[ValidationRow], None] | None = None
+def validate_scenes(
+    scene: str, *, size: int = 256, seed: int | None = None, on_row: Callable[[Any], None] | None = None
 ) -> ValidationTable:
-    """Estimate the albedo of hemispheres of wood and skin under a light at 0, 30 and 60 degrees.
+    """Estimate the albedo of scenes of wood and skin under a light at 0, 30 and 60 degrees.
 
-    `size` is the side of the geometry images in texels (the pictures have 8 bits), `seed` that of the
-    textures; `on_row` is called with each row as it is done.
+    `scene` is "hemisphere" or "face", cast shadows included; `size` the side of the geometry images in texels
+    (the pictures have 8 bits), `seed` that of the textures or of the face; `on_row` is called with each row
+    as it is done.
     """
-    rows = _rows(partial(hemisphere, size=size, seed=seed), on_row)
-    return ValidationTable("hemisphere", rows, PAPER_HEMISPHERE_MSE_PERCENT)
-
-
-def validate_face(
-    *, size: int = 256, seed: int = 1, on_row: Callable[[ValidationRow], None] | None = None
-) -> ValidationTable:
-    """Estimate the albedo of a face of wood and skin, cast shadows included; see `validate_hemisphere`."""
-    rows = _rows(partial(face, seed, size=size), on_row)
-    return ValidationTable("face", rows, PAPER_FACE_MSE_PERCENT)
-
-
-def _rows(
-    scene: Callable[..., SyntheticScene], on_row: Callable[[ValidationRow], None] | None
-) -> tuple[ValidationRow, ...]:
     rows = []
     for brdf, material in REFLECTANCES.items():
         for texture in TEXTURES:
             for angle in LIGHT_ANGLES_DEG:
-                made = scene(lights=[light_at(angle)], texture=texture, material=material)
-                rows.append(validation_row(made, angle, brdf))
+                made: dict[str, Any] = {"lights": [light_at(angle)], "texture": texture, "material": material}
+                if scene == "face":
+                    shown = face(1 if seed is None else seed, size=size, **made)
+                else:
+                    shown = hemisphere(size=size, seed=seed or 0, **made)
+                rows.append(validation_row(shown, angle, brdf))
                 if on_row is not None:
                     on_row(rows[-1])
-    return tuple(rows)
+    return ValidationTable(scene, tuple(rows), PAPER_MSE_PERCENT[scene])
 
 
 def validation_row(scene: SyntheticScene, light_angle_deg: float, brdf: str) -> ValidationRow:
@@ -202,7 +198,7 @@ def validate_lighting(
     size: int = 256,
     seed: int = 1,
     subjects: int = 2,
-    on_row: Callable[[LightingRow], None] | None = None,
+    on_row: Callable[[Any], None] | None = None,
 ) -> LightingTable:
     """Compare textures and albedos of the same faces under three different lights.
 
@@ -216,13 +212,14 @@ def validate_lighting(
     """
     rows = []
     for subject in range(seed, seed + subjects):
-        rows.append(_lighting_row(subject, size))
+        rows.append(lighting_row(subject, size))
         if on_row is not None:
             on_row(rows[-1])
-    return LightingTable(tuple(rows), *PAPER_LIGHTING_STD_PERCENT)
+    return LightingTable(tuple(rows), *PAPER_LIGHTING)
 
 
-def _lighting_row(seed: int, size: int) -> LightingRow:
+def lighting_row(seed: int, size: int) -> LightingRow:
+    """Compare textures and albedos of one subject under the three lights."""
     material, rng = REFLECTANCES["oren-nayar + phong"], np.random.default_rng(seed)
     lights = (light_at(45, 10), light_at(-50, 0), light_at(10, 40, distance_mm=900.0))
     captures = [
@@ -244,31 +241,3 @@ def mean_deviation_percent(images: Sequence[NDArray], level: float) -> float:
     """
     scaled = np.stack([level / np.mean(image) * np.asarray(image, np.float64) for image in images])
     return float(100 * scaled.std(axis=0).mean())
-
-
-def format_table(table: ValidationTable | LightingTable) -> str:
-    """Return a table as text for a terminal, the paper's figures beside ours."""
-    if isinstance(table, LightingTable):
-        return _format_lighting(table)
-    head = (
-        f"{'reflectance':<20}{'texture':<9}{'light':>6}{'input':>9}{'albedo':>10}{'on V':>10}"
-        f"{'rel. RMSE':>11}{'light off':>11}"
-    )
-    title = f"{table.scene}: albedo MSE in percent after the best single scale"
-    lines = [title, head, "-" * len(head), *(row.text() for row in table.rows)]
-    lines.append(f"worst: {table.worst_mse_percent:.4f} %   the paper: {table.paper_mse_percent:.2f} %")
-    return "\n".join(lines)
-
-
-def _format_lighting(table: LightingTable) -> str:
-    head = f"{'subject':<10}{'texture':>10}{'albedo':>10}"
-    return "\n".join(
-        [
-            "lighting: mean standard deviation over three lights, percent of white",
-            head,
-            "-" * 30,
-            *(row.text() for row in table.rows),
-            _lighting_line("mean", table.texture_std_percent, table.albedo_std_percent),
-            _lighting_line("the paper", table.paper_texture_std_percent, table.paper_albedo_std_percent),
-        ]
-    )

@@ -1,7 +1,6 @@
 """Recognition of persons by their albedo: templates, similarity, identification and its curves."""
 
 from scan2albedo.recognition.curves import CmcCurve, RocCurve, cmc_curve, roc_curve
-from scan2albedo.recognition.fusion import Calibration, fused
 from scan2albedo.recognition.identification import (
     Identification,
     ProbeMatches,
@@ -12,22 +11,26 @@ from scan2albedo.recognition.identification import (
 from scan2albedo.recognition.labelled_templates import (
     LabelledTemplates,
     read_labelled_templates,
+    read_templates,
     write_labelled_templates,
+    write_templates,
 )
 from scan2albedo.recognition.manifest import Manifest, ManifestEntry, read_manifest
-from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.pyramid import SteerablePyramid, steerable_pyramid
-from scan2albedo.recognition.result_identification import ResultIdentification, identify_results
-from scan2albedo.recognition.similarity import cw_ssim, similarity_matrix
-from scan2albedo.recognition.stored_faces import (
-    StoredAlbedo,
-    StoredShape,
-    read_albedo,
-    read_shape,
-    result_templates,
+from scan2albedo.recognition.result_identification import (
+    Calibration,
+    ResultIdentification,
+    fused,
+    identify_results,
 )
-from scan2albedo.recognition.template_files import read_templates, write_templates
-from scan2albedo.recognition.templates import Chart, Templates, albedo_templates, shape_templates
+from scan2albedo.recognition.similarity import cw_ssim, similarity_matrix
+from scan2albedo.recognition.stored_faces import StoredFace, read_face
+from scan2albedo.recognition.templates import (
+    Chart,
+    TemplateOptions,
+    Templates,
+    albedo_templates,
+    shape_templates,
+)
 from scan2albedo.recognition.transformers import DistanceTransformer, TemplateTransformer
 
 __all__ = [
@@ -42,10 +45,7 @@ __all__ = [
     "ProbeMatches",
     "ResultIdentification",
     "RocCurve",
-    "SimilarityOptions",
-    "SteerablePyramid",
-    "StoredAlbedo",
-    "StoredShape",
+    "StoredFace",
     "TemplateOptions",
     "TemplateTransformer",
     "Templates",
@@ -57,16 +57,13 @@ __all__ = [
     "identify_by_similarity",
     "identify_results",
     "match_probes",
-    "read_albedo",
+    "read_face",
     "read_labelled_templates",
     "read_manifest",
-    "read_shape",
     "read_templates",
-    "result_templates",
     "roc_curve",
     "shape_templates",
     "similarity_matrix",
-    "steerable_pyramid",
     "write_labelled_templates",
     "write_templates",
 ]

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.options import SimilarityOptions
-from scan2albedo.recognition.similarity import similarity_matrix
+from scan2albedo.recognition.similarity import WINDOW, similarity_matrix
 from scan2albedo.recognition.templates import Templates
 
 Combine = Literal["best", "mean"]
@@ -53,7 +52,7 @@ def identify(
     probes: Templates,
     *,
     combine: Combine = "best",
-    similarity: SimilarityOptions = SimilarityOptions(),
+    window: int = WINDOW,
 ) -> Identification:
     """Return which persons of a gallery the probes show.
 
@@ -67,7 +66,8 @@ def identify(
         Their names do not influence the prediction; they only show whether it is right.
     combine : {"best", "mean"}
         A person's similarity is the best of, or the mean over, the images in the gallery.
-    similarity : SimilarityOptions
+    window : int
+        As in `cw_ssim`.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def identify(
     ('bob', 'cy')
     """
     _check_closed(gallery.names, probes.names)
-    scores = similarity_matrix(probes, gallery, options=similarity)
+    scores = similarity_matrix(probes, gallery, window=window)
     return identify_by_similarity(scores, gallery.names, probes.names, combine=combine)
 
 
@@ -122,7 +122,6 @@ def identify_by_similarity(
     >>> found.ranks.tolist(), found.rate(1)
     ([1, 2], 0.5)
     """
-    _check_closed(gallery_names, probe_names)
     scores = _checked(similarities, gallery_names, probe_names)
     persons, scores = similarities_by_person(scores, gallery_names, combine)
     right = np.searchsorted(persons, probe_names)
@@ -148,7 +147,16 @@ def similarities_by_person(
     NaN in scores (P, images) is no similarity: a person's best is that of the others, the mean is NaN.
     """
     persons = tuple(sorted(set(gallery_names)))
-    return persons, _by_person(scores, np.searchsorted(persons, gallery_names), len(persons), combine)
+    person = np.searchsorted(persons, gallery_names)
+    if combine == "best":
+        result = np.full((len(persons), len(scores)), -np.inf)
+        np.maximum.at(result, person, np.where(np.isnan(scores), -np.inf, scores).T)
+        return persons, np.where(np.isinf(result), np.nan, result).T
+    if combine == "mean":
+        result = np.zeros((len(persons), len(scores)))
+        np.add.at(result, person, scores.T)
+        return persons, (result / np.bincount(person, minlength=len(persons))[:, None]).T
+    raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
 
 
 def _checked(
@@ -156,7 +164,7 @@ def _checked(
 ) -> FloatArray:
     """Return similarities (probes, images) as floats; errors when they do not fit, or one is not finite."""
     scores = np.asarray(similarities, np.float64)
-    _check_not_empty(len(gallery_names), len(probe_names))
+    _check_closed(gallery_names, probe_names)
     if scores.shape != (len(probe_names), len(gallery_names)):
         raise ValueError(
             f"similarities have shape {scores.shape}, expected ({len(probe_names)}, {len(gallery_names)}): "
@@ -171,29 +179,12 @@ def _checked(
     return scores
 
 
-def _by_person(scores: FloatArray, person: IntArray, count: int, combine: Combine) -> FloatArray:
-    """Return (P, count) of scores (P, images), images of `person` (images,) taken together."""
-    if combine == "best":
-        result = np.full((count, len(scores)), -np.inf)
-        np.maximum.at(result, person, np.where(np.isnan(scores), -np.inf, scores).T)
-        return np.where(np.isinf(result), np.nan, result).T
-    if combine == "mean":
-        result = np.zeros((count, len(scores)))
-        np.add.at(result, person, scores.T)
-        return (result / np.bincount(person, minlength=count)[:, None]).T
-    raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
-
-
-def _check_not_empty(gallery_images: int, probes: int) -> None:
-    if gallery_images == 0:
+def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str | None]) -> None:
+    if len(gallery_names) == 0:
         raise RecognitionError("the gallery is empty; give one image or more of each person")
-    if probes == 0:
+    if len(probe_names) == 0:
         raise RecognitionError("no probe was given; give one or more")
-
-
-def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str]) -> None:
-    _check_not_empty(len(gallery_names), len(probe_names))
-    known = set(gallery_names)
+    known = {None, *gallery_names}
     strangers = [f"{k} ({name})" for k, name in enumerate(probe_names) if name not in known]
     if strangers:
         shown = ", ".join(strangers[:5]) + (f" and {len(strangers) - 5} more" if len(strangers) > 5 else "")

@@ -71,11 +71,46 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     if file.is_dir():
         return _of_folder(file, persons_required)
     advice = f"give a CSV file with the columns {' and '.join(COLUMNS)}"
-    header, rows = _table(read_text(file, what=str(file), advice=advice, error=RecognitionError), file)
-    entries = tuple(_entry(file, header, line, row, persons_required) for line, row in rows)
+    text = read_text(file, what=str(file), advice=advice, error=RecognitionError)
+    rows = [(line, [cell.strip() for cell in row]) for line, row in table_rows(text, file, RecognitionError)]
+    header = [cell.lower() for cell in rows[0][1]] if rows else []
+    if missing := [name for name in COLUMNS if name not in header]:
+        found = f"its first line has {', '.join(rows[0][1])}" if rows else "it is empty"
+        raise RecognitionError(
+            f"{file} lacks the column{'s' * (len(missing) > 1)} {' and '.join(missing)} ({found}); begin it "
+            f"with a header of {','.join(COLUMNS)}"
+        )
+    entries: list[ManifestEntry] = []
+    for line, row in rows[1:]:
+        where = f"{file}, line {line}"
+        cells = cells_by_column(header, row, where, RecognitionError)
+        person, result = unicodedata.normalize("NFC", cells["person"]), cells["result"]
+        if not result:
+            raise RecognitionError(f"{where}: names no result; give the folder of a processed scan")
+        if persons_required and not person:
+            raise RecognitionError(f"{where}: {result} has no person; name who is shown")
+        entry = ManifestEntry(person or None, result, file.parent / result, line)
+        if not entry.path.exists():
+            raise RecognitionError(
+                f"{where}: {result}: no such folder or file; relative paths start from {file.parent}"
+            )
+        entries.append(entry)
     if not entries:
         raise RecognitionError(f"{file} has no entry below its header; add lines of person and result")
-    return Manifest(file, entries, _repeated(file, entries))
+    # A result that is named twice is noted; two persons for one result are an error.
+    first: dict[Path, ManifestEntry] = {}
+    notes = []
+    for entry in entries:
+        other = first.setdefault(entry.path.resolve(), entry)
+        if other is entry:
+            continue
+        if other.person != entry.person:
+            raise RecognitionError(
+                f"{file}: {entry.result} shows {other.person or 'nobody known'} on line {other.line} and "
+                f"{entry.person or 'nobody known'} on line {entry.line}; leave one of them out"
+            )
+        notes.append(f"{file}: {entry.result} comes twice, on lines {other.line} and {entry.line}")
+    return Manifest(file, tuple(entries), tuple(notes))
 
 
 def holds_result(folder: Path) -> bool:
@@ -133,49 +168,3 @@ def _persons_of_catalogue(file: Path) -> dict[str, str] | None:
             f"{file}: cannot be read ({error}); move it away, or repair the batch"
         ) from error
     return {row["name"]: unicodedata.normalize("NFC", (row["person"] or "").strip()) for row in rows}
-
-
-def _table(text: str, file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header, in lower case, and the other rows with their line numbers."""
-    rows = [(line, [cell.strip() for cell in row]) for line, row in table_rows(text, file, RecognitionError)]
-    header = [cell.lower() for cell in rows[0][1]] if rows else []
-    if missing := [name for name in COLUMNS if name not in header]:
-        found = f"its first line has {', '.join(rows[0][1])}" if rows else "it is empty"
-        raise RecognitionError(
-            f"{file} lacks the column{'s' * (len(missing) > 1)} {' and '.join(missing)} ({found}); begin it "
-            f"with a header of {','.join(COLUMNS)}"
-        )
-    return header, rows[1:]
-
-
-def _entry(file: Path, header: list[str], line: int, row: list[str], persons_required: bool) -> ManifestEntry:
-    where = f"{file}, line {line}"
-    cells = cells_by_column(header, row, where, RecognitionError)
-    person, result = unicodedata.normalize("NFC", cells["person"]), cells["result"]
-    if not result:
-        raise RecognitionError(f"{where}: names no result; give the folder of a processed scan")
-    if persons_required and not person:
-        raise RecognitionError(f"{where}: {result} has no person; name who is shown")
-    path = file.parent / result
-    if not path.exists():
-        raise RecognitionError(
-            f"{where}: {result}: no such folder or file; relative paths start from {file.parent}"
-        )
-    return ManifestEntry(person or None, result, path, line)
-
-
-def _repeated(file: Path, entries: tuple[ManifestEntry, ...]) -> tuple[str, ...]:
-    """Return notes on results that are named twice; two persons for one result are an error."""
-    first: dict[Path, ManifestEntry] = {}
-    notes = []
-    for entry in entries:
-        other = first.setdefault(entry.path.resolve(), entry)
-        if other is entry:
-            continue
-        if other.person != entry.person:
-            raise RecognitionError(
-                f"{file}: {entry.result} shows {other.person or 'nobody known'} on line {other.line} and "
-                f"{entry.person or 'nobody known'} on line {entry.line}; leave one of them out"
-            )
-        notes.append(f"{file}: {entry.result} comes twice, on lines {other.line} and {entry.line}")
-    return tuple(notes)

@@ -1,4 +1,7 @@
-"""`identify_results`: which persons of a gallery of processed scans other processed scans show."""
+"""`identify_results`: which persons of a gallery of processed scans other processed scans show.
+
+Similarities by albedo and by shape are taken together, weighted by how well each tells persons apart.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,6 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.fusion import fused
 from scan2albedo.recognition.identification import Combine, ProbeMatches, match_probes, similarities_by_person
 from scan2albedo.recognition.labelled_templates import (
     DEFAULT_USE,
@@ -19,9 +21,73 @@ from scan2albedo.recognition.labelled_templates import (
     checked_use,
     read_labelled_templates,
 )
-from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.similarity import comparable_similarities, has_window
-from scan2albedo.recognition.templates import Kind, common_chart
+from scan2albedo.recognition.similarity import WINDOW, comparable_similarities, has_window
+from scan2albedo.recognition.templates import Kind, TemplateOptions, common_chart
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Log likelihood ratios, one person over two, as linear functions of similarities.
+
+    Of normal similarities with one covariance C and means m_1 and m_2 they are exactly linear: slopes
+    C^-1 (m_1 - m_2), and 0 half-way between the means (Fisher's discriminant).
+    """
+
+    albedo: tuple[float, float]
+    shape: tuple[float, float]
+    """`albedo`, `shape`: slope and offset of one similarity alone."""
+    both: tuple[float, float, float]
+    """Slope of the albedo's, slope of the shape's, and offset, where both are known."""
+
+
+CALIBRATION = Calibration((135.0, -97.2), (893.0, -768.0), (94.0, 817.0, -770.0))
+"""Of the default templates, from synthetic people: `python tools/experiment_real.py pop/manifest.csv --make
+population --persons 8 --seed 7 --calibrate`."""
+
+
+def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION) -> FloatArray:
+    """Return one similarity for each pair: that of the only kind, or the mean of both by their weights.
+
+    Weights are the calibration's slopes. A probe is compared by what it and all images of the gallery have,
+    since a likelihood ratio by one kind and one by both seldom agree; where nothing is common to all, by what
+    each pair has. Beside probes compared by both, similarities by one kind are brought to where the
+    likelihood ratio by both is the same; where one kind compares all probes, they stay as they are.
+
+    Parameters
+    ----------
+    similarities : mapping of "albedo", "shape" to (P, G)
+        NaN where a probe or an image lacks the kind.
+    calibration : Calibration
+
+    Returns
+    -------
+    (P, G) float64
+        NaN where a pair has no kind in common.
+
+    Examples
+    --------
+    >>> even = Calibration((1.0, 0.0), (1.0, 0.0), (2.0, 2.0, 0.0))
+    >>> pairs = {"albedo": np.array([[0.9, np.nan]]), "shape": np.array([[0.5, np.nan]])}
+    >>> fused(pairs, even).tolist()
+    [[0.7, nan]]
+    """
+    if len(similarities) == 1:
+        return next(iter(similarities.values()))
+    albedo, shape = similarities["albedo"], similarities["shape"]
+    of_albedo, of_shape, offset = calibration.both
+    total = of_albedo + of_shape
+    found = (of_albedo * albedo + of_shape * shape) / total
+    by_both = ~np.isnan(found).any(axis=1, keepdims=True)
+    if not by_both.any():
+        for one in (albedo, shape):
+            if not np.isnan(one).any():
+                return one
+    for one, (slope, start) in ((albedo, calibration.albedo), (shape, calibration.shape)):
+        alone = np.clip((slope * one + start - offset) / total, 0, 1)
+        by_one = ~np.isnan(one).any(axis=1, keepdims=True)
+        found = np.where((by_one & ~by_both) | np.isnan(found), alone, found)
+    return found
+
 
 StageCallback = Callable[[str, int, int], None]
 """Called with "gallery" or "probes", how many results are read, and of how many."""
@@ -52,7 +118,6 @@ def identify_results(
     use: Sequence[Kind] = DEFAULT_USE,
     combine: Combine = "best",
     options: TemplateOptions | None = None,
-    similarity: SimilarityOptions = SimilarityOptions(),
     on_count: StageCallback | None = None,
 ) -> ResultIdentification:
     """Return which persons of a gallery of processed scans other processed scans show.
@@ -61,7 +126,7 @@ def identify_results(
     ----------
     gallery : path or LabelledTemplates
         A CSV file with the columns person and result, each result the folder of a processed scan (see
-        `read_albedo`); the folder of a batch (see `read_manifest`); or a file of templates. Several
+        `read_face`); the folder of a batch (see `read_manifest`); or a file of templates. Several
         results may show one person.
     probes : path or LabelledTemplates
         The same; a cell of person may be empty. A probe whose person is not known, or not in the gallery, is
@@ -73,7 +138,6 @@ def identify_results(
         A person's similarity is the best of, or the mean over, the images in the gallery.
     options : TemplateOptions, optional
         Those of a file of templates, otherwise the default ones, when omitted.
-    similarity : SimilarityOptions
     on_count : callable, optional
         Called after each result that was read.
 
@@ -91,23 +155,34 @@ def identify_results(
     if combine not in ("best", "mean"):
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
     known = _read(gallery, "gallery", use, options, on_count)
-    shown = _read(probes, "probes", use, known.options, on_count)
-    known, shown, scores, apart = _compared(known, shown, similarity)
+    shown = _read(probes, "probes", use, known.templates.options, on_count)
+    kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
+    if not kinds:
+        raise RecognitionError(
+            f"{known.source} can be compared by {' and '.join(known.sets)}, {shown.source} by "
+            f"{' and '.join(shown.sets)}; process all scans alike, or choose what to use"
+        )
+    known, shown = _with_windows(known, kinds), _with_windows(shown, kinds)
+    # Similarities (P, images) of each kind, NaN where one of a pair lacks it, and pairs without a common
+    # window, which have similarity 0.
+    scores = {kind: np.full((len(shown), len(known)), np.nan) for kind in kinds}
+    apart = np.zeros((len(shown), len(known)), bool)
+    for kind in kinds:
+        if kind in known.sets and kind in shown.sets:
+            a, b = shown.sets[kind], known.sets[kind]
+            common_chart(b.chart, a.chart, str(known.source), str(shown.source))
+            here = np.ix_(shown.rows[kind], known.rows[kind])
+            found = comparable_similarities(a, b, WINDOW)
+            scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
     total, gallery_names = fused(scores), [person or "" for person in known.persons]
     unlike = np.isnan(total)
-    persons, strangers = _known_persons(known, shown)
+    named = set(known.persons)
+    persons = tuple(person if person in named else None for person in shown.persons)
     matches = match_probes(np.where(unlike, 0.0, total), gallery_names, persons, combine=combine)
     by_kind = {
         kind: similarities_by_person(values, gallery_names, combine)[1] for kind, values in scores.items()
     }
-    notes = (
-        *known.notes,
-        *shown.notes,
-        *_by_one_kind(known, scores),
-        *strangers,
-        *_zeros(apart, unlike),
-        *_copies(known, shown),
-    )
+    notes = (*known.notes, *shown.notes, *_notes(known, shown, scores, apart, unlike))
     return ResultIdentification(known, shown, matches, by_kind, combine, notes)
 
 
@@ -127,124 +202,74 @@ def _read(
     )
 
 
-def _compared(
-    known: LabelledTemplates, shown: LabelledTemplates, options: SimilarityOptions
-) -> tuple[LabelledTemplates, LabelledTemplates, dict[Kind, FloatArray], BoolArray]:
-    """Return gallery, probes, similarities (P, images) of each kind, and which pairs (P, images) lie apart.
-
-    Those share no window and have similarity 0; NaN is where one of a pair lacks the kind. Results whose
-    masks hold no window are left out, with a note.
-    """
-    kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
-    if not kinds:
-        raise RecognitionError(
-            f"{known.source} can be compared by {' and '.join(known.sets)}, {shown.source} by "
-            f"{' and '.join(shown.sets)}; process all scans alike, or choose what to use"
-        )
-    known, shown = _with_windows(known, kinds, options), _with_windows(shown, kinds, options)
-    scores: dict[Kind, FloatArray] = {}
-    apart = np.zeros((len(shown), len(known)), bool)
-    for kind in kinds:
-        scores[kind] = np.full((len(shown), len(known)), np.nan)
-        if kind in known.sets and kind in shown.sets:
-            a, b = shown.sets[kind], known.sets[kind]
-            common_chart(b.chart, a.chart, str(known.source), str(shown.source))
-            here = np.ix_(shown.rows[kind], known.rows[kind])
-            found = comparable_similarities(a, b, options)
-            scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
-    return known, shown, scores, apart
-
-
-def _with_windows(
-    labelled: LabelledTemplates, kinds: Sequence[Kind], options: SimilarityOptions
-) -> LabelledTemplates:
+def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> LabelledTemplates:
+    """Return the results whose masks hold a window, with a note about others."""
     usable, lacking = np.zeros(len(labelled), bool), np.ones(len(labelled), bool)
     for kind in kinds:
-        usable[labelled.rows[kind]] |= has_window(labelled.sets[kind], options)
+        usable[labelled.rows[kind]] |= has_window(labelled.sets[kind], WINDOW)
         lacking[labelled.rows[kind]] = False
     if usable.all():
         return labelled
-    window = f"{options.window} x {options.window}"
     reasons = (
         (lacking, f"no {' or '.join(kinds)}, which is all that both sides can be compared by"),
-        (~usable & ~lacking, f"no window of {window} coefficients lies inside the mask"),
+        (~usable & ~lacking, f"no window of {WINDOW} x {WINDOW} coefficients lies inside the mask"),
     )
-    told = [
+    left = [
         f"{labelled.source}: {_few([labelled.labels[k] for k in np.flatnonzero(which)])}: {reason}"
         for which, reason in reasons
         if which.any()
     ]
     if not usable.any():
-        raise RecognitionError(f"{'; '.join(told)}, and no result is left; scan more of the faces")
+        raise RecognitionError(f"{'; '.join(left)}, and no result is left; scan more of the faces")
     kept = labelled.select(np.flatnonzero(usable))
-    return replace(kept, notes=(*kept.notes, *(f"left out: {one}" for one in told)))
+    return replace(kept, notes=(*kept.notes, *(f"left out: {one}" for one in left)))
 
 
 def _few(names: Sequence[str]) -> str:
     return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
 
 
-def _by_one_kind(gallery: LabelledTemplates, scores: Mapping[Kind, FloatArray]) -> Iterator[str]:
-    """Give a note for probes that are compared by one of two kinds alone, see `fused`."""
-    if len(scores) < 2:
-        return
+def _notes(
+    gallery: LabelledTemplates,
+    probes: LabelledTemplates,
+    scores: Mapping[Kind, FloatArray],
+    apart: BoolArray,
+    unlike: BoolArray,
+) -> Iterator[str]:
+    """Give notes on what limits the comparison."""
     whole = {kind: np.isfinite(values).all(1) for kind, values in scores.items()}
-    albedo, shape = get_args(Kind)
-    for kind, other in ((albedo, shape), (shape, albedo)):
+    for kind in scores if len(scores) > 1 else ():
+        # Probes that are compared by one of two kinds alone, see `fused`.
+        other = next(name for name in scores if name != kind)
         alone = np.asarray(whole[other] & ~whole[kind])
-        if not alone.any():
-            continue
-        lacking = sorted(set(range(len(gallery))) - set(gallery.rows[kind].tolist()))
-        images = _few([gallery.labels[k] for k in lacking])
-        reason = f"; of the gallery {images} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
-        yield (
-            f"{alone.sum()} of {alone.size} probes are compared by {other} alone, for {kind} counts where "
-            f"the probe and all images of the gallery have it{reason}"
-        )
-
-
-def _known_persons(
-    gallery: LabelledTemplates, probes: LabelledTemplates
-) -> tuple[tuple[str | None, ...], list[str]]:
-    """Return the probes' persons, None for those of whom the gallery has no image, and notes about these."""
-    known = set(gallery.persons)
+        if alone.any():
+            lacking = sorted(set(range(len(gallery))) - set(gallery.rows[kind].tolist()))
+            images = _few([gallery.labels[k] for k in lacking])
+            reason = f"; of the gallery {images} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
+            yield (
+                f"{alone.sum()} of {alone.size} probes are compared by {other} alone, for {kind} counts "
+                f"where the probe and all images of the gallery have it{reason}"
+            )
     strangers = [
         f"{label} ({person})"
         for label, person in zip(probes.labels, probes.persons, strict=True)
-        if person is not None and person not in known
+        if person not in (None, *gallery.persons)
     ]
-    if not strangers:
-        return probes.persons, []
-    note = (
-        f"{gallery.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
-        "they are identified, but count in no rate"
-    )
-    return tuple(p if p in known else None for p in probes.persons), [note]
-
-
-def _zeros(apart: BoolArray, unlike: BoolArray) -> Iterator[str]:
-    if unlike.any():
+    if strangers:
         yield (
-            f"{unlike.sum()} of {unlike.size} pairs of a probe and an image have neither albedo nor shape in "
-            "common: they count as similarity 0"
+            f"{gallery.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
+            "they are identified, but count in no rate"
         )
-    if apart.any():
-        yield (
-            f"{apart.sum()} of {apart.size} pairs of a probe and an image have no window in common: they "
-            "count as similarity 0"
-        )
-
-
-def _copies(gallery: LabelledTemplates, probes: LabelledTemplates) -> Iterator[str]:
-    """Give a note for probes that are images of the gallery themselves."""
+    for pairs, lack in ((unlike, "have neither albedo nor shape"), (apart, "have no window")):
+        if pairs.any():
+            yield (
+                f"{pairs.sum()} of {pairs.size} pairs of a probe and an image {lack} in common: they count "
+                "as similarity 0"
+            )
     kind = next(kind for kind in probes.sets if kind in gallery.sets)
     stored = {values.tobytes() for values in gallery.sets[kind].coefficients}
-    same = [
-        probes.labels[row]
-        for row, values in zip(probes.rows[kind], probes.sets[kind].coefficients, strict=True)
-        if values.tobytes() in stored
-    ]
-    if same:
+    rows = zip(probes.rows[kind], probes.sets[kind].coefficients, strict=True)
+    if same := [probes.labels[row] for row, values in rows if values.tobytes() in stored]:
         yield (
             f"{len(same)} of {len(probes.labels)} probes are in the gallery themselves ({_few(same)}): that "
             "they are recognised means nothing"

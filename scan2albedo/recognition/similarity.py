@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -10,12 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.options import SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.templates import Templates, common_chart, image_coefficients
+from scan2albedo.recognition.templates import TemplateOptions, Templates, common_chart, image_coefficients
 
 STABILIZER = 1e-3
 """K of the index, in squared coefficients summed over a window: windows with less energy count as alike.
 Images have mean 1 before the pyramid."""
+WINDOW = 3
+"""Side of the square windows in coefficients. Charts of fitted faces are misaligned unevenly, and within a
+small window the phases still turn alike: 3 tells people who are alike apart better than the usual 7
+(`tools/experiment_recognition.py --other-templates`)."""
 _ROWS = 1024
 """Templates of the first set that are prepared at once; bounds the memory, about 0.2 MB a template."""
 
@@ -27,7 +30,7 @@ def cw_ssim(
     *,
     mask_b: ArrayLike | None = None,
     options: TemplateOptions = TemplateOptions(),
-    similarity: SimilarityOptions = SimilarityOptions(),
+    window: int = WINDOW,
 ) -> float:
     """Return the complex wavelet structural similarity of two images, 0 to 1, as identification computes it.
 
@@ -48,12 +51,13 @@ def cw_ssim(
     mask_b : (H, W) bool, optional
         Pixels that count in the second image; those of `mask` when omitted.
     options : TemplateOptions
-    similarity : SimilarityOptions
+    window : int
+        Side of the windows in coefficients.
 
     Raises
     ------
     ValueError
-        When an image is not (H, W) or (H, W, 3).
+        When an image is not (H, W) or (H, W, 3), or the window is no whole number of 1 or more.
     RecognitionError
         When the sizes differ, an image cannot be used, or no window lies inside the mask.
 
@@ -78,32 +82,31 @@ def cw_ssim(
     first, carried = image_coefficients(a, mask, options, "the first image")
     of_second = mask if mask_b is None else mask_b
     second, also_carried = image_coefficients(b, of_second, options, "the second image")
-    return pair_similarity(first, second, carried & also_carried, similarity)
+    return pair_similarity(first, second, carried & also_carried, window)
 
 
 def pair_similarity(
     a: NDArray[np.complexfloating],
     b: NDArray[np.complexfloating],
     mask: BoolArray,
-    options: SimilarityOptions = SimilarityOptions(),
+    window: int = WINDOW,
 ) -> float:
     """Return `cw_ssim` of coefficients (O, h, w) over windows inside a mask (h, w)."""
-    _check_window(mask.shape, options)
-    inside = _window_sums(mask, options.window) == options.window**2
+    _check_window(mask.shape, window)
+    inside = _window_sums(mask, window) == window**2
     if not inside.any():
-        raise RecognitionError(_no_window_message("the pair", options))
+        raise RecognitionError(_no_window_message("the pair", window))
     a, b = a.astype(np.complex128), b.astype(np.complex128)
-    shared = np.abs(_window_sums(a * b.conj(), options.window))
-    energy = _window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, options.window)
+    shared = np.abs(_window_sums(a * b.conj(), window))
+    energy = _window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, window)
     index = (2 * shared + STABILIZER) / (energy + STABILIZER)
     return float(index[:, inside].mean())
 
 
-def has_window(templates: Templates, options: SimilarityOptions) -> BoolArray:
+def has_window(templates: Templates, window: int) -> BoolArray:
     """Return (N,) whether a window lies inside each template's mask."""
-    _check_window(templates.mask.shape[1:], options)
-    inside = _window_sums(templates.mask, options.window) == options.window**2
-    return np.asarray(inside.any(axis=(1, 2)))
+    _check_window(templates.mask.shape[1:], window)
+    return np.asarray((_window_sums(templates.mask, window) == window**2).any(axis=(1, 2)))
 
 
 def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
@@ -116,31 +119,32 @@ def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
     )
 
 
-def _check_window(shape: tuple[int, ...], options: SimilarityOptions) -> None:
-    if options.window > min(shape):
+def _check_window(shape: tuple[int, ...], window: int) -> None:
+    if not (isinstance(window, Integral) and window >= 1):
+        raise ValueError(f"window is {window}, expected a whole number >= 1")
+    if window > min(shape):
         raise RecognitionError(
-            f"the window of {options.window} coefficients does not fit into templates of {shape}; "
+            f"the window of {window} coefficients does not fit into templates of {shape}; "
             "choose a smaller window or larger images"
         )
 
 
-def _no_window_message(what: str, options: SimilarityOptions) -> str:
+def _no_window_message(what: str, window: int) -> str:
     return (
-        f"{what}: no window of {options.window} x {options.window} coefficients lies inside the mask; "
+        f"{what}: no window of {window} x {window} coefficients lies inside the mask; "
         "widen the masks or choose a smaller window"
     )
 
 
-def similarity_matrix(
-    templates_a: Templates, templates_b: Templates, *, options: SimilarityOptions = SimilarityOptions()
-) -> FloatArray:
+def similarity_matrix(templates_a: Templates, templates_b: Templates, *, window: int = WINDOW) -> FloatArray:
     """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks.
 
     Parameters
     ----------
     templates_a, templates_b : Templates
         A and B templates.
-    options : SimilarityOptions
+    window : int
+        As in `cw_ssim`.
 
     Raises
     ------
@@ -161,101 +165,16 @@ def similarity_matrix(
     >>> bool(np.allclose(np.diag(similarity_matrix(templates, templates)), 1, atol=1e-4))
     True
     """
-    similarities = comparable_similarities(templates_a, templates_b, options)
+    similarities = comparable_similarities(templates_a, templates_b, window)
     if (missing := np.isnan(similarities)).any():
         i, j = np.argwhere(missing)[0]
         pair = f"template {i} ({templates_a.names[i]}) and template {j} ({templates_b.names[j]})"
-        raise RecognitionError(_no_window_message(pair, options))
+        raise RecognitionError(_no_window_message(pair, window))
     return similarities
 
 
-def comparable_similarities(a: Templates, b: Templates, options: SimilarityOptions) -> FloatArray:
+def comparable_similarities(a: Templates, b: Templates, window: int) -> FloatArray:
     """Return `similarity_matrix` (A, B), NaN for pairs whose masks have no window in common."""
-    _check_sets(a, b, options)
-    rows = [
-        _similarity_rows(a.select(range(start, min(start + _ROWS, len(a)))), b, options)
-        for start in range(0, len(a), _ROWS)
-    ]
-    totals, windows = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-    bands = a.coefficients.shape[1]
-    return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
-
-
-@dataclass(frozen=True)
-class _Planes:
-    """Templates as the kernel reads them: orientations outermost, and the energy of each window."""
-
-    real: NDArray[np.float32]
-    imaginary: NDArray[np.float32]
-    energy: NDArray[np.float32]
-    """(O, N, h', w') of each window."""
-    inside: BoolArray
-    """(N, h', w'): windows inside the mask."""
-
-    @classmethod
-    def of(cls, templates: Templates, window: int) -> _Planes:
-        values = templates.coefficients.transpose(1, 0, 2, 3)
-        energy = _window_sums(
-            values.real.astype(np.float64) ** 2 + values.imag.astype(np.float64) ** 2, window
-        )
-        return cls(
-            np.ascontiguousarray(values.real),
-            np.ascontiguousarray(values.imag),
-            np.maximum(energy, 0).astype(np.float32),
-            np.asarray(_window_sums(templates.mask, window) == window**2),
-        )
-
-
-def _similarity_rows(a: Templates, b: Templates, options: SimilarityOptions) -> tuple[FloatArray, FloatArray]:
-    """Return the sums of similarities over orientations and windows, and the numbers of windows, (A, B)."""
-    from scan2albedo.recognition.similarity_kernels import LANES
-
-    rows = _Planes.of(a, options.window)
-    totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
-    for start in range(0, len(b), LANES):
-        block = b.select(range(start, min(start + LANES, len(b))))
-        columns = _Planes.of(block, options.window)
-        here = slice(start, start + len(block))
-        totals[:, here] = _block_sums(rows, columns, options)[:, : len(block)]
-        # float32 counts exactly up to 2^24 windows
-        windows[:, here] = _flat(rows.inside) @ _flat(columns.inside).T
-    return totals, windows
-
-
-def _block_sums(rows: _Planes, columns: _Planes, options: SimilarityOptions) -> FloatArray:
-    from scan2albedo.recognition.similarity_kernels import LANES, add_window_similarities
-
-    inside = _lanes(columns.inside.astype(np.float32), LANES)
-    total = np.zeros((len(rows.inside), LANES))
-    for o in range(len(rows.real)):
-        add_window_similarities(
-            rows.real[o],
-            rows.imaginary[o],
-            rows.energy[o],
-            rows.inside,
-            _lanes(columns.real[o], LANES),
-            _lanes(columns.imaginary[o], LANES),
-            _lanes(columns.energy[o], LANES),
-            inside,
-            options.window,
-            np.float32(STABILIZER),
-            total,
-        )
-    return total
-
-
-def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:
-    """Return (h, w, lanes) of (N <= lanes, h, w), 0 in the lanes left over."""
-    result = np.zeros((*plane.shape[1:], lanes), np.float32)
-    result[..., : len(plane)] = np.moveaxis(plane, 0, -1)
-    return result
-
-
-def _flat(inside: BoolArray) -> NDArray[np.float32]:
-    return inside.reshape(len(inside), -1).astype(np.float32)
-
-
-def _check_sets(a: Templates, b: Templates, options: SimilarityOptions) -> None:
     for which, templates in (("first", a), ("second", b)):
         if len(templates) == 0:
             raise RecognitionError(f"the {which} set of templates is empty; give one template or more")
@@ -273,4 +192,54 @@ def _check_sets(a: Templates, b: Templates, options: SimilarityOptions) -> None:
             "images of one size"
         )
     common_chart(a.chart, b.chart, "the first set of templates", "the second")
-    _check_window(a.mask.shape[1:], options)
+    _check_window(a.mask.shape[1:], window)
+    rows = [
+        _similarity_rows(a.select(range(start, min(start + _ROWS, len(a)))), b, window)
+        for start in range(0, len(a), _ROWS)
+    ]
+    totals, windows = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    bands = a.coefficients.shape[1]
+    return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
+
+
+def _planes(templates: Templates, window: int) -> tuple[list[NDArray[np.float32]], BoolArray]:
+    """Return what the kernel reads of N templates, orientations outermost, and the windows inside the mask.
+
+    These are real and imaginary parts (O, N, h, w) and the energy of each window (O, N, h', w').
+    """
+    values = templates.coefficients.transpose(1, 0, 2, 3)
+    energy = _window_sums(values.real.astype(np.float64) ** 2 + values.imag.astype(np.float64) ** 2, window)
+    planes = [np.ascontiguousarray(part) for part in (values.real, values.imag)]
+    inside = np.asarray(_window_sums(templates.mask, window) == window**2)
+    return [*planes, np.maximum(energy, 0).astype(np.float32)], inside
+
+
+def _similarity_rows(a: Templates, b: Templates, window: int) -> tuple[FloatArray, FloatArray]:
+    """Return the sums of similarities over orientations and windows, and the numbers of windows, (A, B)."""
+    from scan2albedo.recognition.similarity_kernels import LANES, add_window_similarities
+
+    rows, row_inside = _planes(a, window)
+    totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
+    for start in range(0, len(b), LANES):
+        block = b.select(range(start, min(start + LANES, len(b))))
+        columns, inside = _planes(block, window)
+        here, total = slice(start, start + len(block)), np.zeros((len(a), LANES))
+        lane_inside = _lanes(inside.astype(np.float32), LANES)
+        for o in range(len(rows[0])):
+            own = [plane[o] for plane in rows]
+            lanes = [_lanes(plane[o], LANES) for plane in columns]
+            add_window_similarities(
+                *own, row_inside, *lanes, lane_inside, window, np.float32(STABILIZER), total
+            )
+        totals[:, here] = total[:, : len(block)]
+        # float32 counts exactly up to 2^24 windows
+        flat, flat_block = (x.reshape(len(x), -1).astype(np.float32) for x in (row_inside, inside))
+        windows[:, here] = flat @ flat_block.T
+    return totals, windows
+
+
+def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:
+    """Return (h, w, lanes) of (N <= lanes, h, w), 0 in the lanes left over."""
+    result = np.zeros((*plane.shape[1:], lanes), np.float32)
+    result[..., : len(plane)] = np.moveaxis(plane, 0, -1)
+    return result

@@ -2,31 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import lru_cache
+from numbers import Integral
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+from scipy.ndimage import distance_transform_edt, minimum_filter
 
-from scan2albedo.errors import RecognitionError
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.errors import RecognitionError, needs_extra
+from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
-from scan2albedo.recognition.options import TemplateOptions
-from scan2albedo.recognition.preparation import (
-    NothingToCompareError,
-    averaged_down,
-    carried_mask,
-    checked_image,
-    mirrored,
-    scaled_to_unit_mean,
-    without_holes,
-)
-from scan2albedo.recognition.pyramid import coarsest_bands
 
 Kind = Literal["albedo", "shape"]
 """What is compared: the albedo, or the normals of the fitted surface."""
 COMPONENTS: dict[Kind, int] = {"albedo": 1, "shape": 3}
-"""Images that a template holds: one channel of the albedo; x, y and z of the normals."""
+"""Images that a template holds: the luminance of the albedo; x, y and z of the normals."""
+SCALES: Final = 3
+ORIENTATIONS: Final = 10
+"""`SCALES`, `ORIENTATIONS`: of the pyramid."""
+STEP = 2 ** (SCALES - 1)
+"""Pixels of the image between coefficients of the coarsest scale."""
+HOLE_RADIUS = 0.024
+"""Holes of the mask up to this radius, in sides of the image, are filled from around and count; otherwise a
+hole that a scanner left would exclude every window that touches it."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+"""Of linear colour. The brightest channel of skin is red, which pigment and blood hardly darken; luminance
+separates persons better (`tools/bench_recognition.py --faces`)."""
+
+
+class NothingToCompareError(RecognitionError):
+    """An image without a single coefficient: masked (nearly) everywhere, or black."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TemplateOptions:
+    """How an image becomes a template; `ValueError` for a size out of range."""
+
+    size: int | None = 256
+    """Longest side in pixels to which larger images are averaged down; smaller ones stay as they are, and
+    with None all do."""
+    unit_mean: bool = True
+    """Divide by the mean over the mask: an albedo is known up to a scale, and the index depends on it."""
+
+    def __post_init__(self) -> None:
+        if self.size is not None and not (isinstance(self.size, Integral) and self.size >= 1):
+            raise ValueError(f"size is {self.size!r}, expected a whole number >= 1 or None")
 
 
 @dataclass(frozen=True)
@@ -65,7 +90,7 @@ def common_chart(a: Chart | None, b: Chart | None, what_a: str, what_b: str) -> 
 
 @dataclass(frozen=True)
 class Templates:
-    """Templates of N images, and whose they are.
+    """Templates of N images of one kind, and whose they are.
 
     Raises `ValueError` when shapes or numbers do not fit together, `RecognitionError` when a name is empty, a
     template not finite or masked everywhere; names it.
@@ -86,7 +111,7 @@ class Templates:
 
     def __post_init__(self) -> None:
         coefficients, mask = self.coefficients, self.mask
-        bands = self.options.orientations * COMPONENTS[self.kind]
+        bands = ORIENTATIONS * COMPONENTS[self.kind]
         if coefficients.ndim != 4 or coefficients.shape[1] != bands:
             raise ValueError(
                 f"{self.kind} coefficients have shape {coefficients.shape}, expected (N, {bands}, h, w)"
@@ -118,83 +143,25 @@ class Templates:
         """
         if not parts:
             raise RecognitionError("no set of templates was given; give one or more")
+        first = parts[0]
         for k, part in enumerate(parts):
-            if part.kind != parts[0].kind:
-                raise RecognitionError(f"set {k} is of the {part.kind}, set 0 of the {parts[0].kind}")
-            if part.options != parts[0].options or part.mask.shape[1:] != parts[0].mask.shape[1:]:
+            if part.kind != first.kind:
+                raise RecognitionError(f"set {k} is of the {part.kind}, set 0 of the {first.kind}")
+            if part.options != first.options or part.mask.shape[1:] != first.mask.shape[1:]:
                 raise RecognitionError(
                     f"set {k} has templates of {part.mask.shape[1:]} made with {part.options}, set 0 of "
-                    f"{parts[0].mask.shape[1:]} with {parts[0].options}; make them alike"
+                    f"{first.mask.shape[1:]} with {first.options}; make them alike"
                 )
-        return cls(
-            np.concatenate([part.coefficients for part in parts]),
-            np.concatenate([part.mask for part in parts]),
-            tuple(name for part in parts for name in part.names),
-            parts[0].options,
-            kind=parts[0].kind,
-        )
+        coefficients = np.concatenate([part.coefficients for part in parts])
+        names = tuple(name for part in parts for name in part.names)
+        mask = np.concatenate([part.mask for part in parts])
+        return cls(coefficients, mask, names, first.options, kind=first.kind)
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
         return replace(self, coefficients=self.coefficients[chosen], mask=self.mask[chosen], names=names)
-
-
-def image_coefficients(
-    image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
-    """Return coefficients (O, h, w), 0 outside their mask, and the mask (h, w) of one image named `what`."""
-    pixels, valid = checked_image(image, mask, options.channel, what)
-    if options.size is not None:
-        pixels, valid = averaged_down(pixels, valid, options.size, what)
-    if options.unit_mean:
-        pixels = scaled_to_unit_mean(pixels, valid, what)
-    carried = carried_mask(without_holes(valid, options.hole_radius), options.step)
-    if not carried.any():
-        raise NothingToCompareError(
-            f"{what}: no coefficient lies {options.step // 2} pixels inside its mask; widen the mask"
-        )
-    padded = mirrored(filled_from_nearest(pixels, valid), 2**options.scales)
-    if min(padded.shape) < 2 ** (options.scales + 2):
-        raise RecognitionError(
-            f"{what} has {' x '.join(map(str, pixels.shape))} pixels, too few for {options.scales} scales; "
-            "give a larger image"
-        )
-    bands = coarsest_bands(padded, scales=options.scales, orientations=options.orientations)
-    inner = bands[:, : carried.shape[0], : carried.shape[1]]
-    return np.where(carried, inner, 0.0), carried
-
-
-def normal_coefficients(
-    normal: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex128], NDArray[np.bool_]]:
-    """Return coefficients (3 O, h, w) and mask (h, w) of the unit normals (H, W, 3) of a surface."""
-    values = np.asarray(normal, np.float64)
-    if values.ndim != 3 or values.shape[2] != 3:
-        raise ValueError(f"{what} has normals of shape {values.shape}, expected (H, W, 3)")
-    as_they_are = replace(options, unit_mean=False)
-    parts = [image_coefficients(values[..., k], mask, as_they_are, what) for k in range(3)]
-    return np.concatenate([bands for bands, _ in parts]), parts[0][1]
-
-
-def shape_templates(
-    normals: Sequence[ArrayLike] | NDArray[np.floating],
-    names: Sequence[str],
-    *,
-    masks: Sequence[ArrayLike | None] | NDArray[np.bool_] | None = None,
-    options: TemplateOptions = TemplateOptions(),
-) -> Templates:
-    """Return the templates of surfaces by their normals; `channel` and `unit_mean` do not apply.
-
-    Parameters
-    ----------
-    normals : N of (H, W, 3)
-        Unit normals in one chart and in one frame, as `GeometryImage.normal` in the model's.
-    names, masks, options
-        As in `albedo_templates`, whose errors are raised.
-    """
-    return _templates("shape", normals, names, masks, options)
 
 
 def albedo_templates(
@@ -209,7 +176,8 @@ def albedo_templates(
     Parameters
     ----------
     images : N of (H, W) or (H, W, 3)
-        Linear albedos in one chart, so that a texel is the same place in all of them.
+        Linear albedos in one chart, so that a texel is the same place in all of them. Of colours the
+        luminance is compared; give another channel as (H, W).
     names : N of str
         Of the persons.
     masks : N of (H, W) bool, or None
@@ -232,11 +200,23 @@ def albedo_templates(
     return _templates("albedo", images, names, masks, options)
 
 
-COEFFICIENTS: dict[Kind, Callable[..., tuple[NDArray[np.complex128], NDArray[np.bool_]]]] = {
-    "albedo": image_coefficients,
-    "shape": normal_coefficients,
-}
-"""What makes one template of each kind."""
+def shape_templates(
+    normals: Sequence[ArrayLike] | NDArray[np.floating],
+    names: Sequence[str],
+    *,
+    masks: Sequence[ArrayLike | None] | NDArray[np.bool_] | None = None,
+    options: TemplateOptions = TemplateOptions(),
+) -> Templates:
+    """Return the templates of surfaces by their normals; `unit_mean` does not apply.
+
+    Parameters
+    ----------
+    normals : N of (H, W, 3)
+        Unit normals in one chart and in one frame, as `GeometryImage.normal` in the model's.
+    names, masks, options
+        As in `albedo_templates`, whose errors are raised.
+    """
+    return _templates("shape", normals, names, masks, options)
 
 
 def _templates(
@@ -252,15 +232,144 @@ def _templates(
     if len(images) == 0:
         raise RecognitionError("no image was given; templates need one or more")
     coefficients: list[NDArray[np.complex64]] = []
-    carried: list[NDArray[np.bool_]] = []
+    carried: list[BoolArray] = []
     for k, image in enumerate(images):
         what = f"image {k} ({names[k]})"
-        bands, mask = COEFFICIENTS[kind](image, None if masks is None else masks[k], options, what)
+        bands, mask = kind_coefficients(kind, image, None if masks is None else masks[k], options, what)
         if carried and mask.shape != carried[0].shape:
             raise RecognitionError(
                 f"{what} has {np.shape(image)[:2]} pixels, image 0 {np.shape(images[0])[:2]}; "
                 "give images of one size, or options with a size that both have"
             )
-        coefficients.append(bands.astype(np.complex64))
+        coefficients.append(bands)
         carried.append(mask)
     return Templates(np.stack(coefficients), np.stack(carried), tuple(names), options, kind=kind)
+
+
+def kind_coefficients(
+    kind: Kind, image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
+) -> tuple[NDArray[np.complex64], BoolArray]:
+    """Return coefficients (O, h, w) and mask (h, w) of an albedo, or of normals (H, W, 3)."""
+    if kind == "albedo":
+        parts = [image_coefficients(image, mask, options, what)]
+    else:
+        values = np.asarray(image, np.float64)
+        if values.ndim != 3 or values.shape[2] != 3:
+            raise ValueError(f"{what} has normals of shape {values.shape}, expected (H, W, 3)")
+        as_they_are = replace(options, unit_mean=False)
+        parts = [image_coefficients(values[..., k], mask, as_they_are, what) for k in range(3)]
+    return np.concatenate([bands for bands, _ in parts]).astype(np.complex64), parts[0][1]
+
+
+def image_coefficients(
+    image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
+) -> tuple[NDArray[np.complex128], BoolArray]:
+    """Return coefficients (O, h, w), 0 outside their mask, and the mask (h, w) of one image named `what`."""
+    pixels = np.asarray(image, np.float64)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
+        raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
+    valid = np.ones(pixels.shape[:2], bool) if mask is None else np.asarray(mask)
+    if valid.shape != pixels.shape[:2]:
+        size, other = (" x ".join(map(str, array.shape[:2])) for array in (pixels, valid))
+        raise RecognitionError(f"{what} has {size} pixels, its mask {other}; give a mask of the image's size")
+    if valid.dtype != np.bool_:
+        raise ValueError(f"{what}: its mask is of {valid.dtype}, expected bool")
+    if not valid.any():
+        raise NothingToCompareError(
+            f"{what} is masked everywhere; leave it out, or give a mask with valid pixels"
+        )
+    finite = np.isfinite(pixels) if pixels.ndim == 2 else np.isfinite(pixels).all(axis=2)
+    if bad := int((valid & ~finite).sum()):
+        raise RecognitionError(
+            f"{what}: {bad} of {valid.sum()} pixels in its mask are not finite; take them out of the mask"
+        )
+    if pixels.ndim == 3:
+        pixels = np.where(valid[..., None], pixels, 0.0) @ LUMINANCE
+    pixels = np.where(valid, pixels, 0.0)
+    if options.size is not None:
+        pixels, valid = averaged_down(pixels, valid, options.size, what)
+    if options.unit_mean:
+        with np.errstate(over="ignore"):
+            mean = float(pixels[valid].mean())
+        if mean == np.inf:
+            most = pixels[valid].max()
+            raise RecognitionError(f"{what} reaches {most:.3g}, too much to average; scale it down")
+        if not mean > 0:
+            raise NothingToCompareError(
+                f"{what} has the mean {mean:g} in its mask, expected > 0; leave a black image out, or "
+                "compare as it is (unit_mean=False)"
+            )
+        pixels = pixels / mean
+    carried = carried_mask(without_holes(valid, HOLE_RADIUS))
+    if not carried.any():
+        raise NothingToCompareError(
+            f"{what}: no coefficient lies {STEP // 2} pixels inside its mask; widen the mask"
+        )
+    # Followed by its mirror image on both axes: the pyramid's filters wrap around, and meet the image's own
+    # edge instead of the opposite one.
+    after = [(0, n + -2 * n % 2**SCALES) for n in pixels.shape]
+    padded = np.pad(filled_from_nearest(pixels, valid), after, mode="symmetric")
+    if min(padded.shape) < 2 ** (SCALES + 2):
+        raise RecognitionError(
+            f"{what} has {' x '.join(map(str, pixels.shape))} pixels, too few for {SCALES} scales; "
+            "give a larger image"
+        )
+    bands = coarsest_bands(padded)[:, : carried.shape[0], : carried.shape[1]]
+    return np.where(carried, bands, 0.0), carried
+
+
+def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:
+    """Return image and mask, the longer side at most `size`; a pixel is valid where half of its area is."""
+    longest = max(image.shape)
+    if longest <= size:
+        return image, mask
+    height, width = (max(1, round(side * size / longest)) for side in image.shape)
+    total, share = (area_mean(values, (height, width)) for values in (image, mask))
+    valid = share >= 0.5
+    if not valid.any():
+        raise NothingToCompareError(f"{what} has no valid pixel left at {size} pixels a side; widen its mask")
+    return np.where(valid, total / np.maximum(share, 0.5), 0.0), valid
+
+
+def without_holes(mask: BoolArray, radius: float) -> BoolArray:
+    """Return the mask (H, W) closed by a disc whose radius is given in sides of the image."""
+    reach = round(radius * max(mask.shape))
+    if reach == 0 or mask.all() or not mask.any():
+        return mask
+    grown = distance_transform_edt(~np.pad(mask, reach + 1)) <= reach
+    inside = slice(reach + 1, -reach - 1)
+    return np.asarray(distance_transform_edt(grown)[inside, inside] > reach)
+
+
+def carried_mask(mask: BoolArray) -> BoolArray:
+    """Return the mask (ceil(H / 4), ceil(W / 4)) of coefficients.
+
+    A coefficient lies on pixel `STEP` times its index; it is valid when all pixels up to `STEP` / 2 away are.
+    """
+    return np.asarray(minimum_filter(mask, size=STEP + 1, mode="nearest")[::STEP, ::STEP])
+
+
+def coarsest_bands(image: FloatArray) -> NDArray[np.complex128]:
+    """Return the bands (O, H / 4, W / 4) of the coarsest scale of an image's complex steerable pyramid.
+
+    A band is the inverse transform of X_k H_k over the low frequencies k that its size can hold, with the
+    image's transform X and a filter H that is read off the pyramid of a point once for each size. After
+    Simoncelli, Freeman, ICIP 1995, and, complex, Portilla, Simoncelli, IJCV 40, 2000.
+    """
+    filters = _coarsest_filters(image.shape)
+    rows, columns = (np.fft.fftfreq(n, 1 / n).astype(int) for n in filters.shape[1:])
+    spectrum = fft.fft2(image)[np.ix_(rows, columns)]
+    return np.asarray(fft.ifft2(spectrum * filters), np.complex128)
+
+
+@lru_cache(maxsize=8)
+def _coarsest_filters(shape: tuple[int, int]) -> NDArray[np.complex128]:
+    with needs_extra("recognition"):
+        from pyrtools.pyramids import SteerablePyramidFreq
+
+    point = np.zeros(shape)
+    point[0, 0] = 1.0
+    bands = SteerablePyramidFreq(point, height=SCALES, order=ORIENTATIONS - 1, is_complex=True).pyr_coeffs
+    filters = fft.fft2(np.stack([bands[(SCALES - 1, k)] for k in range(ORIENTATIONS)]))
+    filters.setflags(write=False)
+    return filters

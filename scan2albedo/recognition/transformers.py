@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.options import Channel, SimilarityOptions, TemplateOptions
-from scan2albedo.recognition.similarity import similarity_matrix
-from scan2albedo.recognition.templates import Templates, albedo_templates
+from scan2albedo.recognition.similarity import WINDOW, similarity_matrix
+from scan2albedo.recognition.templates import TemplateOptions, Templates, albedo_templates
+
+Images = Sequence[ArrayLike] | NDArray[Any]
 
 
 class _Transformer:
@@ -38,14 +39,9 @@ class _Transformer:
 
 @dataclass(eq=False, kw_only=True)
 class TemplateTransformer(_Transformer):
-    """Albedos to templates.
+    """Albedos to templates; `size` and `unit_mean` are those of `TemplateOptions`.
 
-    Parameters
-    ----------
-    size, scales, orientations, channel, hole_radius, unit_mean
-        See `TemplateOptions`.
-    mask : (H, W) bool, optional
-        Where the albedos are known, in all of them.
+    `mask` (H, W) bool tells where the albedos are known, in all of them.
 
     Examples
     --------
@@ -55,29 +51,21 @@ class TemplateTransformer(_Transformer):
     """
 
     size: int | None = TemplateOptions.size
-    scales: int = TemplateOptions.scales
-    orientations: int = TemplateOptions.orientations
-    channel: Channel = TemplateOptions.channel
-    hole_radius: float = TemplateOptions.hole_radius
     unit_mean: bool = TemplateOptions.unit_mean
     mask: NDArray[np.bool_] | None = None
 
-    def fit(self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None) -> Self:
+    def fit(self, images: Images, names: Sequence[str] | None = None) -> Self:
         """Check the parameters and keep the images' size, which `transform` then expects.
 
         RecognitionError when there is no image.
         """
         if len(images) == 0:
             raise RecognitionError("no image was given; templates need one or more")
-        parameters = self.get_params()
-        del parameters["mask"]
-        self.options_ = TemplateOptions(**parameters)
+        self.options_ = TemplateOptions(size=self.size, unit_mean=self.unit_mean)
         self.image_shape_ = np.shape(images[0])[:2]
         return self
 
-    def transform(
-        self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None
-    ) -> Templates:
+    def transform(self, images: Images, names: Sequence[str] | None = None) -> Templates:
         """Return the templates of images (N, H, W) or (N, H, W, 3), named by number by default.
 
         RecognitionError before `fit`, and when an image has another size than those or cannot be used.
@@ -93,9 +81,7 @@ class TemplateTransformer(_Transformer):
         masks = None if self.mask is None else [self.mask] * len(images)
         return albedo_templates(images, chosen, masks=masks, options=self.options_)
 
-    def fit_transform(
-        self, images: Sequence[ArrayLike] | NDArray[Any], names: Sequence[str] | None = None
-    ) -> Templates:
+    def fit_transform(self, images: Images, names: Sequence[str] | None = None) -> Templates:
         """Return `fit(images).transform(images, names)`."""
         return self.fit(images).transform(images, names)
 
@@ -104,27 +90,22 @@ class TemplateTransformer(_Transformer):
 class DistanceTransformer(_Transformer):
     """Templates to their distances 1 - S from those that were fitted, for classifiers that take distances.
 
-    Parameters
-    ----------
-    window
-        See `SimilarityOptions`.
+    `window` is that of `cw_ssim`.
     """
 
-    window: int = SimilarityOptions.window
+    window: int = WINDOW
 
     def fit(self, templates: Templates, names: Sequence[str] | None = None) -> Self:
         """Keep the templates of the gallery; RecognitionError when there is none."""
         if len(templates) == 0:
             raise RecognitionError("the gallery is empty; give one template or more")
-        self.options_ = SimilarityOptions(window=self.window)
         self.gallery_ = templates
         return self
 
     def transform(self, templates: Templates) -> NDArray[np.float64]:
         """Return distances (N, gallery), 0 to 1; RecognitionError before `fit`."""
         self._check_fitted("gallery_")
-        similarity = similarity_matrix(templates, self.gallery_, options=self.options_)
-        return np.clip(1.0 - similarity, 0.0, 1.0)
+        return np.clip(1.0 - similarity_matrix(templates, self.gallery_, window=self.window), 0.0, 1.0)
 
     def fit_transform(self, templates: Templates, names: Sequence[str] | None = None) -> NDArray[np.float64]:
         """Return `fit(templates).transform(templates)`."""

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model.model import AnnotatedFaceModel
-from scan2albedo.geometry.nearest_surface import NearestSurface
+from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.polylines import polyline_distance
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -114,7 +114,7 @@ class TextureWitness:
     Preparing takes about 20 ms, and each pose 5.
     """
 
-    def __init__(self, scan: RawScan, model: AnnotatedFaceModel, landmarks: FloatArray) -> None:
+    def __init__(self, scan: RawScan, model: AnnotatedSurface, landmarks: FloatArray) -> None:
         self._scan = scan
         self._stride = len(scan.faces) // _MOST_FACES + 1
         self._surface = NearestSurface(scan.vertices, scan.faces[:: self._stride])
@@ -126,7 +126,7 @@ class TextureWitness:
         self._smooth = np.stack([x**i * y**j for i, j in powers], axis=1)
 
     @classmethod
-    def of(cls, scan: RawScan, model: AnnotatedFaceModel) -> TextureWitness | None:
+    def of(cls, scan: RawScan, model: AnnotatedSurface) -> TextureWitness | None:
         """Prepare a scan (mm)."""
         if not scan.has_color or model.landmarks is None:
             return None
@@ -192,7 +192,7 @@ class TextureWitness:
 
 
 def texture_evidence(
-    scan: RawScan, model: AnnotatedFaceModel, model_from_scan: FloatArray, face_scale: float = 1.0
+    scan: RawScan, model: AnnotatedSurface, model_from_scan: FloatArray, face_scale: float = 1.0
 ) -> TextureEvidence | None:
     """Return what a scan's colours say of one pose, None without any; for several see `TextureWitness`.
 
@@ -211,7 +211,7 @@ def texture_evidence(
     return None if witness is None else witness.evidence(model_from_scan, face_scale)
 
 
-def _face_points(model: AnnotatedFaceModel, landmarks: FloatArray) -> FloatArray:
+def _face_points(model: AnnotatedSurface, landmarks: FloatArray) -> FloatArray:
     """Return points (N, 3) spread over the model between brows and mouth and somewhat beyond."""
     points = oriented_points(*model.surface(1), _SPACING_MM).points
     sideways, up, down = _MARGINS_MM

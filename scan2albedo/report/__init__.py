@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from scan2albedo.report.html import ReportOptions, WrittenReport, write_report
+    from scan2albedo.report.html import WrittenReport, write_report
 
-__all__ = ["ReportOptions", "WrittenReport", "write_report"]
+__all__ = ["WrittenReport", "write_report"]
 
 
 def __getattr__(name: str) -> Any:

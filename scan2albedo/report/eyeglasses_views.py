@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import affine_transform, binary_dilation
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import Camera, LensPicture, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, in_own_axes
-from scan2albedo.eyeglasses.on_face.outline import cover, covered_points
-from scan2albedo.eyeglasses.on_face.outline_samples import hidden_by
+from scan2albedo.eyeglasses.on_face.outline import cover, covered_points, hidden_by
 from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
@@ -55,7 +55,10 @@ def glasses_panels(frames: Sequence[DrawnFrame]) -> list[Panel]:
     unbent, or the mean's, the same in all panels then.
     """
     drawn = frames[:MOST_FRAMES]
-    before = [_aligned(frame, frame.vertices) for frame in drawn]
+    before = [
+        transform_points(one.canonical.canonical_from_frame, one.canonical.scale * one.vertices)
+        for one in drawn
+    ]
     moved = [
         np.linalg.norm(frame.canonical.vertices - placed, axis=1)
         for frame, placed in zip(drawn, before, strict=True)
@@ -92,10 +95,6 @@ def weight_colors(weights: FloatArray) -> FloatArray:
     return np.asarray(weights @ palette)
 
 
-def _aligned(frame: DrawnFrame, points: FloatArray) -> FloatArray:
-    return transform_points(frame.canonical.canonical_from_frame, frame.canonical.scale * points)
-
-
 @dataclass(frozen=True)
 class SeenView:
     """One camera's mask, None where there is none, and labels (20, 2) in pixels, NaN for missing ones."""
@@ -117,37 +116,62 @@ def registration_panels(
     panels = [_view_panel(frame, number, view, caster) for number, view in enumerate(views[:MOST_VIEWS])]
     upright = align_key_points(frame.keypoints, in_own_axes(frame.keypoints))
     vertices = transform_points(upright, frame.vertices)
-    panels += _deviation_panels(frame, vertices)
+    shown = frame.deviation[frame.observed]
+    most = max(float(shown.max(initial=0.0)), 1e-9)
+    heat = heat_colors(frame.deviation, 0, most, "viridis")
+    colors = np.where(frame.observed[:, None], heat, _UNOBSERVED_COLOR)
+    title = f"standard deviation, 0 to {most:.2g} mm" if len(shown) else "nothing is observed"
+    lost = 1 - frame.observed.mean()
+    more = f"\n(red: {lost:.0%} not observed)" if lost > 0 else ""
+    for pitch, side in ((0.0, "front"), (_ABOVE_DEG, "above")):
+        view = View.around(vertices, pitch_deg=pitch)
+        picture = render_mesh(vertices, frame.faces, vertex_color_srgb=colors, view=view, size=_SIZE)
+        panels.append(Panel(f"{title}; {side}{more}", picture))
     if head is not None:
-        panels.append(_head_panel(frame, vertices, (transform_points(upright, head[0]), head[1])))
+        skin = transform_points(upright, head[0])
+        colors = np.repeat([_FRAME_COLOR, _SKIN_COLOR], [len(vertices), len(skin)], axis=0)
+        joined = np.concatenate([vertices, skin]), np.concatenate([frame.faces, head[1] + len(vertices)])
+        around = View.around(vertices)
+        view = View(around.center_mm, 1.3 * around.half_width_mm, yaw_deg=-_TURN_DEG)
+        picture = render_mesh(*joined, vertex_color_srgb=colors, view=view, size=_SIZE)
+        panels.append(Panel("on the head", picture))
     return panels
 
 
 def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: RayCaster | None) -> Panel:
     camera = normalized_cameras(view.camera.matrix[None])[0]
-    pixels, _ = project(camera, frame.vertices)
-    zoom = _zoom(view, pixels)
-    picture = _backdrop(view, zoom)
-    seen, hidden = _silhouette(frame, normalized_cameras((zoom @ camera)[None])[0], camera, head)
+    zoom = _zoom(view, project(camera, frame.vertices)[0])
+    # The mask light on dark, the outside of the picture lighter.
+    mask = np.zeros(view.camera.shape, bool) if view.mask is None else view.mask
+    scale, shift = zoom[0, 0], zoom[[1, 0], 2]
+    shades = np.where(mask, float(_MASK), _BACKDROP)
+    size = (_SIZE, _SIZE)
+    gray = affine_transform(
+        shades, [1 / scale] * 2, -shift / scale, size, order=1, mode="grid-constant", cval=_OUTSIDE
+    )
+    picture = np.repeat(np.round(gray).astype(np.uint8)[:, :, None], 3, axis=2)
+    # Where the frame is seen, and where the head is in front of it.
+    pixels, depth = project(normalized_cameras((zoom @ camera)[None])[0], frame.vertices)
+    at, face, share = covered_points(cover(pixels, depth, frame.faces, size), pixels, depth, frame.faces)
+    behind = hidden_by(head, camera, np.einsum("nk,nki->ni", share, frame.vertices[frame.faces[face]]))
+    seen, hidden = np.zeros((2, *size), bool)
+    seen[at[~behind, 1], at[~behind, 0]] = True
+    hidden[at[behind, 1], at[behind, 0]] = True
     # The silhouette's own border; what the head cuts off is no border of the frame.
-    picture[hidden & _beside(~(seen | hidden))] = _HIDDEN_COLOR
-    picture[seen & _beside(~seen)] = _SEEN_COLOR
+    picture[hidden & binary_dilation(~(seen | hidden), iterations=2)] = _HIDDEN_COLOR
+    picture[seen & binary_dilation(~seen, iterations=2)] = _SEEN_COLOR
     errors, close = frame.label_errors_px[number], frame.inliers[number]
     given = ~np.isnan(errors)
-    dots = view.labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
-    colors = np.where(close[given, None], _INLIER_COLOR, _OUTLIER_COLOR)
-    return Panel(_title(frame, number, view), picture, dots, colors)
-
-
-def _title(frame: RegisteredEyeglasses, number: int, view: SeenView) -> str:
-    errors, close = frame.label_errors_px[number], frame.inliers[number]
-    count, wrong = int((~np.isnan(errors)).sum()), int((~np.isnan(errors) & ~close).sum())
+    count, wrong = int(given.sum()), int((given & ~close).sum())
     labels = f"{count} labels" + (f", {wrong} outliers" if wrong else "")
     if close.any():
         labels += f", {np.sqrt(np.mean(errors[close] ** 2)):.1f} px rms"
     rms = frame.outline_rms_px[number]
     outline = "outline not compared" if np.isnan(rms) else f"outline {rms:.1f} px rms"
-    return f"{view.camera.name}: {labels}\n{'no mask' if view.mask is None else outline}"
+    title = f"{view.camera.name}: {labels}\n{'no mask' if view.mask is None else outline}"
+    dots = view.labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
+    colors = np.where(close[given, None], _INLIER_COLOR, _OUTLIER_COLOR)
+    return Panel(title, picture, dots, colors)
 
 
 def _zoom(view: SeenView, pixels: FloatArray) -> FloatArray:
@@ -169,74 +193,13 @@ def _zoom(view: SeenView, pixels: FloatArray) -> FloatArray:
     return np.array([[scale, 0, shift[0]], [0, scale, shift[1]], [0, 0, 1]])
 
 
-def _backdrop(view: SeenView, zoom: FloatArray) -> NDArray[np.uint8]:
-    """Return the picture (S, S, 3): the mask light on dark, the outside of the picture lighter."""
-    import cv2
-
-    mask = np.zeros(view.camera.shape, bool) if view.mask is None else view.mask
-    shades = np.where(mask, _MASK, _BACKDROP).astype(np.uint8)
-    gray = cv2.warpAffine(shades, zoom[:2], (_SIZE, _SIZE), flags=cv2.INTER_LINEAR, borderValue=(_OUTSIDE,))
-    return np.repeat(gray[:, :, None], 3, axis=2)
-
-
-def _silhouette(
-    frame: RegisteredEyeglasses, zoomed: FloatArray, camera: FloatArray, head: RayCaster | None
-) -> tuple[BoolArray, BoolArray]:
-    """Return where (S, S) a zoomed camera sees the frame, and where the head is in front of it."""
-    pixels, depth = project(zoomed, frame.vertices)
-    covered = cover(pixels, depth, frame.faces, (_SIZE, _SIZE))
-    at, face, share = covered_points(covered, pixels, depth, frame.faces)
-    place = np.einsum("nk,nki->ni", share, frame.vertices[frame.faces[face]])
-    behind = hidden_by(head, camera, place)
-    seen, hidden = np.zeros((2, _SIZE, _SIZE), bool)
-    seen[at[~behind, 1], at[~behind, 0]] = True
-    hidden[at[behind, 1], at[behind, 0]] = True
-    return seen, hidden
-
-
-def _beside(mask: BoolArray) -> BoolArray:
-    """Return where (H, W) a neighbour, two pixels away or less, is in the mask."""
-    from scipy.ndimage import binary_dilation
-
-    return np.asarray(binary_dilation(mask, iterations=2))
-
-
-def _deviation_panels(frame: RegisteredEyeglasses, vertices: FloatArray) -> list[Panel]:
-    shown = frame.deviation[frame.observed]
-    most = max(float(shown.max(initial=0.0)), 1e-9)
-    colors = np.where(
-        frame.observed[:, None], heat_colors(frame.deviation, 0, most, "viridis"), _UNOBSERVED_COLOR
-    )
-    title = f"standard deviation, 0 to {most:.2g} mm" if len(shown) else "nothing is observed"
-    lost = 1 - frame.observed.mean()
-    more = f"\n(red: {lost:.0%} not observed)" if lost > 0 else ""
-    panels = []
-    for pitch, side in ((0.0, "front"), (_ABOVE_DEG, "above")):
-        view = View.around(vertices, pitch_deg=pitch)
-        picture = render_mesh(vertices, frame.faces, vertex_color_srgb=colors, view=view, size=_SIZE)
-        panels.append(Panel(f"{title}; {side}{more}", picture))
-    return panels
-
-
-def _head_panel(frame: RegisteredEyeglasses, vertices: FloatArray, head: Mesh) -> Panel:
-    colors = np.repeat([_FRAME_COLOR, _SKIN_COLOR], [len(vertices), len(head[0])], axis=0)
-    joined = np.concatenate([vertices, head[0]]), np.concatenate([frame.faces, head[1] + len(vertices)])
-    around = View.around(vertices)
-    view = View(around.center_mm, 1.3 * around.half_width_mm, yaw_deg=-_TURN_DEG)
-    picture = render_mesh(*joined, vertex_color_srgb=colors, view=view, size=_SIZE)
-    return Panel("on the head", picture)
-
-
 def lens_panels(pictures: Sequence[tuple[str, LensPicture]], exposure: float) -> list[Panel]:
     """Return two panels a view, named pictures with linear colours times `exposure`."""
-    panels = []
-    for name, picture in pictures[:MOST_VIEWS]:
-        for title, linear in (
-            ("without lenses", picture.without_lenses_linear),
-            ("with lenses", picture.image_linear),
-        ):
-            panels.append(Panel(f"{name}, {title}", preview(linear, exposure)))
-    return panels
+    return [
+        Panel(f"{name}, {how} lenses", preview(linear, exposure))
+        for name, one in pictures[:MOST_VIEWS]
+        for how, linear in (("without", one.without_lenses_linear), ("with", one.image_linear))
+    ]
 
 
 def preview(linear: FloatArray, exposure: float) -> NDArray[np.uint8]:

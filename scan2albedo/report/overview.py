@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
@@ -86,8 +85,12 @@ def result_panels(
         return charts
     around = View.around(fitted.vertices)
     view = View(around.center_mm, around.half_width_mm * 1.15)
-    surface = Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view))
-    panels = [_input_panel(scan, fitted, view), surface, _residual_panel(fitted, view)]
+    surface = render_mesh(fitted.vertices, fitted.faces, view=view)
+    colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
+    residual = render_mesh(fitted.vertices, fitted.faces, vertex_color_srgb=colors, view=view, shaded=False)
+    mean = float(np.nanmean(fitted.residual_mm)) if np.isfinite(fitted.residual_mm).any() else float("nan")
+    heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)"
+    panels = [_input_panel(scan, fitted, view), Panel("fitted surface", surface), Panel(heat, residual)]
     panels += charts
     if image.texture_linear is not None and albedo_srgb is not None:
         texture_srgb = preview_srgb(image.texture_linear, image.mask)
@@ -111,10 +114,15 @@ def _chart_panels(
         dimmed = np.where(image.seen[..., None], image.texture_linear, 0.35 * image.texture_linear)
         panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, image.mask)))
     if image.skin is not None:
-        panels.append(Panel("skin (white): the light is found there", _weights(image.skin, image.mask)))
+        skin = np.where(image.mask, image.skin, 1.0)
+        panels.append(
+            Panel("skin (white): the light is found there", _bytes(np.repeat(skin[..., None], 3, axis=2)))
+        )
     if estimate is not None and albedo_srgb is not None:
         panels.append(Panel("diffuse light + ambient", _light(estimate.shading, image.mask)))
-        panels.append(Panel("highlights", _gray(estimate.specular, image.mask)))
+        panels.append(
+            Panel("highlights", _light(np.repeat(estimate.specular[..., None], 3, axis=2), image.mask))
+        )
         panels.append(Panel("albedo", albedo_srgb))
     normal = np.where(image.mask[..., None], (image.normal + 1) / 2, 1.0)
     panels.append(Panel("normals", _bytes(normal)))
@@ -146,41 +154,22 @@ def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
 
 
 def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Panel:
-    texture, color = _scan_srgb(scan)
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     near = ~far_faces(scan.vertices, scan.faces)  # stray faces in front would hide the face
-    if texture is not None:
-        texture = texture[0][near], texture[1]
-    wide = View(view.center_mm, view.half_width_mm * _WIDER)
-    if scan.has_color:
-        picture = render_mesh(
-            placed, scan.faces[near], vertex_color_srgb=color, texture_srgb=texture, view=wide, shaded=False
-        )
-    else:
-        picture = render_mesh(placed, scan.faces[near], view=wide)
-    return Panel(title, picture)
-
-
-def _scan_srgb(scan: RawScan) -> tuple[tuple[FloatArray, Picture] | None, FloatArray | None]:
-    """Return the uv and texture of a scan, or the colours of its vertices where it has no texture."""
+    texture, color = None, None
     if scan.uv is not None and scan.texture_linear is not None:
-        return (scan.uv, encode_srgb_bytes(scan.texture_linear)), None
-    if scan.vertex_color_linear is not None:
-        return None, linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
-    return None, None
-
-
-def _residual_panel(fitted: FittedFace, view: View) -> Panel:
-    colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
-    picture = render_mesh(fitted.vertices, fitted.faces, vertex_color_srgb=colors, view=view, shaded=False)
-    mean = float(np.nanmean(fitted.residual_mm)) if np.isfinite(fitted.residual_mm).any() else float("nan")
-    return Panel(
-        f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)", picture
+        texture = scan.uv[near], encode_srgb_bytes(scan.texture_linear)
+    elif scan.vertex_color_linear is not None:
+        color = linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
+    picture = render_mesh(
+        placed,
+        scan.faces[near],
+        vertex_color_srgb=color,
+        texture_srgb=texture,
+        view=View(view.center_mm, view.half_width_mm * _WIDER),
+        shaded=not scan.has_color,
     )
-
-
-def _gray(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
-    return _light(np.repeat(values[..., None], 3, axis=2), mask)
+    return Panel(title, picture)
 
 
 def _light(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
@@ -189,10 +178,6 @@ def _light(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
     bright = float(np.percentile(inside.max(-1), 99.5)) if len(inside) else 0.0
     shown = linear_to_srgb(np.clip(values / bright, 0, 1)) if bright > 0 else np.zeros_like(values)
     return _bytes(np.where(mask[..., None], shown, 1.0))
-
-
-def _weights(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
-    return _bytes(np.repeat(np.where(mask, values, 1.0)[..., None], 3, axis=2))
 
 
 def _bytes(picture: NDArray[np.floating]) -> Picture:

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.mesh_filling import filled_over_mesh
+from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
 from scan2albedo.rendering.pictures import seen_samples
 from scan2albedo.rendering.views import View, heat_colors, render_mesh
@@ -31,26 +30,35 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
 
     In the albedo's panel they, and those whose albedo the fit does not identify, are filled from around them.
     """
-    view = View.around(mesh.vertices)
-    one = mesh.reflectance
+    view, one = View.around(mesh.vertices), mesh.reflectance
+
+    def colored(title: str, color: FloatArray) -> Panel:
+        picture = render_mesh(
+            mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=_SIZE, shaded=False
+        )
+        return Panel(title, picture)
+
+    def heat(title: str, values: FloatArray, most: float) -> Panel:
+        return colored(title, heat_colors(values, 0.0, most))
+
     weights = one.weights[one.known]
     most = max(float(np.percentile(weights, 95)) if weights.size else 0.0, 1e-9)
     drawn = one.known if fit is None else fit.drawn
     title = "albedo" if drawn.all() else "albedo, unknown vertices filled"
-    panels = [Panel(title, _colored(mesh, albedo_colors(filled_albedo(mesh, drawn)), view))]
-    for k, name in enumerate(("broad lobe (1)", "middle lobe (8)", "narrow lobe (64)")):
-        title = f"weight of the {name}, 0 to {most:.2g}"
-        panels.append(Panel(title, _heat(mesh, one.weights[:, k], most, view)))
+    panels = [colored(title, albedo_colors(filled_albedo(mesh, drawn)))]
+    lobes = {"broad lobe": 1, "middle lobe": 8, "narrow lobe": 64}
+    for k, (name, exponent) in enumerate(lobes.items()):
+        panels.append(heat(f"weight of the {name} ({exponent}), 0 to {most:.2g}", one.weights[:, k], most))
     if fit is None:
         return panels
     ratios = fit.identifiability
-    panels.append(Panel("std over prior: albedo, 0 to 1", _heat(mesh, ratios[:, :3].max(1), 1.0, view)))
-    for k, name in enumerate(("broad lobe", "middle lobe", "narrow lobe")):
-        panels.append(Panel(f"std over prior: {name}, 0 to 1", _heat(mesh, ratios[:, 3 + k], 1.0, view)))
+    panels.append(heat("std over prior: albedo, 0 to 1", ratios[:, :3].max(1), 1.0))
+    for k, name in enumerate(lobes):
+        panels.append(heat(f"std over prior: {name}, 0 to 1", ratios[:, 3 + k], 1.0))
     pairs = fit.pair_count.astype(float)
-    panels.append(Panel(f"pictures, 0 to {pairs.max():.0f}", _heat(mesh, pairs, max(pairs.max(), 1.0), view)))
+    panels.append(heat(f"pictures, 0 to {pairs.max():.0f}", pairs, max(pairs.max(), 1.0)))
     misfit = np.where(np.isfinite(fit.misfit), fit.misfit, np.nan)
-    panels.append(Panel("misfit over noise, 0 to 3", _heat(mesh, misfit, 3.0, view)))
+    panels.append(heat("misfit over noise, 0 to 3", misfit, 3.0))
     return panels
 
 
@@ -86,7 +94,13 @@ def relit_panels(
     `shown` (H, W) marks the part of the face that is known, `valid` (H, W, 3) what the photograph did not
     clip: only there is there a difference.
     """
-    rows, columns = _window(shown)
+    # The part of the pictures that holds the shown face.
+    window = []
+    for axis in (1, 0):
+        there, last = np.flatnonzero(shown.any(axis)), shown.shape[1 - axis]
+        low, high = (there[0], there[-1] + 1) if len(there) else (0, last)
+        window.append(slice(max(low - _MARGIN_PX, 0), min(high + _MARGIN_PX, last)))
+    rows, columns = window
     compared = shown & valid.all(-1)
     level = float(np.percentile(photograph[compared], 99)) if compared.any() else 1.0
     scale = 1 / max(level, 1e-12)
@@ -113,24 +127,3 @@ def draw_in_camera(
     colors = np.where(known[:, None], seen.interpolated(np.nan_to_num(color)), 0.0)
     made = seen.picture(np.column_stack([colors, known]))
     return made[..., :3], made[..., 3] > 0
-
-
-def _colored(mesh: MeshReflectance, color: FloatArray, view: View) -> NDArray[np.uint8]:
-    return render_mesh(
-        mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=_SIZE, shaded=False
-    )
-
-
-def _heat(mesh: MeshReflectance, values: FloatArray, most: float, view: View) -> NDArray[np.uint8]:
-    return _colored(mesh, heat_colors(values, 0.0, most), view)
-
-
-def _window(shown: BoolArray) -> tuple[slice, slice]:
-    """Return the part of a picture that holds the shown face."""
-    spans = []
-    for axis in (1, 0):
-        there = np.flatnonzero(shown.any(axis))
-        last = shown.shape[1 - axis]
-        low, high = (there[0], there[-1] + 1) if len(there) else (0, last)
-        spans.append(slice(max(low - _MARGIN_PX, 0), min(high + _MARGIN_PX, last)))
-    return spans[0], spans[1]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
@@ -17,13 +19,12 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_directions, trans
 from scan2albedo.sampling.skin import skin_weight
 from scan2albedo.sampling.texture_lookup import (
     ChartTexture,
-    LookupOptions,
     texel_steps,
     texture_on_chart,
 )
 
 if TYPE_CHECKING:
-    from scan2albedo.face_model import AnnotatedFaceModel
+    from scan2albedo.face_model import AnnotatedSurface
 
 SOFTENING = 1 / 50
 """Standard deviation of the blur of annotated values, as a fraction of the image's size."""
@@ -59,13 +60,11 @@ class Fitted(Protocol):
         """(4, 4)."""
 
     @property
-    def model(self) -> AnnotatedFaceModel:
+    def model(self) -> AnnotatedSurface:
         """The model that was fitted."""
 
 
-def geometry_image(
-    fitted: Fitted, scan: RawScan | None, size: int = 512, *, options: LookupOptions = LookupOptions()
-) -> GeometryImage:
+def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> GeometryImage:
     """Sample a fitted face on a regular grid over its chart.
 
     Position and normal come from the fitted limit surface, the texture from the closest point of the
@@ -80,8 +79,6 @@ def geometry_image(
         The raw scan in its own frame; None gives geometry without texture.
     size : int
         Height and width in texels, at least 8.
-    options : LookupOptions
-        How the photograph is filtered.
 
     Returns
     -------
@@ -118,7 +115,7 @@ def geometry_image(
         raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")
     position = interpolate(raster, fitted.faces, fitted.vertices)
     normal = normalized(interpolate(raster, fitted.faces, vertex_normals(fitted.vertices, fitted.faces)))
-    texture = _texture(fitted, scan, raster, position, normal, options)
+    texture = _texture(fitted, scan, raster, position, normal)
     cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)
     region[raster.covered] = fitted.region[raster.face[raster.covered]]
@@ -176,7 +173,6 @@ def _texture(
     raster: Raster,
     position: NDArray[np.float64],
     normal: NDArray[np.float64],
-    options: LookupOptions,
 ) -> ChartTexture:
     inside = raster.covered
     scan_from_model = invert_rigid(fitted.model_from_scan)
@@ -187,7 +183,6 @@ def _texture(
         transform_points(scan_from_model, position[inside]),
         transform_directions(scan_from_model, normal[inside]),
         np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
-        options,
     )
 
 
@@ -205,9 +200,9 @@ def _softened(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[n
 
     Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
     """
-    import cv2
-
     sigma = SOFTENING * mask.shape[0]
-    weight = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), sigma)
-    blurred = cv2.GaussianBlur(np.where(mask, values, np.float32(0)), (0, 0), sigma)
+    weight, blurred = (
+        gaussian_filter(field, sigma, mode="mirror", radius=math.ceil(4 * sigma))
+        for field in (mask.astype(np.float32), np.where(mask, values, np.float32(0)))
+    )
     return np.where(mask, blurred / np.maximum(weight, 1e-6), np.float32(0))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, label
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.sampling.skin_color import ColorEvidence, color_evidence, local_mean, odd_side
 
 SURE = 0.95
@@ -102,11 +104,11 @@ def _coarse_grid(position: FloatArray, seen: BoolArray) -> tuple[tuple[int, int]
 
 def _resized(field: NDArray[np.float32], shape: tuple[int, ...]) -> Coarse:
     """Return the means of `field` (H, W) or (H, W, C) over the texels of a coarser grid, or between those."""
-    import cv2
+    from skimage.transform import resize
 
-    smaller = shape[0] < field.shape[0]
-    way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(field, shape[1::-1], interpolation=way), np.float32)
+    if shape[0] < field.shape[0]:
+        return area_mean(field, (shape[0], shape[1])).astype(np.float32)
+    return np.asarray(resize(field, shape[:2], order=1, mode="edge", anti_aliasing=False), np.float32)
 
 
 def _mean(field: NDArray[np.floating], seen: BoolArray, part: Coarse) -> Coarse:
@@ -136,10 +138,9 @@ def _relief(residual_mm: Coarse, part: Coarse, trusted: BoolArray, texel_mm: flo
 
 def _without_moles(skin: Coarse, likely: Coarse, texel_mm: float) -> Coarse:
     """Return the weights with small islands made skin where the region is skin."""
-    import cv2
-
-    _, label, figures, _ = cv2.connectedComponentsWithStats((skin < _SPOT).astype(np.uint8), connectivity=8)
-    small = figures[:, cv2.CC_STAT_AREA] * texel_mm**2 <= _SPOT_MM2
+    around = np.ones((3, 3), bool)
+    spot = label(skin < _SPOT, around)[0]
+    small = np.bincount(spot.ravel()) * texel_mm**2 <= _SPOT_MM2
     small[0] = False
-    mole = cv2.dilate(small[label].astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    mole = binary_dilation(small[spot], around)
     return np.where(mole & (likely > _LIKELY), np.float32(1), skin).astype(np.float32)

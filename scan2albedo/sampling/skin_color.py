@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
@@ -144,9 +145,7 @@ def _rough(
     Contrast is against the mean and the median around: edges, of shadows or of moles, have it against one.
     In the dark it is more, by a picture's noise.
     """
-    import cv2
-
-    edgeless = np.abs(brightness - cv2.medianBlur(brightness, 5))
+    edgeless = np.abs(brightness - median_filter(brightness, 5, mode="nearest"))
     contrast = np.minimum(edgeless, np.abs(brightness - local_mean(brightness, weight, 3)))
     own = float(np.median(contrast[anchor])) if anchor.any() else 0.0
     coarseness = max(1.0, texel_mm / _FINE_MM) ** 2
@@ -162,10 +161,5 @@ def odd_side(texels: float) -> int:
 
 def local_mean(field: Image, weight: Image, side: int) -> Image:
     """Return the weighted mean of `field` (H, W) over squares of `side` texels; 0 without any weight."""
-    import cv2
-
-    sums, total = (
-        cv2.boxFilter(f, -1, (side, side), normalize=False, borderType=cv2.BORDER_CONSTANT)
-        for f in (field * weight, weight)
-    )
-    return np.asarray(sums / np.maximum(total, np.float32(1e-6)), np.float32)
+    sums, total = (uniform_filter(f, side, mode="constant") for f in (field * weight, weight))
+    return np.asarray(sums / np.maximum(total, np.float32(1e-6 / side**2)), np.float32)

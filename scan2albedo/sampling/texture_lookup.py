@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.geometry.closest_points import ClosestHits
+from scan2albedo.geometry.closest_points import ClosestHits, surface_query
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
-from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.sampling.cameras import texture_cameras
 
@@ -25,19 +24,10 @@ MIN_DENSITY = 0.1
 """Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
 CROP_MARGIN = 0.1
 """Faces are searched in the queried points' box, enlarged by this part of its size."""
-FEWEST_TAPS, MOST_TAPS = 3, 64
-TAPS_PERCENTILE = 95
-"""This part of the texels gets a sample for every pixel of its footprint."""
+FEWEST_TAPS, MOST_TAPS, TAPS_PERCENTILE = 3, 64, 95
+"""Bilinear samples along each side of a texel's footprint: one a pixel, for this part of the texels."""
 SIDEWAYS_MM = 0.5
 """A point farther sideways of the scan's edge than this lies in a hole, not above the edge."""
-
-
-@dataclass(frozen=True)
-class LookupOptions:
-    """How the photograph is filtered."""
-
-    taps: int | None = None
-    """Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +50,6 @@ def texture_on_chart(
     points: FloatArray,
     normals: FloatArray,
     steps: FloatArray,
-    options: LookupOptions = LookupOptions(),
 ) -> ChartTexture:
     """Return the texture on a chart.
 
@@ -69,7 +58,7 @@ def texture_on_chart(
     if scan is None or not scan.has_color:
         return ChartTexture()
     linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
-    found = TextureLookup(scan, options).sample(points, normals, steps)
+    found = TextureLookup(scan).sample(points, normals, steps)
     linear[inside], seen[inside] = found.color_linear, found.seen
     cameras = texture_cameras(scan)
     if cameras is None:
@@ -91,8 +80,8 @@ class Samples:
 class TextureLookup:
     """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
 
-    def __init__(self, scan: RawScan, options: LookupOptions = LookupOptions()) -> None:
-        self._scan, self._options = scan, options
+    def __init__(self, scan: RawScan) -> None:
+        self._scan = scan
 
     def _near(self, points: FloatArray) -> IntArray:
         """Return the faces near `points`, all when none is: indexing the whole scan would cost most."""
@@ -154,7 +143,7 @@ class TextureLookup:
         center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
         inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
         footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
-        taps = self._options.taps or _needed_taps(footprint)
+        taps = _needed_taps(footprint)
         return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
 
     def _uv_gradients(self, near: IntArray) -> FloatArray:

@@ -14,6 +14,8 @@ from scan2albedo.io.color import srgb_to_linear
 
 BRIGHTEST = 0.98
 """Level of the brightest pixel at exposure 1."""
+TARGET_MM = np.array([0.0, 0.0, -5.0])
+"""Point of the head in the middle of portraits."""
 
 
 def auto_exposure(radiance_linear: ArrayLike) -> float:
@@ -43,10 +45,6 @@ def photograph(
     return srgb_to_linear(np.arange(levels + 1) / levels).astype(np.float32)[stored]
 
 
-TARGET_MM = np.array([0.0, 0.0, -5.0])
-"""Point of the head in the middle of pictures."""
-
-
 def toward(azimuth_deg: float, elevation_deg: float) -> FloatArray:
     """Return the unit vector (3,) from the head: azimuth from +z toward +x, elevation toward +y."""
     azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
@@ -54,18 +52,9 @@ def toward(azimuth_deg: float, elevation_deg: float) -> FloatArray:
     return np.array([math.sin(azimuth) * across, math.sin(elevation), math.cos(azimuth) * across])
 
 
-def exposure_for(brightest: FloatArray, saturated_part: float) -> float:
-    """Return the factor that makes this part of the pixels brighter than white; 1 for black pictures."""
-    white = float(np.quantile(brightest, 1 - saturated_part)) if len(brightest) else 0.0
-    return 1 / white if white > 0 else 1.0
-
-
 @dataclass(frozen=True, kw_only=True)
-class PortraitOptions:
-    """What all pictures of a person have in common.
-
-    Raises `ValueError` when a value is outside its range.
-    """
+class Portrait:
+    """A camera before a person; ValueError for a value outside its range."""
 
     picture_size: int = 256
     """Height and width in pixels."""
@@ -80,36 +69,18 @@ class PortraitOptions:
     bits: int | None = 8
     """8, 16, or None for values that are neither rounded nor clipped."""
     saturated_part: float = 0.002
-    """Of all the face's pixels in all pictures, brighter than white."""
-    hair: bool = True
-    """Whether there is hair, which hides and shades the brow and is not in the mesh."""
-    levels: int = 1
-    """Of subdivision of the mesh: 1 is 3,663 vertices with the default model, 2 is 14,533."""
+    """Part of the face's pixels in all pictures that is brighter than white."""
 
     def __post_init__(self) -> None:
-        self._refuse_below_one("picture_size")
+        refuse_outside(1, picture_size=self.picture_size)
+        refuse_outside(0, noise=self.noise)
         for name in ("reach_mm", "distance_mm", "gamma"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected > 0 and finite")
-        self._refuse_negative("noise")
         if not 0 <= self.saturated_part < 1:
             raise ValueError(f"saturated_part is {self.saturated_part}, expected in [0, 1)")
         if self.bits not in (8, 16, None):
             raise ValueError(f"bits is {self.bits}, expected 8, 16 or None")
-        if self.levels not in (1, 2, 3):
-            raise ValueError(f"levels is {self.levels}, expected 1, 2 or 3")
-
-    def _refuse_below_one(self, *names: str) -> None:
-        """Raise ValueError unless these options are 1 or more."""
-        for name in names:
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 1")
-
-    def _refuse_negative(self, *names: str) -> None:
-        """Raise ValueError unless these options are finite and not negative."""
-        for name in names:
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0 and finite")
 
     @property
     def focal_px(self) -> float:
@@ -122,6 +93,11 @@ class PortraitOptions:
         shape = (self.picture_size, self.picture_size)
         return look_at(position, TARGET_MM, focal_px=self.focal_px, shape=shape)
 
+    def exposure(self, brightest: FloatArray) -> float:
+        """Return the factor that saturates `saturated_part` of the face's pixels; 1 for black pictures."""
+        white = float(np.quantile(brightest, 1 - self.saturated_part)) if len(brightest) else 0.0
+        return 1 / white if white > 0 else 1.0
+
     def stored(self, linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.generic]:
         """Return the values that the camera stores of light (H, W, 3), white = 1, with its noise."""
         values = linear ** np.float32(1 / self.gamma)
@@ -130,3 +106,10 @@ class PortraitOptions:
             return values
         kind = np.uint8 if self.bits == 8 else np.uint16
         return np.round(np.clip(values, 0, 1) * np.iinfo(kind).max).astype(kind)
+
+
+def refuse_outside(least: int, **values: float) -> None:
+    """Raise ValueError unless all values are finite and `least` or more."""
+    for name, value in values.items():
+        if not least <= value < math.inf:
+            raise ValueError(f"{name} is {value}, expected >= {least} and finite")

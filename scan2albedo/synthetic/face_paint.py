@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.polylines import inside_polygon
 from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise, smoothstep
 
@@ -37,7 +37,7 @@ class PaintedFeatures:
 
 def paint_face(
     uv: FloatArray,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     rng: np.random.Generator,
     *,
     grain: float = 1.0,
@@ -70,7 +70,13 @@ def paint_around(
     brows = rng.uniform(0.6, 0.9) * sum(
         _brow(uv, landmarks[side], rng, features) for side in (slice(17, 22), slice(22, 27))
     )
-    lips, line = _lips(uv, landmarks, features.lip_fullness)
+    # Redness of the lips, and darkness of the line between them.
+    upper = _curve(landmarks[48:55])
+    lower = _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]])
+    inside = _signed_distance(uv, np.concatenate([upper, lower[1:-1]])) + features.lip_fullness
+    lips = smoothstep(inside / 0.006 + 0.5)
+    middle = (landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2
+    line = smoothstep(1.5 - _distance(uv, _curve(middle)) / 0.004)
     blood += rng.uniform(0.5, 0.9) * lips * (1 + 0.08 * smooth_noise(uv, (220, 60), rng))
     pigment += 0.15 * lips + 0.9 * line
     albedo = albedo * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN)
@@ -81,7 +87,7 @@ def paint_around(
     return np.clip(albedo, 0.01, 0.95)
 
 
-def landmark_uv(model: AnnotatedFaceModel) -> FloatArray:
+def landmark_uv(model: AnnotatedSurface) -> FloatArray:
     """Return (68, 2) chart coordinates of the model's landmarks."""
     points = model.landmark_points
     if points is None:
@@ -93,12 +99,10 @@ def _blob(uv: FloatArray, center: FloatArray, radius: float) -> FloatArray:
     return np.exp(-np.sum((uv - center) ** 2, axis=1) / (2 * radius**2))
 
 
-def _curve(points: FloatArray, *, closed: bool, count: int = 240) -> FloatArray:
-    """Return `count` points of a cubic spline through (K, 2) points."""
-    through = np.concatenate([points, points[:1]]) if closed else points
-    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(through, axis=0), axis=1))])
-    spline = CubicSpline(knots, through, bc_type="periodic" if closed else "natural")
-    return spline(np.linspace(0, knots[-1], count, endpoint=not closed))
+def _curve(points: FloatArray) -> FloatArray:
+    """Return 240 points of a natural cubic spline through (K, 2) points."""
+    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return CubicSpline(knots, points, bc_type="natural")(np.linspace(0, knots[-1], 240))
 
 
 def _near(uv: FloatArray, points: FloatArray, margin: float) -> BoolArray:
@@ -118,8 +122,7 @@ def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:
     """Return (N,) distance to a closed polyline (K, 2), positive inside, -inf far outside."""
     signed = -_distance(uv, outline)
     near = _near(uv, outline, 0.0)
-    inside = inside_polygon(uv[near], outline)
-    signed[near] *= np.where(inside, -1, 1)
+    signed[near] *= np.where(inside_polygon(uv[near], outline), -1, 1)
     return signed
 
 
@@ -128,7 +131,7 @@ def _brow(
 ) -> FloatArray:
     """Return (N,) density of brow hair around the five landmarks of one brow."""
     arch = features.brow_arch * np.array([0.0, 0.7, 1.0, 0.7, 0.0])
-    line = _curve(landmarks + np.stack([np.zeros(5), features.brow_lift + arch - 0.006], 1), closed=False)
+    line = _curve(landmarks + np.stack([np.zeros(5), features.brow_lift + arch - 0.006], 1))
     density, near = np.zeros(len(uv)), _near(uv, line, 0.04)
     distance, nearest = cKDTree(line).query(uv[near])
     outward = nearest / (len(line) - 1)
@@ -142,22 +145,12 @@ def _brow(
     return density
 
 
-def _lips(uv: FloatArray, landmarks: FloatArray, fullness: float) -> tuple[FloatArray, FloatArray]:
-    """Return (N,) redness of the lips and darkness of the line between them."""
-    upper = _curve(landmarks[48:55], closed=False)
-    lower = _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]], closed=False)
-    outline = np.concatenate([upper, lower[1:-1]])
-    lips = smoothstep((_signed_distance(uv, outline) + fullness) / 0.006 + 0.5)
-    middle = (landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2
-    return lips, smoothstep(1.5 - _distance(uv, _curve(middle, closed=False)) / 0.004)
-
-
 def _with_eye(
     uv: FloatArray, albedo: FloatArray, corners: FloatArray, iris: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
     """Return the albedo (N, 3) with one open eye painted inside its six landmarks."""
-    upper = _curve(corners[:4], closed=False)
-    outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]], closed=False)[1:-1]])
+    upper = _curve(corners[:4])
+    outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]])[1:-1]])
     near = _near(uv, outline, 0.03)
     here = uv[near]
     opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import (
     ASYMMETRY_BUMPS,
     EXPRESSION_BUMPS,
@@ -28,7 +28,7 @@ Expression = Literal["neutral", "smile", "frown", "pout", "puff", "surprise"]
 
 
 def person(
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     rng: np.random.Generator,
     *,
     expression: Expression = "neutral",
@@ -56,7 +56,7 @@ def person(
 
 
 def expression_offsets(
-    model: AnnotatedFaceModel, rng: np.random.Generator, *, levels: int, each: int = 8
+    model: AnnotatedSurface, rng: np.random.Generator, *, levels: int, each: int = 8
 ) -> FloatArray:
     """Return (E, V, 3) random expressions, `each` of a kind, less the face at rest; mm on the surface."""
     to_surface = model.subdivision(levels).matrix
@@ -90,17 +90,23 @@ class FaceSurface:
         return uv
 
 
-def face_surface(model: AnnotatedFaceModel, control_points: FloatArray, *, levels: int = 3) -> FaceSurface:
+def face_surface(model: AnnotatedSurface, control_points: FloatArray, *, levels: int = 3) -> FaceSurface:
     """Return the refined limit surface of deformed control points (C, 3)."""
     subdivision = model.subdivision(levels)
     vertices = subdivision.matrix @ control_points
-    corner_uv = _refined_corners(model.uv[model.control_faces], levels)
+    # Chart coordinates (F, 3, 2) of corners by linear refinement, children ordered as in Loop's.
+    corners = model.uv[model.control_faces]
+    for _ in range(levels):
+        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+        children = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
+        corners = np.stack([np.stack(child, 1) for child in children], 1).reshape(-1, 3, 2)
     landmarks = model.landmarks_of(control_points)
     return FaceSurface(
         vertices,
         subdivision.faces,
         vertex_normals(vertices, subdivision.faces),
-        corner_uv,
+        corners,
         model.region[subdivision.parent],
         np.zeros((0, 3)) if landmarks is None else landmarks,
     )
@@ -119,18 +125,7 @@ def with_relief(
     return replace(surface, vertices=vertices, normals=vertex_normals(vertices, surface.faces))
 
 
-def _refined_corners(corners: FloatArray, levels: int) -> FloatArray:
-    """Return (F 4^levels, 3, K) corner values after linear refinement, children ordered as in Loop's."""
-    for _ in range(levels):
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        children = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-        stacked = np.stack([np.stack(child, 1) for child in children], 1)
-        corners = stacked.reshape(-1, 3, corners.shape[2])
-    return corners
-
-
-def face_geometry_image(model: AnnotatedFaceModel, surface: FaceSurface, size: int) -> GeometryImage:
+def face_geometry_image(model: AnnotatedSurface, surface: FaceSurface, size: int) -> GeometryImage:
     """Return the (size, size) geometry image of a surface, annotated, without texture."""
     corner_index = np.arange(3 * len(surface.faces)).reshape(-1, 3)
     raster = rasterize_uv(surface.corner_uv.reshape(-1, 2), corner_index, size)

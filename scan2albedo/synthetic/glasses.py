@@ -1,16 +1,37 @@
-"""Synthetic eyeglasses with key points, lenses and a known bend."""
+"""Synthetic eyeglasses with key points, lenses and a known bend, mirrored from their left half."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.geometry.mesh import vertex_components, without_unreferenced
-from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape, bend_points
-from scan2albedo.synthetic.half_glasses import HalfGlasses, build_half
+from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
+from scan2albedo.synthetic.glasses_shape import (
+    BEND_RINGS,
+    CORNER_RINGS,
+    RIM_POINTS,
+    STRAIGHT_RINGS,
+    GlassesBend,
+    GlassesShape,
+    bend_points,
+    rim_curve,
+    temple_path,
+)
+
+_SECTION = 12
+"""Points around a rim."""
+_HINGE, _BRIDGE, _BROW = 5, 31, 24
+"""Rim points in the middle of the patch that the temple, the bridge grow from, and for a second bridge."""
+_HALF_PATCH = 2
+"""Segments of the patch on each side of its middle, along and around the rim."""
+_BRIDGE_RINGS, _BROW_RINGS = 9, 17
+_BLEND_MM = 8.0
+"""Way on which a tube's section turns from the patch's outline into an ellipse."""
+_HINGE_GAP_MM = 1.0
+_BRIDGE_FRAME = np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
 @dataclass(frozen=True)
@@ -82,9 +103,13 @@ def eyeglasses(
         A second bridge between the tops of the rims, stuck into them, which has the key point `bridge_top`.
     """
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
-    half = build_half(measures, welded=welded, nose_pads=nose_pads, double_bridge=double_bridge)
+    half = _half_glasses(measures, welded=welded, nose_pads=nose_pads, double_bridge=double_bridge)
     points = np.concatenate(half.points)
-    other = _counterparts(half)
+    # The mirrored vertices: the seam's own, then new ones.
+    other, apart = np.zeros(half.count, np.int64), np.ones(half.count, bool)
+    apart[half.seam] = False
+    other[half.seam] = half.seam
+    other[apart] = half.count + np.arange(apart.sum())
     new = np.flatnonzero(other >= len(points))
     vertices = np.concatenate([points, points[new] * [-1.0, 1, 1]])
     sheet = np.concatenate(half.faces)
@@ -116,11 +141,165 @@ def eyeglasses(
     )
 
 
-def _counterparts(half: HalfGlasses) -> IntArray:
-    """Return (n,) numbers of the mirrored vertices: the seam's own, then new ones."""
-    other = np.zeros(half.count, np.int64)
-    apart = np.ones(half.count, bool)
-    apart[half.seam] = False
-    other[half.seam] = half.seam
-    other[apart] = half.count + np.arange(apart.sum())
-    return other
+@dataclass
+class _Half:
+    """Vertices, faces and named vertices so far; `seam` (S,) are those on the plane x = 0."""
+
+    points: list[FloatArray] = field(default_factory=list)
+    faces: list[IntArray] = field(default_factory=list)
+    marks: dict[str, int] = field(default_factory=dict)
+    seam: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    lens_edge: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    count: int = 0
+
+    def add(self, points: FloatArray) -> IntArray:
+        """Append points (..., 3) and return their numbers (...)."""
+        flat = points.reshape(-1, 3)
+        numbers = self.count + np.arange(len(flat))
+        self.points.append(flat)
+        self.count += len(flat)
+        return numbers.reshape(points.shape[:-1])
+
+    def add_tube(self, rings: FloatArray, loop: IntArray | None = None) -> IntArray:
+        """Append rings (R, S, 3) of a tube and return their numbers (R, S).
+
+        The first ring is the `loop` (S,) where that is given, else it is closed.
+        """
+        if loop is not None:
+            numbers = np.vstack([loop, self.add(rings[1:])])
+        else:
+            numbers = self.add(rings)
+            self.add_cap(numbers[0], rings[0], end=False)
+        self.faces.append(_ring_faces(numbers))
+        return numbers
+
+    def add_cap(self, ring: IntArray, points: FloatArray, *, end: bool) -> int:
+        """Close the first ring of a tube, or the last (`end`), with a fan and return its middle vertex.
+
+        The ring (S,) is at points (S, 3).
+        """
+        middle = int(self.add(points.mean(0)[None])[0])
+        fan = np.stack([ring, np.roll(ring, -1), np.full(len(ring), middle)], 1)
+        self.faces.append(fan if end else fan[:, ::-1])
+        return middle
+
+
+def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_bridge: bool) -> _Half:
+    """Return the half at x >= 0; `welded` grows bridge and temple out of the rim's surface."""
+    half = _Half()
+    line, normal = rim_curve(shape)
+    angle = -2 * np.pi * np.arange(_SECTION) / _SECTION
+    sections = (
+        line[:, None]
+        + shape.rim_width / 2 * np.cos(angle)[:, None] * normal[:, None]
+        + shape.rim_depth / 2 * np.sin(angle)[:, None] * np.array([0, 0, 1.0])
+    )
+    rim = half.add(sections)
+    faces = _ring_faces(np.concatenate([rim, rim[:1]]))
+    half.lens_edge = rim[:, _SECTION // 2]
+    # Patches (rows, columns) on the rim's outside, and their outlines as a tube's first ring.
+    loops, s = {}, _HALF_PATCH
+    side, full = np.arange(2 * s), np.full(2 * s, s)
+    for middle in (_HINGE, _BRIDGE):
+        i = (middle + np.concatenate([s - side, -full, side - s, full])) % RIM_POINTS
+        j = np.concatenate([-full, side - s, full, s - side]) % _SECTION
+        loops[middle] = (rim[i, j], sections[i, j])
+        rows, columns = np.meshgrid(middle + np.arange(-s, s + 1), np.arange(-s, s + 1), indexing="ij")
+        if welded:
+            faces = faces[~np.isin(faces, rim[rows % RIM_POINTS, columns % _SECTION]).all(1)]
+    half.faces.append(faces)
+    outward = {"rim_top": 18, "rim_inner": 42, "rim_bottom": 54, "rim_outer": 66}
+    half.marks |= {name: int(rim[i, 0]) for name, i in outward.items()}
+    half.marks["rim_bridge"] = int(rim[_BRIDGE, _SECTION // 2])
+    _add_bridge(half, shape, *loops[_BRIDGE], welded=welded)
+    _add_temple(half, shape, *loops[_HINGE], welded=welded)
+    if nose_pads:
+        # A thin arm out of the rim with a pad at its end.
+        t = np.linspace(0, 1, 14)
+        path = line[44] + np.stack([-2.5 * t, np.zeros_like(t), -11 * t], 1)
+        pad = np.sqrt(np.clip(1 - ((t - 0.72) / 0.29) ** 2, 0, None))
+        local = (
+            _ellipse(8, 1.0, 1.0, 0.0)
+            * np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)[:, None]
+        )
+        rings = path[:, None] + local @ _path_frames(path)
+        numbers = half.add(rings)
+        half.faces.append(_ring_faces(numbers))
+        half.add_cap(numbers[0], rings[0], end=False)
+        half.add_cap(numbers[-1], rings[-1], end=True)
+    if double_bridge:
+        # Half a second bridge; the key point at the top of the bridge goes to it.
+        path = line[_BROW] * np.linspace(1, 0, _BROW_RINGS)[:, None] ** [1, 0, 2]
+        ellipse = _ellipse(12, 0.45 * shape.rim_depth, shape.bridge_height / 2, np.pi / 2)
+        rings = path[:, None] + ellipse @ _BRIDGE_FRAME
+        rings[-1, :, 0] = 0.0
+        last = half.add_tube(rings)[-1]
+        half.seam = np.concatenate([half.seam, last])
+        half.marks["bridge_top"] = int(last[0])
+    return half
+
+
+def _add_bridge(
+    half: _Half, shape: GlassesShape, loop: IntArray, points: FloatArray, *, welded: bool
+) -> None:
+    start = points.mean(0)
+    t = np.linspace(0, 1, _BRIDGE_RINGS)
+    path = np.stack([start[0] * (1 - t), start[1] + 1.5 * t * (2 - t), start[2] * (1 - t) ** 2], 1)
+    path[-1, 0] = 0.0
+    frames = np.broadcast_to(_BRIDGE_FRAME, (len(path), 3, 3))
+    ellipse = _ellipse(len(loop), 0.45 * shape.rim_depth, shape.bridge_height / 2, -0.75 * np.pi)
+    rings = _blended(path, frames, points, ellipse, np.clip(2 * t, 0, 1))
+    if not welded:
+        rings[0] = path[0] + [0.6 * shape.rim_width, 0, 0] + 0.6 * ellipse @ frames[0]
+    half.seam = half.add_tube(rings, loop if welded else None)[-1]
+    half.marks |= {"bridge_top": int(half.seam[6]), "bridge_bottom": int(half.seam[14])}
+
+
+def _add_temple(
+    half: _Half, shape: GlassesShape, loop: IntArray, points: FloatArray, *, welded: bool
+) -> None:
+    start = points.mean(0) + (0.0 if welded else np.array([_HINGE_GAP_MM + 0.25 * shape.rim_width, 0, 0]))
+    path = temple_path(shape, start)
+    frames = _path_frames(path)
+    frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
+    ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    part = np.clip(run / _BLEND_MM, 0, 1) if welded else np.ones(len(path))
+    rings = _blended(path, frames, points, ellipse, part)
+    numbers = half.add_tube(rings, loop if welded else None)
+    tip = half.add_cap(numbers[-1], rings[-1], end=True)
+    outside, middle = 2, CORNER_RINGS + STRAIGHT_RINGS // 2
+    half.marks |= {
+        "hinge": int(numbers[CORNER_RINGS // 2, outside]),
+        "temple_middle": int(numbers[middle, outside]),
+        "ear_bend": int(numbers[CORNER_RINGS + STRAIGHT_RINGS + BEND_RINGS // 2, outside]),
+        "temple_tip": tip,
+    }
+
+
+def _blended(
+    path: FloatArray, frames: FloatArray, loop: FloatArray, ellipse: FloatArray, part: FloatArray
+) -> FloatArray:
+    """Return rings (R, S, 3): from the outline `loop` (S, 3) around path[0] to ellipses, by `part` (R,)."""
+    first, blend = (loop - path[0]) @ frames[0].T, (part**2 * (3 - 2 * part))[:, None, None]
+    return path[:, None] + ((1 - blend) * first + blend * ellipse) @ frames
+
+
+def _ring_faces(rings: IntArray) -> IntArray:
+    """Return triangles (F, 3), outward where rings of vertex numbers (R, S) run clockwise along the tube."""
+    a, c = rings[:-1], rings[1:]
+    b, d = np.roll(a, -1, 1), np.roll(c, -1, 1)
+    return np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([b, d, c], -1).reshape(-1, 3)])
+
+
+def _path_frames(path: FloatArray) -> FloatArray:
+    """Return (R, 3, 3) rows tangent, tangent x up, up along a path (R, 3) that never runs along y."""
+    tangent = normalized(np.gradient(path, axis=0))
+    across = normalized(np.cross(tangent, [0.0, 1.0, 0.0]))
+    return np.stack([tangent, across, np.cross(across, tangent)], 1)
+
+
+def _ellipse(count: int, across: float, up: float, first_angle_rad: float) -> FloatArray:
+    """Return (count, 3) offsets in (tangent, across, up), clockwise along the tangent."""
+    angle = first_angle_rad - 2 * np.pi * np.arange(count) / count
+    return np.stack([np.zeros(count), across * np.cos(angle), up * np.sin(angle)], 1)

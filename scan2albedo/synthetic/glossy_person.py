@@ -11,21 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.face_shape import FaceSurface
-from scan2albedo.synthetic.renderer import RayScene
-from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, Sitter
+from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
+from scan2albedo.synthetic.sitter import FACE, HAIR, Sitter
 from scan2albedo.synthetic.textures import smooth_noise
 
 EXPONENTS = (1, 8, 64)
 _WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])
 """Sums are about twice what skin reflects at normal incidence (0.028), as oily skin."""
-_SHINE_OF_PART = {FACE: 1.0, HAIR: 0.4, CLOTHES: 0.0}
-_SHINE_OF_HEAD = 0.8
-_OFFSET_MM = 0.15
+_SHINE_OF_PART = (1.0, 0.8, 0.4, 0.0)
+"""Of face, head, hair and clothes."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class GlossyPerson:
     scene: RayScene
 
     @classmethod
-    def of(cls, sitter: Sitter, *, hair: bool) -> GlossyPerson:
+    def from_sitter(cls, sitter: Sitter, *, hair: bool) -> GlossyPerson:
         """Return the sitter with highlights drawn at random."""
         shown = np.flatnonzero(hair | (sitter.part != HAIR))
         face = sitter.face
@@ -92,7 +91,14 @@ class GlossyPerson:
         face, barycentric = self.shown[hits.face[pixel]], hits.barycentric[pixel]
         corners = self.sitter.faces[face]
         on_face = self.sitter.part[face] == FACE
-        diffuse, weights = self._reflectance(face, barycentric, on_face)
+        # On the face albedo and weights are linear between vertices; other parts have one shine each.
+        diffuse, weights = np.empty((len(face), 3)), np.empty((len(face), 3))
+        for array, values in ((diffuse, self.diffuse_linear), (weights, self.weights)):
+            array[on_face] = np.einsum("nk,nkc->nc", barycentric[on_face], values[corners[on_face]])
+        other = ~on_face
+        diffuse[other] = self.sitter.albedo_at(face[other], barycentric[other])
+        shine = np.array(_SHINE_OF_PART)[self.sitter.part[face[other]]]
+        weights[other] = shine[:, None] * self.weights.mean(0)
         return SeenSurface(
             pixel,
             size,
@@ -134,7 +140,7 @@ class GlossyPerson:
         """Return radiance (N, 3) under light of strength 1 from directions (N, 3), `reach` (N,) mm away."""
         n_l = np.einsum("nc,nc->n", seen.normal, toward)
         facing = np.flatnonzero(n_l > 0)
-        start = seen.position[facing] + _OFFSET_MM * seen.normal[facing]
+        start = seen.position[facing] + SHADOW_OFFSET_MM * seen.normal[facing]
         hidden = self.scene.occluded(start, toward[facing], reach[facing])
         rows = facing[~hidden]
         half = normalized(toward[rows] + seen.toward_camera[rows])
@@ -146,22 +152,8 @@ class GlossyPerson:
         radiance[rows] = seen.diffuse_linear[rows] / np.pi * n_l[rows, None] + gloss[:, None]
         return radiance
 
-    def _reflectance(
-        self, face: IntArray, barycentric: FloatArray, on_face: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return albedo and weights (N, 3) at points of the sitter's faces."""
-        diffuse, weights = np.empty((len(face), 3)), np.empty((len(face), 3))
-        corners = self.sitter.faces[face[on_face]]
-        for array, values in ((diffuse, self.diffuse_linear), (weights, self.weights)):
-            array[on_face] = np.einsum("nk,nkc->nc", barycentric[on_face], values[corners])
-        other = ~on_face
-        diffuse[other] = self.sitter.albedo_at(face[other], barycentric[other])
-        shine = [_SHINE_OF_PART.get(int(part), _SHINE_OF_HEAD) for part in self.sitter.part[face[other]]]
-        weights[other] = np.array(shine)[:, None] * self.weights.mean(0)
-        return diffuse, weights
 
-
-def gloss_weights(face: FaceSurface, model: AnnotatedFaceModel, uv: FloatArray, seed: int) -> FloatArray:
+def gloss_weights(face: FaceSurface, model: AnnotatedSurface, uv: FloatArray, seed: int) -> FloatArray:
     """Return (V, 3): the person's own means, patches of more and less shine, more on lips and nose."""
     rng = np.random.default_rng([seed, 20])
     mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)
@@ -190,7 +182,7 @@ class GlossyFace:
     exponents 1, 8 and 64."""
 
     @classmethod
-    def truth_of(cls, person: GlossyPerson, levels: int) -> GlossyFace:
+    def from_person(cls, person: GlossyPerson, levels: int) -> GlossyFace:
         """Return the face of a person after `levels` of subdivision."""
         sitter = person.sitter
         subdivision = sitter.model.subdivision(levels)

@@ -19,6 +19,10 @@ SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
 _CROWN = np.array([0.0, 0.75, -0.66])
 _SHEET_SIZE = (50, 130)
 """Rows and columns of vertices of the clothes."""
+_NECK_RADII_MM = (62.0, 60.0)
+_NECK_AXIS_BEHIND_NOSE_MM, _NECK_BASE_BELOW_NOSE_MM = 118.0, 190.0
+_COLLAR_RINGS = 60
+"""Rings of vertices from the rim outward, the rim included."""
 
 
 def nose_tip(vertices: FloatArray) -> FloatArray:
@@ -60,44 +64,33 @@ def hair_shell(
     counts rows from crown to hairline and columns around.
     """
     center = nose_tip(vertices) + SKULL_CENTER_FROM_NOSE_MM
-    directions, share = _cap_directions(size, side_drop_deg, rng)
+    rows, columns = size
+    # Unit directions (R, C, 3) from the centre of the skull, and the share (R, C) of the way down.
+    around = np.linspace(0, 2 * np.pi, columns, endpoint=False)
+    fringe = gaussian_filter(rng.normal(size=columns), 1.5, mode="wrap") * 4.0
+    side = np.sin(around) ** 2 * np.where(np.cos(around) < 0, 1.0, np.abs(np.sin(around)))
+    lowest_deg = 89 - 9 * np.cos(around) + (8 + side_drop_deg) * side + fringe
+    share = np.linspace(0, 1, rows)[:, None] * np.ones(columns)
+    polar = (np.deg2rad(lowest_deg) * (0.02 + 0.98 * share))[..., None]
+    right = np.array([1.0, 0.0, 0.0])
+    forward = np.cross(right, _CROWN)
+    forward *= np.sign(forward[2]) / np.linalg.norm(forward)
+    level = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
+    directions = np.cos(polar) * (_CROWN / np.linalg.norm(_CROWN)) + np.sin(polar) * level
     flat = directions.reshape(-1, 3)
     far = 400.0
     hits = RayScene(vertices, faces).first_hit(center + far * flat, -flat)
     skull = 1 / np.linalg.norm(flat / SKULL_SEMI_AXES_MM, axis=1)
     surface = np.where(hits.face >= 0, far - hits.distance, 0.0)
     radius = gaussian_filter(np.maximum(skull, surface).reshape(size), (3, 5), mode=("nearest", "wrap"))
-    radius += 0.8 + (thickness_mm - 0.8) * np.sqrt(1 - share**2) + _locks(size, rng) * (1.2 - share)
-    shell = center + radius[..., None] * directions
-    return shell.reshape(-1, 3), grid_faces(*size, wrap=True)
-
-
-def _cap_directions(
-    size: tuple[int, int], side_drop_deg: float, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Return unit directions (R, C, 3) from the centre of the skull and the share (R, C) of the way down."""
-    rows, columns = size
-    around = np.linspace(0, 2 * np.pi, columns, endpoint=False)
-    fringe = gaussian_filter(rng.normal(size=columns), 1.5, mode="wrap") * 4.0
-    side = np.sin(around) ** 2 * np.where(np.cos(around) < 0, 1.0, np.abs(np.sin(around)))
-    lowest_deg = 89 - 9 * np.cos(around) + (8 + side_drop_deg) * side + fringe
-    share = np.linspace(0, 1, rows)[:, None] * np.ones(columns)
-    polar = np.deg2rad(lowest_deg) * (0.02 + 0.98 * share)
-    right = np.array([1.0, 0.0, 0.0])
-    forward = np.cross(right, _CROWN)
-    forward *= np.sign(forward[2]) / np.linalg.norm(forward)
-    crown = _CROWN / np.linalg.norm(_CROWN)
-    level = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
-    return np.cos(polar)[..., None] * crown + np.sin(polar)[..., None] * level, share
-
-
-def _locks(size: tuple[int, int], rng: np.random.Generator) -> FloatArray:
-    """Return millimetres of relief: strands that run from the crown down, over broader waves."""
-    relief = np.zeros(size)
+    # Strands that run from the crown down, over broader waves, in mm.
+    locks = np.zeros(size)
     for amplitude, sigma in ((0.6, (9, 1.2)), (1.3, (14, 3.5)), (2.2, (12, 14))):
         noise = gaussian_filter(rng.normal(size=size), sigma, mode=("nearest", "wrap"))
-        relief += amplitude * noise / noise.std()
-    return relief
+        locks += amplitude * noise / noise.std()
+    radius += 0.8 + (thickness_mm - 0.8) * np.sqrt(1 - share**2) + locks * (1.2 - share)
+    shell = center + radius[..., None] * directions
+    return shell.reshape(-1, 3), grid_faces(*size, wrap=True)
 
 
 def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:
@@ -117,7 +110,7 @@ def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:
     return compact(sheet, faces[~opening[faces].any(1)])
 
 
-def crumbs(vertices: FloatArray, rng: np.random.Generator, count: int) -> list[Mesh]:
+def crumb_meshes(vertices: FloatArray, rng: np.random.Generator, count: int) -> list[Mesh]:
     """Return `count` loose patches of a few triangles floating near the surface."""
     parts = []
     for _ in range(count):
@@ -144,13 +137,6 @@ def compact(vertices: FloatArray, faces: IntArray) -> Mesh:
     return vertices[kept], renumbered
 
 
-_NECK_RADII_MM = (62.0, 60.0)
-_NECK_AXIS_BEHIND_NOSE_MM = 118.0
-_NECK_BASE_BELOW_NOSE_MM = 190.0
-_COLLAR_RINGS = 60
-"""Rings of vertices from the rim outward, the rim included."""
-
-
 def head_around(
     vertices: FloatArray, faces: IntArray, normals: FloatArray
 ) -> tuple[FloatArray, IntArray, FloatArray]:
@@ -161,43 +147,19 @@ def head_around(
     """
     loop = boundary_loop(len(vertices), faces)
     rim, tip = vertices[loop], nose_tip(vertices)
-    outward = _conormals(vertices, normals, loop)
-    share = np.linspace(0, 1, _COLLAR_RINGS)[:, None, None]
-    middle_y = (rim[:, 1].max() + rim[:, 1].min()) / 2
-    # 0 at the crown, pi at the chin.
-    angle = np.abs(np.arctan2(rim[:, 0], rim[:, 1] - middle_y))
-    chin = smoothstep((angle - np.deg2rad(95)) / np.deg2rad(40))[None, :, None]
-    collar = (1 - chin) * _skull_paths(rim, outward, tip, share) + chin * _neck_paths(
-        rim, outward, tip, share
-    )
-    around = np.cumsum(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1))
-    uv = np.stack(np.broadcast_arrays(around[None] / 200, share[..., 0]), -1)
-    return collar.reshape(-1, 3), grid_faces(_COLLAR_RINGS, len(loop), wrap=True), uv.reshape(-1, 2)
-
-
-def _conormals(vertices: FloatArray, normals: FloatArray, loop: IntArray) -> FloatArray:
-    """Return (B, 3) unit vectors that leave the surface across its rim, smoothed along it."""
-    rim = vertices[loop]
-    along = np.roll(rim, -1, axis=0) - np.roll(rim, 1, axis=0)
-    outward = normalized(np.cross(along, normals[loop]))
+    # Unit vectors that leave the surface across its rim, smoothed along it.
+    outward = normalized(np.cross(np.roll(rim, -1, axis=0) - np.roll(rim, 1, axis=0), normals[loop]))
     for _ in range(12):
         outward = normalized(outward + np.roll(outward, 1, axis=0) + np.roll(outward, -1, axis=0))
-    return outward
-
-
-def _skull_paths(rim: FloatArray, outward: FloatArray, tip: FloatArray, share: FloatArray) -> FloatArray:
-    """Return (S, B, 3): from the rim, along its own slope, onto an ellipsoid and toward its back."""
+    share = np.linspace(0, 1, _COLLAR_RINGS)[:, None, None]
+    # Skull: from the rim, along its own slope, onto an ellipsoid and toward its back.
     center = tip + SKULL_CENTER_FROM_NOSE_MM
-    start = normalized(rim - center)
     sway = share * 1.15
-    direction = normalized((1 - sway) * start + sway * np.array([0.0, 0.1, -1.0]) + 1e-9)
-    skull = center + direction / np.linalg.norm(direction / SKULL_SEMI_AXES_MM, axis=-1, keepdims=True)
+    direction = normalized((1 - sway) * normalized(rim - center) + sway * np.array([0.0, 0.1, -1.0]) + 1e-9)
+    ellipsoid = center + direction / np.linalg.norm(direction / SKULL_SEMI_AXES_MM, axis=-1, keepdims=True)
     straight = rim + outward * share * 200
-    return straight + (skull - straight) * smoothstep(share / 0.3)
-
-
-def _neck_paths(rim: FloatArray, outward: FloatArray, tip: FloatArray, share: FloatArray) -> FloatArray:
-    """Return (S, B, 3): Hermite curves from the rim under the chin to an ellipse at the neck's base."""
+    skull = straight + (ellipsoid - straight) * smoothstep(share / 0.3)
+    # Neck: Hermite curves from the rim under the chin to an ellipse at the neck's base.
     sideways = rim[:, 0] / np.abs(rim[:, 0]).max()
     turn = sideways * np.deg2rad(120)
     base = np.stack(
@@ -211,9 +173,16 @@ def _neck_paths(rim: FloatArray, outward: FloatArray, tip: FloatArray, share: Fl
     leave = outward * 110 + np.array([0.0, 0.0, -60.0])
     arrive = np.array([0.0, -170.0, 0.0]) + 110 * sideways[:, None] * np.array([1.0, 0.0, 0.0])
     s = share
-    return (
+    neck = (
         (2 * s**3 - 3 * s**2 + 1) * rim
         + (s**3 - 2 * s**2 + s) * leave
         + (3 * s**2 - 2 * s**3) * base
         + (s**3 - s**2) * arrive
     )
+    # The angle is 0 at the crown and pi at the chin.
+    angle = np.abs(np.arctan2(rim[:, 0], rim[:, 1] - (rim[:, 1].max() + rim[:, 1].min()) / 2))
+    chin = smoothstep((angle - np.deg2rad(95)) / np.deg2rad(40))[None, :, None]
+    collar = (1 - chin) * skull + chin * neck
+    around = np.cumsum(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1))
+    uv = np.stack(np.broadcast_arrays(around[None] / 200, share[..., 0]), -1)
+    return collar.reshape(-1, 3), grid_faces(_COLLAR_RINGS, len(loop), wrap=True), uv.reshape(-1, 2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -11,14 +11,15 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.face_shape import Expression, face_surface
 from scan2albedo.synthetic.face_shape import person as sculpted
 from scan2albedo.synthetic.glossy_person import GlossyFace, gloss_weights
-from scan2albedo.synthetic.raw_scan import RawScanOptions, SyntheticTruth, scan_of
+from scan2albedo.synthetic.raw_scan import SyntheticTruth, scan_of
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.room_light import random_colors, random_room
+from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.sitter import sit_down
 
 _LIGHT_DISTANCE_MM, _HIGHLIGHT = (700.0, 1500.0), (0.05, 0.15)
@@ -30,7 +31,7 @@ _LEAST_ANGLE_DEG = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PopulationOptions:
+class Population:
     """How alike the people are, and under what they are scanned.
 
     Raises `ValueError` when a share or range is out of bounds.
@@ -54,7 +55,7 @@ class PopulationOptions:
     of each source, and of each lamp; 0 for white ones."""
     expression: float = 0.5
     """Largest strength of a scan's expression, 1 a plain one; every scan has one at random."""
-    capture: RawScanOptions = field(default_factory=RawScanOptions)
+    scanner: Scanner = Scanner()
     """How each scan is taken."""
 
     def __post_init__(self) -> None:
@@ -81,8 +82,8 @@ def population_scan(
     session: int,
     *,
     seed: int = 0,
-    options: PopulationOptions = PopulationOptions(),
-    model: AnnotatedFaceModel | None = None,
+    population: Population = Population(),
+    model: AnnotatedSurface | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
     """Return the scan "person-<person>-session-<session>" of one person of a population, and its truth.
 
@@ -95,38 +96,38 @@ def population_scan(
         From 0; any order, any number.
     seed : int
         Of the population.
-    options : PopulationOptions
-    model : AnnotatedFaceModel, optional
+    population : Population
+    model : AnnotatedSurface, optional
         The default model when omitted; it needs landmarks.
     """
-    template = model or AnnotatedFaceModel.default()
-    shape_seed, tone, paint = _individual(person, seed, options, template)
+    template = model or default_model()
+    shape_seed, tone, paint = _individual(person, seed, population, template)
     now = np.random.default_rng([seed, person, session, 13])
-    room = random_room(now, options.lamp_colors) if options.light == "room" else None
-    lights = _random_lights(now, options)
+    room = random_room(now, population.lamp_colors) if population.light == "room" else None
+    lights = _random_lights(now, population)
     material = Material(0.3, float(now.uniform(*_HIGHLIGHT)), 14.0)
     sitter = sit_down(
         shape_seed,
         expression=get_args(Expression)[now.integers(len(get_args(Expression)))],
         model=template,
-        expression_strength=float(now.uniform(0, options.expression)),
+        expression_strength=float(now.uniform(0, population.expression)),
         tone=tone,
         face_albedo=paint,
     )
     name = f"person-{person}-session-{session}"
-    colors = random_colors(1 + len(lights), now, options.lamp_colors) if options.lamp_colors else None
+    colors = random_colors(1 + len(lights), now, population.lamp_colors) if population.lamp_colors else None
     if colors is not None and room is not None:
         colors[0] = 1.0  # the room has colours of its own
-    return scan_of(sitter, lights, material, options.capture, now, name, colors, room)
+    return scan_of(sitter, lights, material, population.scanner, now, name, colors, room)
 
 
 def population_reflectance(
     person: int,
     *,
     seed: int = 0,
-    options: PopulationOptions = PopulationOptions(individuality=1.0, tones=(0.0, 1.0)),
+    population: Population = Population(individuality=1.0, tones=(0.0, 1.0)),
     levels: int = 1,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> GlossyFace:
     """Return the true reflectance of one person of a population, without any photograph of it.
 
@@ -135,8 +136,8 @@ def population_reflectance(
 
     Parameters
     ----------
-    person, seed, options, model
-        As in `population_scan`; `options` gives how alike people are and their tones.
+    person, seed, population, model
+        As in `population_scan`; of the population only individuality and tones count.
     levels : int
         Refinements of the model's surface.
 
@@ -145,35 +146,29 @@ def population_reflectance(
     GlossyFace
         Vertices of all people correspond.
     """
-    template = model or AnnotatedFaceModel.default()
-    shape_seed, _, paint = _individual(person, seed, options, template)
+    template = model or default_model()
+    shape_seed, _, paint = _individual(person, seed, population, template)
     points = sculpted(template, np.random.default_rng([shape_seed, 2]))
     face = face_surface(template, points, levels=levels)
     uv = face.vertex_uv()
-    return GlossyFace(
-        face.vertices,
-        face.normals,
-        face.faces,
-        face.landmarks,
-        paint(uv),
-        gloss_weights(face, template, uv, shape_seed),
-    )
+    weights = gloss_weights(face, template, uv, shape_seed)
+    return GlossyFace(face.vertices, face.normals, face.faces, face.landmarks, paint(uv), weights)
 
 
 def _individual(
-    person: int, seed: int, options: PopulationOptions, model: AnnotatedFaceModel
+    person: int, seed: int, population: Population, model: AnnotatedSurface
 ) -> tuple[int, float, Callable[[FloatArray], FloatArray]]:
     """Return the seed of a person's shape, the skin's tone, and the paint."""
     own = np.random.default_rng([seed, person, 11])
-    shape_seed, tone = int(own.integers(2**31)), float(own.uniform(*options.tones))
-    return shape_seed, tone, _painter(model, own, tone, options, [seed, 12])
+    shape_seed, tone = int(own.integers(2**31)), float(own.uniform(*population.tones))
+    return shape_seed, tone, _painter(model, own, tone, population, [seed, 12])
 
 
 def _painter(
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     own: np.random.Generator,
     tone: float,
-    options: PopulationOptions,
+    population: Population,
     common_seed: list[int],
 ) -> Callable[[FloatArray], FloatArray]:
     # A third more or less hair, brows and lips moved by about a millimetre: what relatives differ by.
@@ -184,41 +179,36 @@ def _painter(
         brow_reach=float(own.uniform(0.75, 1.1)),
         lip_fullness=float(own.uniform(-0.004, 0.004)),
     )
-    paint_seed = int(own.integers(2**31))
+    paint_seed, share = int(own.integers(2**31)), population.individuality
 
     def paint(uv: FloatArray) -> FloatArray:
         mine = paint_face(uv, model, np.random.default_rng(paint_seed), tone=tone, features=features)
-        if options.individuality == 1:
+        if share == 1:
             return mine
-        shared = paint_face(
-            uv, model, np.random.default_rng(common_seed), tone=sum(options.tones) / 2, marks=False
-        )
-        share = options.individuality
+        rng, middle = np.random.default_rng(common_seed), sum(population.tones) / 2
+        shared = paint_face(uv, model, rng, tone=middle, marks=False)
         return np.exp(share * np.log(mine) + (1 - share) * np.log(shared))
 
     return paint
 
 
-def _random_lights(rng: np.random.Generator, options: PopulationOptions) -> tuple[PointLight, ...]:
-    if options.light == "room":
-        return (replace(_random_light(rng, options), intensity=float(rng.uniform(*_ROOM_LAMP))),)
-    first = _random_light(rng, options)
-    if rng.uniform() >= options.two_lights:
+def _random_lights(rng: np.random.Generator, population: Population) -> tuple[PointLight, ...]:
+    nearest = np.cos(np.deg2rad(population.light_cone_deg))
+
+    def drawn() -> PointLight:
+        z = rng.uniform(nearest, 1)
+        turn, radius = rng.uniform(0, 2 * np.pi), np.sqrt(1 - z * z)
+        azimuth, elevation = float(np.arctan2(radius * np.cos(turn), z)), radius * np.sin(turn)
+        distance, intensity = rng.uniform(*_LIGHT_DISTANCE_MM), rng.uniform(*population.light_intensity)
+        return PointLight(azimuth, float(np.arcsin(elevation)), float(distance), float(intensity))
+
+    first = drawn()
+    if population.light == "room":
+        return (replace(first, intensity=float(rng.uniform(*_ROOM_LAMP))),)
+    if rng.uniform() >= population.two_lights:
         return (first,)
-    apart = np.cos(np.deg2rad(min(_LEAST_ANGLE_DEG, options.light_cone_deg)))
+    apart = np.cos(np.deg2rad(min(_LEAST_ANGLE_DEG, population.light_cone_deg)))
     while True:
-        second = _random_light(rng, options)
+        second = drawn()
         if first.direction @ second.direction < apart:
             return first, second
-
-
-def _random_light(rng: np.random.Generator, options: PopulationOptions) -> PointLight:
-    z = rng.uniform(np.cos(np.deg2rad(options.light_cone_deg)), 1)
-    turn, radius = rng.uniform(0, 2 * np.pi), np.sqrt(1 - z * z)
-    x, y = radius * np.cos(turn), radius * np.sin(turn)
-    return PointLight(
-        float(np.arctan2(x, z)),
-        float(np.arcsin(y)),
-        float(rng.uniform(*_LIGHT_DISTANCE_MM)),
-        float(rng.uniform(*options.light_intensity)),
-    )

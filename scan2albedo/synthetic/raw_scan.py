@@ -1,4 +1,4 @@
-"""A raw scan of a synthetic person, textured by flash photographs, with everything known about it."""
+"""Raw scans with known truth: of a synthetic person with flash photographs, or of any clean shape."""
 
 from __future__ import annotations
 
@@ -6,50 +6,43 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
-from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumbs, join, nose_tip
-from scan2albedo.synthetic.raw_like import disturbed, random_pose
+from scan2albedo.synthetic.head import (
+    HEAD_AXIS_FROM_NOSE_MM,
+    crumb_meshes,
+    hair_shell,
+    join,
+    nose_tip,
+    shoulder_sheet,
+    with_holes,
+)
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.room_light import Room
-from scan2albedo.synthetic.scanner import Pod, RangeMesh, capture, flash_pictures, two_pods
+from scan2albedo.synthetic.scanner import (
+    HEAD_FROM_NOSE_MM,
+    HEAD_REACH_MM,
+    Pod,
+    RangeMesh,
+    Scanner,
+    capture,
+    disturbed,
+    flash_pictures,
+    random_pose,
+    two_pods,
+)
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
 from scan2albedo.synthetic.sitter import Sitter, sit_down
 
-_PICTURE_CENTER_FROM_NOSE_MM = np.array([0.0, -15.0, -70.0])
-_PICTURE_REACH_MM = 205.0
-"""Half of what a picture spans at the head: hair and shoulders are in it."""
 _PICTURE_NOISE = 0.004
 """Standard deviation, white = 1: that of a good camera's 8-bit pictures."""
-
-
-@dataclass(frozen=True)
-class RawScanOptions:
-    """How the scan is taken."""
-
-    spacing_mm: float = 2.2
-    """Distance of neighbouring samples on the head."""
-    noise_mm: float = 0.2
-    """Standard deviation of the noise along the normals."""
-    holes: int = 5
-    spikes: int = 15
-    crumbs: int = 5
-    """`holes`, `spikes`, `crumbs`: holes of 2 to 6 mm radius, vertices thrown off, loose patches in the
-    air."""
-    rotation_max_deg: float = 180.0
-    translation_max_mm: float = 300.0
-    """`rotation_max_deg`, `translation_max_mm`: random pose, as in `RawLikeOptions`."""
-    picture_size: int = 900
-    """Height and width of each pod's picture in pixels."""
-    size: int = 512
-    """Texels of the truth's geometry image."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +72,8 @@ def raw_scan(
     expression: Expression = "neutral",
     lights: Sequence[PointLight] | None = None,
     material: Material | None = None,
-    model: AnnotatedFaceModel | None = None,
-    options: RawScanOptions | None = None,
+    model: AnnotatedSurface | None = None,
+    scanner: Scanner = Scanner(),
 ) -> tuple[RawScan, SyntheticTruth]:
     """Return the scan of a random synthetic person by a virtual two-pod stereo scanner, and its truth.
 
@@ -96,22 +89,27 @@ def raw_scan(
         One flash at 0.9 m for even seeds, two for odd ones, when omitted.
     material : Material, optional
         Rough skin with a soft highlight when omitted.
-    model : AnnotatedFaceModel, optional
+    model : AnnotatedSurface, optional
         The default model when omitted; it needs landmarks.
-    options : RawScanOptions, optional
+    scanner : Scanner
     """
-    settings, rng = options or RawScanOptions(), np.random.default_rng([seed, 7])
-    sitter = sit_down(seed, expression=expression, model=model or AnnotatedFaceModel.default())
-    flashes = _flashes(seed) if lights is None else tuple(lights)
-    material = material or Material(0.3, 0.12, 14.0)
-    return scan_of(sitter, flashes, material, settings, rng, f"synthetic-{seed}")
+    sitter = sit_down(seed, expression=expression, model=model or default_model())
+    if lights is None and seed % 2 == 0:
+        lights = (light_at(-32, 18, distance_mm=900.0, intensity=2.5),)
+    elif lights is None:
+        sides = ((40, 1.8), (-40, 1.4))
+        lights = tuple(light_at(side, 15, distance_mm=900.0, intensity=level) for side, level in sides)
+    skin = material or Material(0.3, 0.12, 14.0)
+    return scan_of(
+        sitter, tuple(lights), skin, scanner, np.random.default_rng([seed, 7]), f"synthetic-{seed}"
+    )
 
 
 def scan_of(
     sitter: Sitter,
     flashes: tuple[PointLight, ...],
     material: Material,
-    settings: RawScanOptions,
+    scanner: Scanner,
     rng: np.random.Generator,
     name: str,
     colors: FloatArray | None = None,
@@ -119,31 +117,27 @@ def scan_of(
 ) -> tuple[RawScan, SyntheticTruth]:
     """Scan a sitter as `raw_scan` does; see `flash_pictures` for `colors` and `room`."""
     tip = nose_tip(sitter.face.vertices)
-    pods = two_pods(tip + _PICTURE_CENTER_FROM_NOSE_MM, reach_mm=_PICTURE_REACH_MM)
+    pods = two_pods(tip + HEAD_FROM_NOSE_MM, reach_mm=HEAD_REACH_MM)
+    axis = tip + HEAD_AXIS_FROM_NOSE_MM
     measured = capture(
-        sitter.vertices,
-        sitter.faces,
-        pods,
-        spacing_mm=settings.spacing_mm,
-        rng=rng,
-        axis_mm=tip + HEAD_AXIS_FROM_NOSE_MM,
+        sitter.vertices, sitter.faces, pods, spacing_mm=scanner.spacing_mm, rng=rng, axis_mm=axis
     )
-    scan_from_model = random_pose(rng, settings.rotation_max_deg, settings.translation_max_mm)
+    scan_from_model = random_pose(rng, scanner.rotation_max_deg, scanner.translation_max_mm)
     texture, exposure = flash_pictures(
         sitter,
         pods,
         flashes,
         material,
-        size=settings.picture_size,
+        size=scanner.picture_size,
         noise=_PICTURE_NOISE,
         rng=rng,
         colors=colors,
         room=room,
     )
-    scan = assembled(measured, pods, texture, scan_from_model, settings, rng, name)
-    image = face_geometry_image(sitter.model, sitter.face, settings.size)
+    scan = assembled(measured, pods, texture, scan_from_model, scanner, rng, name)
+    image = face_geometry_image(sitter.model, sitter.face, scanner.size)
     albedo = np.zeros((*image.shape, 3), np.float32)
-    albedo[image.mask] = sitter.face_albedo(texel_coordinates(settings.size)[image.mask.ravel()])
+    albedo[image.mask] = sitter.face_albedo(texel_coordinates(scanner.size)[image.mask.ravel()])
     truth = SyntheticTruth(
         invert_rigid(scan_from_model),
         image,
@@ -157,21 +151,12 @@ def scan_of(
     return scan, truth
 
 
-def _flashes(seed: int) -> tuple[PointLight, ...]:
-    if seed % 2 == 0:
-        return (light_at(-32, 18, distance_mm=900.0, intensity=2.5),)
-    return (
-        light_at(40, 15, distance_mm=900.0, intensity=1.8),
-        light_at(-40, 15, distance_mm=900.0, intensity=1.4),
-    )
-
-
 def assembled(
     measured: RangeMesh,
     pods: Sequence[Pod],
     texture: NDArray[np.float32],
     scan_from_model: FloatArray,
-    settings: RawScanOptions,
+    scanner: Scanner,
     rng: np.random.Generator,
     name: str,
 ) -> RawScan:
@@ -179,12 +164,12 @@ def assembled(
 
     The texture holds the pods' square pictures side by side.
     """
-    points = disturbed(measured.vertices, measured.faces, rng, settings.noise_mm, settings.spikes)
-    centers = points[rng.choice(len(points), settings.holes)]
+    points = disturbed(measured.vertices, measured.faces, rng, scanner.noise_mm, scanner.spikes)
+    centers = points[rng.choice(len(points), scanner.holes)]
     kept = np.ones(len(measured.faces), bool)
-    for center, radius in zip(centers, rng.uniform(2, 6, settings.holes), strict=True):
+    for center, radius in zip(centers, rng.uniform(2, 6, scanner.holes), strict=True):
         kept &= (np.linalg.norm(points[measured.faces] - center, axis=2) > radius).all(1)
-    vertices, faces = join([(points, measured.faces[kept]), *crumbs(points, rng, settings.crumbs)])
+    vertices, faces = join([(points, measured.faces[kept]), *crumb_meshes(points, rng, scanner.crumbs)])
     pod = np.zeros(len(faces), np.int64)
     pod[: kept.sum()] = measured.face_pod[kept]
     plane = np.stack([camera.project(vertices) for camera in pods])[pod[:, None], faces]
@@ -199,3 +184,64 @@ def assembled(
 def beside(plane: FloatArray, pod: IntArray, pods: int) -> FloatArray:
     """Return texture coordinates (..., 2) of picture-plane points (..., 2) when all pictures lie in a row."""
     return np.stack([((plane[..., 0] + 1) / 2 + pod) / pods, (plane[..., 1] + 1) / 2], -1)
+
+
+def raw_like(
+    vertices: ArrayLike,
+    faces: ArrayLike,
+    seed: int = 0,
+    *,
+    spacing_mm: float = 2.4,
+    noise_mm: float = 0.2,
+    holes: int = 6,
+    spikes: int = 20,
+    crumbs: int = 4,
+    hair: bool = True,
+    shoulders: bool = True,
+    rotation_max_deg: float = 180.0,
+    translation_max_mm: float = 300.0,
+    scale: float = 1.0,
+) -> tuple[RawScan, FloatArray]:
+    """Return a clean face as a virtual two-pod scanner sees it, untextured, and `scan_from_shape` (4, 4).
+
+    The scan is resampled, noisy, with holes and clutter, and in the frame and unit that `scan_from_shape`
+    maps the clean shape into.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array_like of float
+        Millimetres; the face looks along +z with +y up (only the pods' side of it is measured).
+    faces : (F, 3) array_like of int
+    seed : int
+        Same seed, same scan.
+    spacing_mm : float
+        Distance of neighbouring samples; 2.4 mm gives about 25,000 vertices with shoulders.
+    noise_mm, spikes, rotation_max_deg, translation_max_mm
+        As in `Scanner`.
+    holes, crumbs : int
+        Holes of 3 to 9 mm radius, loose patches in the air.
+    hair, shoulders : bool
+        Add a bumpy shell over the scalp, a sheet of clothes.
+    scale : float
+        Unit of the returned scan: 1 millimetres, 0.1 centimetres, 0.001 metres.
+    """
+    rng = np.random.default_rng(seed)
+    shape, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    parts = [(shape, index)]
+    if hair:
+        parts.append(hair_shell(shape, index, rng))
+    if shoulders:
+        parts.append(shoulder_sheet(shape, rng))
+    scene = join(parts)
+    center = (scene[0].min(0) + scene[0].max(0)) / 2
+    pods = two_pods(center, reach_mm=1.3 * float(np.linalg.norm(scene[0] - center, axis=1).max()))
+    axis = nose_tip(shape) + HEAD_AXIS_FROM_NOSE_MM
+    measured = capture(*scene, pods, spacing_mm=spacing_mm, rng=rng, axis_mm=axis)
+    points = disturbed(measured.vertices, measured.faces, rng, noise_mm, spikes)
+    centers = points[rng.choice(len(points), holes)]
+    mesh = with_holes((points, measured.faces), centers, rng.uniform(3, 9, holes))
+    mesh = join([mesh, *crumb_meshes(mesh[0], rng, crumbs)])
+    pose = random_pose(rng, rotation_max_deg, translation_max_mm)
+    scan_from_shape = np.diag([scale] * 3 + [1.0]) @ pose
+    scan = RawScan(transform_points(scan_from_shape, mesh[0]), mesh[1], name=f"raw-like {seed}")
+    return scan, scan_from_shape

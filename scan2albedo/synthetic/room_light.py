@@ -6,13 +6,12 @@ represents soft light.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import adjacency, normalized
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
@@ -21,12 +20,9 @@ from scan2albedo.synthetic.sitter import Sitter
 _RAYS, _OPEN_RAYS, _BLOCK = 64, 512, 4096
 _AVERAGED = 8
 """Times that what a vertex's rays found is averaged over its neighbours."""
-_SOURCES = (2, 5)
-"""Range of their number, its end excluded."""
-_SHARPNESS = (1.5, 6.0)
-"""Sources shine at half their strength 57 to 28 degrees from their middle."""
-_SHARE = (0.3, 1.0)
-"""Range of the light of each source, and of the walls', before all is scaled to a mean of 1."""
+_SHARPNESS, _SHARE = (1.5, 6.0), (0.3, 1.0)
+"""Ranges: sources shine at half their strength 57 to 28 degrees from their middle; light of each source, and
+of the walls, before all is scaled to a mean of 1."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,7 @@ def random_room(rng: np.random.Generator, color_deviation: float) -> Room:
 
     `color_deviation` is that of the logarithms of red and blue over green of the walls and of each source.
     """
-    count = int(rng.integers(*_SOURCES))
+    count = int(rng.integers(2, 5))
     directions = normalized(rng.standard_normal((count, 3)))
     sharpness = rng.uniform(*_SHARPNESS, count)
     tints = random_colors(1 + count, rng, color_deviation) * rng.uniform(*_SHARE, (1 + count, 1))
@@ -74,51 +70,6 @@ def room_light_on(sitter: Sitter, scene: RayScene, room: Room, rng: np.random.Ge
     A white surface that nothing hides from a room of radiance 1 has the light 1. Rays differ from vertex to
     vertex, and what they find, not what normals do, is averaged over about 2 mm of the face.
     """
-    rays, spread = _shot(sitter, scene, rng), _neighbourhood(sitter)
-    hidden = np.concatenate([_hidden_share(room, *found) for found in rays])
-    direct = _open_light(sitter.normals, room) * (1 - spread(hidden))
-    centers = np.full((len(sitter.faces), 3), 1 / 3)
-    thrown = sitter.albedo_at(np.arange(len(sitter.faces)), centers) * direct[sitter.faces].mean(1)
-    # The last row is of rays that hit nothing.
-    thrown = np.append(thrown, np.zeros((1, 3)), 0)
-    bounced = [np.einsum("vd,vdc->vc", weight, thrown[face]) for weight, _, face in rays]
-    return np.asarray(direct + spread(np.concatenate(bounced)))
-
-
-def _hidden_share(room: Room, weight: FloatArray, toward: FloatArray, face: IntArray) -> FloatArray:
-    arriving = weight[..., None] * room.radiance(toward)
-    return (arriving * (face >= 0)[..., None]).sum(1) / np.maximum(arriving.sum(1), 1e-12)
-
-
-def _shot(
-    sitter: Sitter, scene: RayScene, rng: np.random.Generator
-) -> list[tuple[FloatArray, FloatArray, IntArray]]:
-    """Return by blocks of vertices: weights (N, D) of sum 1, directions (N, D, 3), faces hit (N, D) or -1."""
-    even, shot = distant_directions(_RAYS), []
-    for first in range(0, len(sitter.vertices), _BLOCK):
-        normals = sitter.normals[first : first + _BLOCK]
-        start = sitter.vertices[first : first + _BLOCK] + SHADOW_OFFSET_MM * normals
-        turn = rng.uniform(0, 2 * np.pi, (len(start), 1))
-        c, s = np.cos(turn), np.sin(turn)
-        x, y, z = even.T
-        toward = np.stack([c * x + s * z, np.broadcast_to(y, c.shape[:1] + y.shape), c * z - s * x], -1)
-        cosine = np.maximum(np.einsum("vc,vdc->vd", normals, toward), 0)
-        faces = np.full(cosine.shape, -1)
-        vertex, ray = np.nonzero(cosine)
-        faces[vertex, ray] = scene.first_hit(start[vertex], toward[vertex, ray]).face
-        shot.append((cosine / np.maximum(cosine.sum(1, keepdims=True), 1e-12), toward, faces))
-    return shot
-
-
-def _open_light(normals: FloatArray, room: Room) -> FloatArray:
-    toward = distant_directions(_OPEN_RAYS)
-    radiance = room.radiance(toward) * (4 / _OPEN_RAYS)
-    blocks = np.array_split(normals, len(normals) // _BLOCK + 1)
-    return np.concatenate([np.maximum(block @ toward.T, 0) @ radiance for block in blocks])
-
-
-def _neighbourhood(sitter: Sitter) -> Callable[[FloatArray], FloatArray]:
-    """Return what averages values (V, 3) of vertices over their neighbours, several times."""
     count = len(sitter.vertices)
     near = adjacency(count, sitter.faces) + sparse.identity(count)
     mean = sparse.diags(1 / np.asarray(near.sum(1)).ravel()) @ near
@@ -128,4 +79,32 @@ def _neighbourhood(sitter: Sitter) -> Callable[[FloatArray], FloatArray]:
             values = mean @ values
         return values
 
-    return spread
+    # Rays by blocks of vertices: weights (N, D) of sum 1 and the faces hit (N, D), -1 for none.
+    even, rays, hidden = distant_directions(_RAYS), [], []
+    for first in range(0, count, _BLOCK):
+        normals = sitter.normals[first : first + _BLOCK]
+        start = sitter.vertices[first : first + _BLOCK] + SHADOW_OFFSET_MM * normals
+        turn = rng.uniform(0, 2 * np.pi, (len(start), 1))
+        c, s = np.cos(turn), np.sin(turn)
+        x, y, z = even.T
+        toward = np.stack([c * x + s * z, np.broadcast_to(y, c.shape[:1] + y.shape), c * z - s * x], -1)
+        cosine = np.maximum(np.einsum("vc,vdc->vd", normals, toward), 0)
+        face = np.full(cosine.shape, -1)
+        vertex, ray = np.nonzero(cosine)
+        face[vertex, ray] = scene.first_hit(start[vertex], toward[vertex, ray]).face
+        weight = cosine / np.maximum(cosine.sum(1, keepdims=True), 1e-12)
+        rays.append((weight, face))
+        arriving = weight[..., None] * room.radiance(toward)
+        hidden.append((arriving * (face >= 0)[..., None]).sum(1) / np.maximum(arriving.sum(1), 1e-12))
+    # Light on the open surface, of more directions, less what is hidden.
+    toward = distant_directions(_OPEN_RAYS)
+    radiance = room.radiance(toward) * (4 / _OPEN_RAYS)
+    blocks = np.array_split(sitter.normals, count // _BLOCK + 1)
+    open_light = np.concatenate([np.maximum(block @ toward.T, 0) @ radiance for block in blocks])
+    direct = open_light * (1 - spread(np.concatenate(hidden)))
+    centers = np.full((len(sitter.faces), 3), 1 / 3)
+    thrown = sitter.albedo_at(np.arange(len(sitter.faces)), centers) * direct[sitter.faces].mean(1)
+    # The last row is of rays that hit nothing.
+    thrown = np.append(thrown, np.zeros((1, 3)), 0)
+    bounced = [np.einsum("vd,vdc->vc", weight, thrown[face]) for weight, face in rays]
+    return np.asarray(direct + spread(np.concatenate(bounced)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,12 +11,45 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.geometry.mesh import face_normals, normalized
-from scan2albedo.synthetic.camera import auto_exposure, photograph
-from scan2albedo.synthetic.renderer import Material, RayScene, Rendered, render
+from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
+from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector
+from scan2albedo.synthetic.camera import auto_exposure, photograph, toward
+from scan2albedo.synthetic.renderer import Material, RayScene, render
 from scan2albedo.synthetic.room_light import Room, room_light_on
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import FACE, Sitter
+
+_DISTANCE_MM, _YAW_DEG, _ELEVATION_DEG = 1000.0, 35.0, 5.0
+"""Of the pods from the head."""
+_BACKDROP = np.array([0.010, 0.016, 0.030])
+_LEAST_COSINE = 0.12
+"""Between a triangle's normal and a ray that still measures it."""
+_SMOOTHINGS = 12
+"""Times that what decides between pods is averaged over neighbouring faces."""
+HEAD_FROM_NOSE_MM, HEAD_REACH_MM = np.array([0.0, -15.0, -70.0]), 205.0
+"""Middle of the pods' pictures of a person, and half of what they span: hair and shoulders are in them."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scanner:
+    """How a scan of a person is taken."""
+
+    spacing_mm: float = 2.2
+    """Distance of neighbouring samples on the head."""
+    noise_mm: float = 0.2
+    """Standard deviation of the noise along the normals."""
+    holes: int = 5
+    spikes: int = 15
+    crumbs: int = 5
+    """`holes`, `spikes`, `crumbs`: holes of 2 to 6 mm radius, vertices thrown off, loose patches in the
+    air."""
+    rotation_max_deg: float = 180.0
+    translation_max_mm: float = 300.0
+    """`rotation_max_deg`, `translation_max_mm`: as in `random_pose`."""
+    picture_size: int = 900
+    """Height and width of each pod's picture in pixels."""
+    size: int = 512
+    """Texels of the truth's geometry image."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +84,14 @@ class Pod:
         return seen[:, :2] / seen[:, 2:] / np.tan(self.half_angle_rad)
 
 
-_DISTANCE_MM, _YAW_DEG, _ELEVATION_DEG = 1000.0, 35.0, 5.0
-"""Of the pods from the head."""
-
-
 def two_pods(center: FloatArray, *, reach_mm: float) -> tuple[Pod, Pod]:
     """Return the pods at the subject's left and right; pictures span +-`reach_mm` about `center` (3,)."""
-    pods = []
-    for yaw in np.deg2rad([_YAW_DEG, -_YAW_DEG]):
-        lift = np.deg2rad(_ELEVATION_DEG)
-        toward = np.array([np.cos(lift) * np.sin(yaw), np.sin(lift), np.cos(lift) * np.cos(yaw)])
-        pods.append(Pod(center + _DISTANCE_MM * toward, center, float(np.arctan(reach_mm / _DISTANCE_MM))))
-    return pods[0], pods[1]
+    half_angle = float(np.arctan(reach_mm / _DISTANCE_MM))
+    left, right = (
+        Pod(center + _DISTANCE_MM * toward(yaw, _ELEVATION_DEG), center, half_angle)
+        for yaw in (_YAW_DEG, -_YAW_DEG)
+    )
+    return left, right
 
 
 @dataclass(frozen=True)
@@ -92,28 +121,9 @@ def capture(
     they pass a head's surface, are triangulated in the unrolled cylinder. Triangles that bridge a jump in
     depth, lean too far away, or hide from all pods are dropped, as stereo matching does.
     """
-    scene = RayScene(vertices, faces)
-    origins, rays, unrolled = _cylinder_rays(vertices, axis_mm, spacing_mm, rng)
-    hits = scene.first_hit(origins, rays)
-    seen = hits.face >= 0
-    points = origins[seen] + hits.distance[seen, None] * rays[seen]
-    triangles = _triangulated(unrolled[seen], 2.5 * spacing_mm)
-    normals = face_normals(points, triangles)
-    outward = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
-    facing = np.stack([_facing(scene, pod, points, triangles, normals) for pod in pods], 1)
-    kept = (outward > 0.12) & (facing.max(1) > 0.12)
-    used, renumbered = np.unique(triangles[kept], return_inverse=True)
-    return RangeMesh(
-        points[used],
-        renumbered.reshape(-1, 3).astype(np.int64),
-        _best_pod(facing[kept], renumbered.reshape(-1, 3)),
-    )
+    from scipy.spatial import Delaunay
 
-
-def _cylinder_rays(
-    vertices: FloatArray, axis_mm: FloatArray, spacing_mm: float, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return origins (N, 3), unit directions (N, 3) and unrolled coordinates (N, 2), mm at 100 mm radius."""
+    # Rays from a cylinder; unrolled coordinates are in mm at 100 mm radius.
     radius, far, widest = 100.0, 600.0, np.deg2rad(115)
     across = np.arange(-widest * radius, widest * radius, spacing_mm)
     up = np.arange(vertices[:, 1].min(), vertices[:, 1].max(), spacing_mm)
@@ -121,32 +131,37 @@ def _cylinder_rays(
     unrolled = unrolled + rng.uniform(-0.42, 0.42, unrolled.shape) * spacing_mm
     azimuth = unrolled[:, 0] / radius
     outward = np.stack([np.sin(azimuth), np.zeros_like(azimuth), np.cos(azimuth)], 1)
-    foot = np.column_stack(
-        [np.full(len(up) * len(across), axis_mm[0]), unrolled[:, 1], np.full(len(azimuth), axis_mm[2])]
-    )
-    return foot + far * outward, -outward, unrolled
-
-
-def _triangulated(plane: FloatArray, longest: float) -> IntArray:
-    """Return Delaunay triangles (F, 3), counter-clockwise, without edges longer than `longest`."""
-    from scipy.spatial import Delaunay
-
+    foot = np.stack([np.full(len(azimuth), axis_mm[0]), unrolled[:, 1], np.full(len(azimuth), axis_mm[2])], 1)
+    origins, rays = foot + far * outward, -outward
+    scene = RayScene(vertices, faces)
+    hits = scene.first_hit(origins, rays)
+    seen = hits.face >= 0
+    points = origins[seen] + hits.distance[seen, None] * rays[seen]
+    # Counter-clockwise triangles of the plane without long edges.
+    plane = unrolled[seen]
     triangles = Delaunay(plane).simplices.astype(np.int64)
     a, b, c = (plane[triangles[:, k]] for k in range(3))
     clockwise = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     edges = np.stack([b - a, c - b, a - c], 1)
-    return triangles[np.linalg.norm(edges, axis=2).max(1) < longest]
+    triangles = triangles[np.linalg.norm(edges, axis=2).max(1) < 2.5 * spacing_mm]
+    normals = face_normals(points, triangles)
+    leaning = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
+    facing = np.stack([_facing(scene, pod, points, triangles, normals) for pod in pods], 1)
+    kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
+    used, renumbered = np.unique(triangles[kept], return_inverse=True)
+    numbered = renumbered.reshape(-1, 3).astype(np.int64)
+    return RangeMesh(points[used], numbered, _best_pod(facing[kept], numbered))
 
 
 def _facing(
     scene: RayScene, pod: Pod, points: FloatArray, triangles: IntArray, normals: FloatArray
 ) -> FloatArray:
     """Return (F,) cosine between each triangle's normal and the pod, -1 where the pod cannot see it."""
-    toward = normalized(pod.position_mm - points)
+    toward_pod = normalized(pod.position_mm - points)
     hidden = np.asarray((np.abs(pod.project(points)) > 0.995).any(1))
-    hidden[~hidden] = scene.occluded((points + 0.5 * toward)[~hidden], toward[~hidden])
-    cosine = np.einsum("ij,ij->i", normals, toward[triangles[:, 0]])
+    hidden[~hidden] = scene.occluded((points + 0.5 * toward_pod)[~hidden], toward_pod[~hidden])
+    cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
     return np.where(hidden[triangles].any(1), -1.0, cosine)
 
 
@@ -156,7 +171,7 @@ def _best_pod(facing: FloatArray, faces: IntArray) -> IntArray:
     lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in pods], 1)
     count = np.bincount(faces.ravel(), minlength=faces.max() + 1)
     for k in pods:
-        for _ in range(12):
+        for _ in range(_SMOOTHINGS):
             around = np.bincount(faces.ravel(), np.repeat(lead[:, k], 3), minlength=len(count)) / count
             lead[:, k] = around[faces].mean(1)
     best = lead.argmax(1)
@@ -164,7 +179,28 @@ def _best_pod(facing: FloatArray, faces: IntArray) -> IntArray:
     return np.where(hidden, facing.argmax(1), best)
 
 
-_BACKDROP = np.array([0.010, 0.016, 0.030])
+def disturbed(
+    vertices: FloatArray, faces: IntArray, rng: np.random.Generator, noise_mm: float, spikes: int
+) -> FloatArray:
+    """Return the vertices with Gaussian noise along their normals and a few thrown far off."""
+    offset = rng.normal(scale=noise_mm, size=len(vertices))
+    thrown = rng.choice(len(vertices), spikes, replace=False)
+    offset[thrown] += rng.uniform(3, 15, spikes) * rng.choice([-1, 1], spikes)
+    return vertices + offset[:, None] * vertex_normals(vertices, faces)
+
+
+def random_pose(rng: np.random.Generator, rotation_max_deg: float, translation_max_mm: float) -> FloatArray:
+    """Return a rigid transform (4, 4), each coordinate of its translation uniform in +- the maximum.
+
+    The rotation is uniform for 180 degrees or more, else about a random axis by at most that angle.
+    """
+    if rotation_max_deg >= 180:
+        rotation = random_rotation(rng)
+    else:
+        axis = rng.normal(size=3)
+        angle = np.deg2rad(rotation_max_deg) * rng.uniform()
+        rotation = rotation_from_vector(axis / np.linalg.norm(axis) * angle)
+    return compose(rotation, rng.uniform(-1, 1, 3) * translation_max_mm)
 
 
 def flash_pictures(
@@ -228,18 +264,10 @@ def _radiance(
         radiance[hit] = under(lights).radiance_linear
     else:
         tints = np.ones((1 + len(lights), 3)) if colors is None else colors
-        ambient = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
-        radiance[hit] = _colored(under, lights, [tints[0] * ambient, *tints[1:]])
+        from_room = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
+        ambient = under(()).radiance_linear
+        lamps = [under((light,)).radiance_linear - ambient for light in lights]
+        parts = zip([tints[0] * from_room, *tints[1:]], (ambient, *lamps), strict=True)
+        radiance[hit] = np.asarray(sum(color * part for color, part in parts))
     on_face[hit] = sitter.part[face] == FACE
     return radiance.reshape(size, size, 3), on_face.reshape(size, size)
-
-
-def _colored(
-    under: Callable[[tuple[PointLight, ...]], Rendered],
-    lights: tuple[PointLight, ...],
-    colors: Sequence[FloatArray],
-) -> FloatArray:
-    """Return the radiance (N, 3) under ambient light and lamps, each of a colour (3,) or (N, 3)."""
-    ambient = under(()).radiance_linear
-    lamps = [under((light,)).radiance_linear - ambient for light in lights]
-    return np.asarray(sum(color * part for color, part in zip(colors, (ambient, *lamps), strict=True)))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.face_paint import paint_face
@@ -135,13 +135,9 @@ def hemisphere(
         mask.reshape(size, size),
     )
     albedo = np.zeros((size * size, 3))
-    albedo[mask] = texture_at(uv[mask], texture, np.random.default_rng(seed), grain)
-    return photographed(
-        image,
-        albedo.reshape(size, size, 3),
-        (light_at(45),) if lights is None else tuple(lights),
-        SceneParameters(material or Material(), exposure, noise, bits, texture, seed),
-    )
+    albedo[mask] = _texture_at(uv[mask], texture, np.random.default_rng(seed), grain)
+    parameters = SceneParameters(material or Material(), exposure, noise, bits, texture, seed)
+    return _photographed(image, albedo.reshape(size, size, 3), lights, parameters)
 
 
 def face(
@@ -156,7 +152,7 @@ def face(
     noise: float = 0.0,
     bits: int | None = 8,
     exposure: float = 1.0,
-    model: AnnotatedFaceModel | None = None,
+    model: AnnotatedSurface | None = None,
 ) -> SyntheticScene:
     """Return a random person's face on the model's chart, with cast shadows.
 
@@ -175,7 +171,7 @@ def face(
     model : AnnotatedFaceModel, optional
         The default model when omitted; it needs landmarks.
     """
-    template = model or AnnotatedFaceModel.default()
+    template = model or default_model()
     control_points = person(template, np.random.default_rng([seed, 2]), expression=expression)
     image = face_geometry_image(template, face_surface(template, control_points), size)
     uv = texel_coordinates(size)[image.mask.ravel()]
@@ -184,14 +180,10 @@ def face(
     albedo[image.mask] = (
         paint_face(uv, template, rng, grain=grain)
         if texture == "skin"
-        else texture_at(uv, texture, rng, grain)
+        else _texture_at(uv, texture, rng, grain)
     )
-    return photographed(
-        image,
-        albedo,
-        (light_at(45),) if lights is None else tuple(lights),
-        SceneParameters(material or Material(), exposure, noise, bits, texture, seed),
-    )
+    parameters = SceneParameters(material or Material(), exposure, noise, bits, texture, seed)
+    return _photographed(image, albedo, lights, parameters)
 
 
 def with_normal_error(image: GeometryImage, rms_deg: float, rng: np.random.Generator) -> GeometryImage:
@@ -222,7 +214,7 @@ def texel_coordinates(size: int) -> FloatArray:
     return np.stack([u.ravel(), v.ravel()], 1)
 
 
-def texture_at(uv: FloatArray, texture: str, rng: np.random.Generator, grain: float) -> FloatArray:
+def _texture_at(uv: FloatArray, texture: str, rng: np.random.Generator, grain: float) -> FloatArray:
     """Return (N, 3) linear albedo of a named texture."""
     painters = {"plain": plain, "skin": skin, "wood": wood}
     if texture not in painters:
@@ -230,13 +222,14 @@ def texture_at(uv: FloatArray, texture: str, rng: np.random.Generator, grain: fl
     return painters[texture](uv, rng, grain=grain)
 
 
-def photographed(
+def _photographed(
     image: GeometryImage,
     albedo_linear: FloatArray,
-    lights: tuple[PointLight, ...],
+    lights: Sequence[PointLight] | None,
     parameters: SceneParameters,
 ) -> SyntheticScene:
     """Light and photograph the texels of a geometry image."""
+    lights = (light_at(45),) if lights is None else tuple(lights)
     mask, shape = image.mask, image.shape
     scale = np.ones(int(mask.sum())) if image.specular_scale is None else image.specular_scale[mask]
     rendered = render(

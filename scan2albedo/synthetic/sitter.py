@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.face_paint import paint_face
@@ -36,7 +36,7 @@ class Sitter:
     linear albedo (N, 3) at chart coordinates (N, 2); `seed` is that of the textures.
     """
 
-    model: AnnotatedFaceModel
+    model: AnnotatedSurface
     control_points: FloatArray
     face: FaceSurface
     vertices: FloatArray
@@ -57,27 +57,23 @@ class Sitter:
         of_face, head, hair, clothes = (part == name for name in (FACE, HEAD, HAIR, CLOTHES))
         albedo[of_face] = self.face_albedo(uv[of_face])
         albedo[head] = skin(uv[head], np.random.default_rng([self.seed, 3]), tone=self.tone)
-        albedo[hair] = self._hair_albedo(uv[hair])
-        albedo[clothes] = self._cloth_albedo(uv[clothes])
+        # Hair has strands along v, cloth a weave and folds.
+        for at, color, number, low, high, waves in (
+            (hair, self.hair_color, 4, 0.004, 0.9, ((0.45, (700, 5)), (0.35, (160, 4)))),
+            (clothes, self.cloth_color, 5, 0.01, 0.95, ((0.05, (300, 300)), (0.06, (9, 9)))),
+        ):
+            rng = np.random.default_rng([self.seed, number])
+            (a, cells_a), (b, cells_b) = waves
+            pattern = a * smooth_noise(uv[at], cells_a, rng) + b * smooth_noise(uv[at], cells_b, rng)
+            albedo[at] = np.clip(color * np.exp(pattern)[:, None], low, high)
         return albedo
-
-    def _hair_albedo(self, uv: FloatArray) -> FloatArray:
-        rng = np.random.default_rng([self.seed, 4])
-        strands = 0.45 * smooth_noise(uv, (700, 5), rng) + 0.35 * smooth_noise(uv, (160, 4), rng)
-        return np.clip(self.hair_color * np.exp(strands)[:, None], 0.004, 0.9)
-
-    def _cloth_albedo(self, uv: FloatArray) -> FloatArray:
-        rng = np.random.default_rng([self.seed, 5])
-        weave = 0.05 * smooth_noise(uv, (300, 300), rng) + 0.06 * smooth_noise(uv, (9, 9), rng)
-        return np.clip(self.cloth_color * np.exp(weave)[:, None], 0.01, 0.95)
 
     def specular_scale_at(self, face: IntArray) -> FloatArray:
         """Return (N,) relative strength of highlights on faces (N,)."""
         by_part = np.array([1.0, 0.8, 0.5, 0.0])
         scale = by_part[self.part[face]]
         on_face = self.part[face] == FACE
-        regions = self.face.region[face[on_face]]
-        scale[on_face] = self.model.region_values("specular_scale")[regions]
+        scale[on_face] = self.model.region_values("specular_scale")[self.face.region[face[on_face]]]
         return scale
 
 
@@ -85,7 +81,7 @@ def sit_down(
     seed: int,
     *,
     expression: Expression,
-    model: AnnotatedFaceModel,
+    model: AnnotatedSurface,
     expression_strength: float = 1.0,
     tone: float | None = None,
     face_albedo: Painter | None = None,
@@ -109,9 +105,21 @@ def sit_down(
     clothes = shoulder_sheet(face.vertices, rng)
     parts = [(face.vertices, face.faces), (head_vertices, head_faces), hair, clothes]
     vertices, faces = join(parts)
+    # Face and head share their normals along the rim.
+    normals = vertex_normals(vertices, faces)
+    rim = boundary_loop(len(face.vertices), face.faces)
+    twin = len(face.vertices) + np.arange(len(rim))
+    normals[rim] = normals[twin] = normalized(normals[rim] + normals[twin])
+    # Hair around the crown and from it down, so that strands hang; a face across the seam at the back takes
+    # its low corners a turn further.
+    low, high = hair[0].min(0), hair[0].max(0)
+    offset = hair[0] - np.array([(low[0] + high[0]) / 2, 0.0, low[2] + 0.35 * (high[2] - low[2])])
+    turn = np.arctan2(offset[:, 0], offset[:, 2]) / (2 * np.pi) + 0.5
+    hair_uv = np.stack([turn, (hair[0][:, 1] - low[1]) / (high[1] - low[1])], 1)[hair[1]]
+    wide = np.ptp(hair_uv[..., 0], axis=1) > 0.5
+    hair_uv[wide, :, 0] += hair_uv[wide, :, 0] < 0.5
     # Clothes from the front, one unit for 200 mm.
     flat = (clothes[0][:, :2] - clothes[0][:, :2].min(0)) / 200
-    corner_uv = [face.corner_uv, head_uv[head_faces], _hair_uv(hair), flat[clothes[1]]]
     drawn = float(rng.uniform(0, 0.8))
     skin_tone = drawn if tone is None else tone
 
@@ -124,36 +132,12 @@ def sit_down(
         face,
         vertices,
         faces,
-        _welded_normals(parts),
+        normals,
         np.repeat(np.arange(4), [len(f) for _, f in parts]),
-        np.concatenate(corner_uv),
+        np.concatenate([face.corner_uv, head_uv[head_faces], hair_uv, flat[clothes[1]]]),
         tone=skin_tone,
         hair_color=_HAIR_COLORS[rng.integers(len(_HAIR_COLORS))],
         cloth_color=_CLOTH_COLORS[rng.integers(len(_CLOTH_COLORS))],
         seed=seed,
         face_albedo=at_random if face_albedo is None else face_albedo,
     )
-
-
-def _hair_uv(hair: tuple[FloatArray, IntArray]) -> FloatArray:
-    """Return (F, 3, 2): around the crown and from it down, so that strands hang."""
-    vertices, faces = hair
-    low, high = vertices.min(0), vertices.max(0)
-    crown = np.array([(low[0] + high[0]) / 2, 0.0, low[2] + 0.35 * (high[2] - low[2])])
-    offset = vertices - crown
-    around = np.arctan2(offset[:, 0], offset[:, 2]) / (2 * np.pi) + 0.5
-    corners = np.stack([around, (vertices[:, 1] - low[1]) / (high[1] - low[1])], 1)[faces]
-    # A face across the seam at the back takes its low corners a turn further.
-    wide = np.ptp(corners[..., 0], axis=1) > 0.5
-    corners[wide, :, 0] += corners[wide, :, 0] < 0.5
-    return corners
-
-
-def _welded_normals(parts: list[tuple[FloatArray, IntArray]]) -> FloatArray:
-    """Return (V, 3) vertex normals of the joined parts; face and head share theirs along the rim."""
-    vertices, faces = join(parts)
-    normals = vertex_normals(vertices, faces)
-    rim = boundary_loop(len(parts[0][0]), parts[0][1])
-    twin = len(parts[0][0]) + np.arange(len(rim))
-    normals[rim] = normals[twin] = normalized(normals[rim] + normals[twin])
-    return normals

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.synthetic.camera import toward
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
 from scan2albedo.synthetic.head import Mesh, compact, join
@@ -20,12 +21,17 @@ from scan2albedo.synthetic.sitter import HAIR, Sitter, sit_down
 _FAR_MM = 300.0
 _CLEARANCE_MM = 0.4
 """Between nose and frame, between head and temples."""
-_TILT_DEG = 3.0
-"""Lower rims lean towards the cheeks, as opticians fit them."""
-_BELOW_EYES_MM = 3.0
+_TILT_DEG, _BELOW_EYES_MM = 3.0, 3.0
+"""Lower rims lean towards the cheeks, and the frame hangs a little, as opticians fit them."""
 _FRONT_MM = 12.0
 """Vertices this far behind the hinges or less may touch the face."""
 _WIDEST_SPREAD_MM = 16.0
+_BEHIND_MM = 0.5
+"""A point this much behind the surface that a ray meets first is still that surface's."""
+_PLACES_DEG = ((-38.0, 8.0), (0.0, -8.0), (38.0, 8.0))
+"""Yaw, positive at the wearer's left, and elevation of each camera around the head."""
+_DISTANCE_MM = 600.0
+"""From each camera to the point that all look at."""
 
 
 def fit_temples(shape: GlassesShape, seed: int, head: RayScene, nose_top: FloatArray) -> GlassesBend:
@@ -91,37 +97,6 @@ def worn_glasses(head: Mesh, eyes: FloatArray, seed: int = 0, lens_mm: float = 1
     return transform_points(world_from_glasses, vertices), faces
 
 
-_EYES = slice(36, 48)
-_BEHIND_MM = 0.5
-"""A point this much behind the surface that a ray meets first is still that surface's."""
-_WAVES_PX = 6.0
-"""Correlation length of the error of a mask's outline."""
-_PLACES_DEG = ((-38.0, 8.0), (0.0, -8.0), (38.0, 8.0))
-"""Yaw, positive at the wearer's left, and elevation of each camera around the head."""
-_DISTANCE_MM = 600.0
-"""From each camera to the point that all look at."""
-
-
-@dataclass(frozen=True)
-class WearerOptions:
-    """How the wearer is photographed and labelled."""
-
-    focal_px: float = 1800.0
-    """Of the cameras."""
-    picture_size: int = 1024
-    """Height and width of the pictures in pixels."""
-    label_noise_px: float = 1.0
-    """Standard deviation of the labels along each axis."""
-    mask_noise_px: float = 1.0
-    """Standard deviation of the smooth error of a mask's outline, correlated over some six pixels."""
-    outliers: int = 0
-    """Labels a view that lie anywhere within 150 px."""
-    missing: int = 0
-    """Key points without a label in any view."""
-    hair: bool = False
-    """Whether hair that may hide the temples' ends is there."""
-
-
 @dataclass(frozen=True)
 class Wearer:
     """A person who wears glasses, in the face model's frame: mm, looking along +z."""
@@ -166,8 +141,14 @@ def wearer(
     *,
     bend: GlassesBend | None = None,
     shape: GlassesShape | None = None,
-    options: WearerOptions = WearerOptions(),
-    model: AnnotatedFaceModel | None = None,
+    focal_px: float = 1800.0,
+    picture_size: int = 1024,
+    label_noise_px: float = 1.0,
+    mask_noise_px: float = 1.0,
+    outliers: int = 0,
+    missing: int = 0,
+    hair: bool = False,
+    model: AnnotatedSurface | None = None,
 ) -> Wearer:
     """Return a random person with glasses on the nose.
 
@@ -179,58 +160,63 @@ def wearer(
         Otherwise temples are spread around the head and bridge and halves bent a little.
     shape : GlassesShape, optional
         Of the frame, in place of a drawn one.
-    options : WearerOptions
-    model : AnnotatedFaceModel, optional
+    focal_px : float
+        Of the cameras.
+    picture_size : int
+        Height and width of the pictures in pixels.
+    label_noise_px, mask_noise_px : float
+        Standard deviations: of the labels along each axis, and of the smooth error of a mask's outline,
+        correlated over some six pixels.
+    outliers : int
+        Labels a view that lie anywhere within 150 px.
+    missing : int
+        Key points without a label in any view.
+    hair : bool
+        Whether hair that may hide the temples' ends is there.
+    model : AnnotatedSurface, optional
         The default model when omitted; it needs landmarks.
     """
-    sitter = sit_down(seed, expression="neutral", model=model or AnnotatedFaceModel.default())
-    head = compact(sitter.vertices, sitter.faces[options.hair | (sitter.part != HAIR)])
-    scene, eyes = RayScene(*head), sitter.face.landmarks[_EYES].mean(0)
+    sitter = sit_down(seed, expression="neutral", model=model or default_model())
+    head = compact(sitter.vertices, sitter.faces[hair | (sitter.part != HAIR)])
+    scene, eyes = RayScene(*head), sitter.face.landmarks[36:48].mean(0)
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
     bend = bend if bend is not None else fit_temples(measures, seed, scene, eyes)
     glasses = eyeglasses(shape=measures, bend=bend)
     world_from_glasses = seat(glasses, scene, eyes)
     vertices = transform_points(world_from_glasses, glasses.vertices)
-    cameras = _cameras(options, vertices)
+    # Cameras look at a point between the lenses and the ears.
+    target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
+    frame = (picture_size, picture_size)
+    cameras = np.array(
+        [
+            look_at(target + _DISTANCE_MM * toward(*place), target, focal_px=focal_px, shape=frame)
+            for place in _PLACES_DEG
+        ]
+    )
     rng = np.random.default_rng([seed, 9])
     hidden = np.stack([scene.hidden(eye, vertices, _BEHIND_MM) for eye in camera_centers(cameras)])
-    return Wearer(
-        glasses=glasses,
-        world_from_glasses=world_from_glasses,
-        sitter=sitter,
-        head_vertices=head[0],
-        head_faces=head[1],
-        cameras=cameras,
-        masks=np.stack([_mask(head, (vertices, glasses.faces), camera, options, rng) for camera in cameras]),
-        labels=_labels(cameras, vertices[glasses.keypoint_vertices], hidden, glasses, options, rng),
-        hidden=hidden,
-    )
-
-
-def _cameras(options: WearerOptions, vertices: FloatArray) -> FloatArray:
-    """Return (C, 3, 4) cameras that look at a point between the lenses and the ears."""
-    target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
-    shape = (options.picture_size, options.picture_size)
-    cameras = []
-    for yaw, lift in np.deg2rad(_PLACES_DEG):
-        toward = np.array([np.cos(lift) * np.sin(yaw), np.sin(lift), np.cos(lift) * np.cos(yaw)])
-        position = target + _DISTANCE_MM * toward
-        cameras.append(look_at(position, target, focal_px=options.focal_px, shape=shape))
-    return np.array(cameras)
+    masks = [_mask(head, (vertices, glasses.faces), one, picture_size, mask_noise_px, rng) for one in cameras]
+    # Noisy labels (C, 20, 2), NaN where there is none.
+    points = vertices[glasses.keypoint_vertices]
+    labels = np.stack([project(camera, points)[0] for camera in cameras])
+    labels += rng.normal(0, label_noise_px, labels.shape)
+    labels[hidden[:, glasses.keypoint_vertices]] = np.nan
+    labels[:, rng.choice(len(points), missing, replace=False)] = np.nan
+    for view in labels:
+        labelled = np.flatnonzero(np.isfinite(view).all(1))
+        wrong = rng.choice(labelled, min(outliers, len(labelled)), replace=False)
+        view[wrong] += rng.uniform(-150, 150, (len(wrong), 2))
+    labels[((labels < 0) | (labels > picture_size - 1)).any(2)] = np.nan
+    return Wearer(glasses, world_from_glasses, sitter, *head, cameras, np.stack(masks), labels, hidden)
 
 
 def _mask(
-    head: tuple[FloatArray, IntArray],
-    frame: tuple[FloatArray, IntArray],
-    camera: FloatArray,
-    options: WearerOptions,
-    rng: np.random.Generator,
+    head: Mesh, frame: Mesh, camera: FloatArray, size: int, noise_px: float, rng: np.random.Generator
 ) -> BoolArray:
     """Return (S, S) True where the frame is the first thing on a pixel's ray, outline off by noise."""
-    size = options.picture_size
     mask = np.zeros((size, size), bool)
     # The frame takes a small part of the picture; noise moves its outline by some pixels.
-    margin = 2 + 6 * options.mask_noise_px
+    margin = 2 + 6 * noise_px
     seen = project(camera, frame[0])[0]
     low = np.clip(np.floor(seen.min(0) - margin), 0, size).astype(int)
     high = np.clip(np.ceil(seen.max(0) + margin) + 1, 0, size).astype(int)
@@ -238,41 +224,14 @@ def _mask(
     if min(window) <= 0:
         return mask
     rays = pixel_directions(camera, pixel_grid(window) + low)
-    hits = RayScene(*join([frame, head])).first_hit(
-        np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays
-    )
+    center = camera_centers(camera[None])[0]
+    hits = RayScene(*join([frame, head])).first_hit(np.broadcast_to(center, rays.shape), rays)
     shown = ((hits.face >= 0) & (hits.face < len(frame[1]))).reshape(window)
-    if options.mask_noise_px > 0 and shown.any():
-        shown = _wandered(shown, options.mask_noise_px, rng)
+    if noise_px > 0 and shown.any():
+        # A smooth random field moves the outline.
+        wander = gaussian_filter(rng.normal(size=shown.shape), 3.0, mode="wrap")
+        wander *= noise_px / wander.std()
+        inside = distance_transform_edt(shown) - distance_transform_edt(~shown) - np.where(shown, 0.5, -0.5)
+        shown = np.asarray(inside + wander > 0)
     mask[low[1] : high[1], low[0] : high[0]] = shown
     return mask
-
-
-def _wandered(mask: BoolArray, noise_px: float, rng: np.random.Generator) -> BoolArray:
-    """Return the mask with its outline moved by a smooth random field."""
-    wander = gaussian_filter(rng.normal(size=mask.shape), _WAVES_PX / 2, mode="wrap")
-    wander *= noise_px / wander.std()
-    inside = distance_transform_edt(mask) - distance_transform_edt(~mask) - np.where(mask, 0.5, -0.5)
-    return np.asarray(inside + wander > 0)
-
-
-def _labels(
-    cameras: FloatArray,
-    points: FloatArray,
-    hidden: BoolArray,
-    glasses: SyntheticEyeglasses,
-    options: WearerOptions,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return (C, 20, 2) noisy labels, NaN where there is none."""
-    labels = np.stack([project(camera, points)[0] for camera in cameras])
-    labels += rng.normal(0, options.label_noise_px, labels.shape)
-    labels[hidden[:, glasses.keypoint_vertices]] = np.nan
-    labels[:, rng.choice(len(points), options.missing, replace=False)] = np.nan
-    for view in labels:
-        labelled = np.flatnonzero(np.isfinite(view).all(1))
-        wrong = rng.choice(labelled, min(options.outliers, len(labelled)), replace=False)
-        view[wrong] += rng.uniform(-150, 150, (len(wrong), 2))
-    outside = (labels < 0) | (labels > options.picture_size - 1)
-    labels[outside.any(2)] = np.nan
-    return labels

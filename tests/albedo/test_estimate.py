@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions, albedo_error, estimate_albedo
+from scan2albedo.albedo.division import divide_light
 from scan2albedo.core import Budget
 
 FAR = math.inf
@@ -152,8 +153,12 @@ def test_hue_and_saturation_stay(frontal, frontal_estimate):
     assert albedo == pytest.approx(texture * scale[:, None], rel=1e-5)
 
 
-def test_relighting_with_its_own_lights_gives_the_texture_back(frontal):
-    estimate = estimate_albedo(frontal.image, 1, options=EstimateOptions(shrink=False))
+def test_relighting_with_its_own_lights_gives_the_texture_back(frontal, monkeypatch):
+    def plain(*arguments, **options):
+        return divide_light(*arguments, **{**options, "shrink": False})
+
+    monkeypatch.setattr("scan2albedo.albedo.estimate.divide_light", plain)
+    estimate = estimate_albedo(frontal.image, 1)
     mask = frontal.image.mask
     again = estimate.relit(estimate.lights)
     assert again[mask] == pytest.approx(frontal.image.texture_linear[mask], abs=2e-3)
@@ -222,7 +227,7 @@ def test_misuse_is_told(frontal, arguments, message):
 def test_unknown_option_names_are_told():
     with pytest.raises(ValueError, match="objective is 'best'"):
         EstimateOptions(objective="best")
-    with pytest.raises(ValueError, match="gloss' is no optional step"):
+    with pytest.raises(ValueError, match="gloss' is not an optional step"):
         EstimateOptions(skip=("albedo.gloss",))
     with pytest.raises(ValueError, match="in skip and in force"):
         EstimateOptions(skip=("albedo.shadows",), force=("albedo.shadows",))

@@ -30,7 +30,7 @@ def make_image(scenes):
 
 def test_means_equal_a_loop_over_cells(make_image):
     image = make_image()
-    usable = usable_texels(image, OPTIONS)
+    usable = usable_texels(image)
     level = build_level(image, usable, 16)
     value, means, weights = brightest_around(image.texture_linear, usable), [], []
     for row in range(0, 64, 4):
@@ -46,14 +46,14 @@ def test_means_equal_a_loop_over_cells(make_image):
 
 def test_anchors_are_texels_of_the_surface(make_image):
     image = make_image()
-    level = build_level(image, usable_texels(image, OPTIONS), 16)
+    level = build_level(image, usable_texels(image), 16)
     assert np.linalg.norm(level.anchor, axis=1) == pytest.approx(80)
     assert np.linalg.norm(level.anchor - level.position, axis=1).max() < 10
 
 
 def test_cells_weigh_by_their_skin(make_image):
     plain = make_image()
-    usable = usable_texels(plain, OPTIONS)
+    usable = usable_texels(plain)
     skin = np.where(np.arange(64) < 32, 0.0, 0.8) * np.ones((64, 1))
     level, whole = (build_level(image, usable, 16) for image in (make_image(skin=skin), plain))
     right = whole.cell[:, 1] >= 8
@@ -63,14 +63,14 @@ def test_cells_weigh_by_their_skin(make_image):
 
 def test_surfaces_without_skin_weigh_all_texels_alike(make_image):
     plain = make_image()
-    usable = usable_texels(plain, OPTIONS)
+    usable = usable_texels(plain)
     level = build_level(make_image(skin=np.zeros((64, 64))), usable, 16)
     assert level.weight == pytest.approx(build_level(plain, usable, 16).weight)
 
 
 def test_blocks_have_the_area_asked_for(make_image):
     image = make_image(128)
-    level = build_level(image, usable_texels(image, OPTIONS), 128)
+    level = build_level(image, usable_texels(image), 128)
     blocks, count = level.blocks(1 / 8)
     largest = [np.bincount(partition).max() for partition in blocks]
     assert largest == pytest.approx([image.mask.sum() / 8] * 2, rel=0.1)
@@ -85,7 +85,7 @@ def test_hidden_black_and_saturated_texels_do_not_vote(make_image):
     valid = np.ones((64, 64), bool)
     valid[40:44, 30] = False
     image = make_image(texture_linear=texture, texture_valid=valid)
-    out = image.mask & ~usable_texels(image, OPTIONS)
+    out = image.mask & ~usable_texels(image)
     assert sorted(np.nonzero(out)[0]) == [*range(20, 24), *range(30, 34), *range(40, 44)]
 
 
@@ -94,7 +94,7 @@ def test_cell_image_gives_every_texel_the_value_of_its_cell(make_image):
     whole = make_image()
     image = GeometryImage(*(field[:62] for field in (whole.position, whole.normal, whole.mask)),
                           texture_linear=texture)  # fmt: skip
-    level = build_level(image, usable_texels(image, OPTIONS), 16)
+    level = build_level(image, usable_texels(image), 16)
     values = np.random.default_rng(0).uniform(1, 2, len(level.value))
     full = cell_image(level, values, image.mask)
     assert full.shape == (62, 64)
@@ -108,7 +108,7 @@ def test_cell_image_fills_texels_that_did_not_vote_from_the_nearest_cell(make_im
     texture = np.full((64, 64, 3), 0.5, np.float32)
     texture[24:40, 28:36] = 0
     image = make_image(texture_linear=texture)
-    usable = usable_texels(image, OPTIONS)
+    usable = usable_texels(image)
     level = build_level(image, usable, 16)
     full = cell_image(level, level.position[:, 0], image.mask)
     assert np.all(full[image.mask] != 0)
@@ -118,14 +118,14 @@ def test_cell_image_fills_texels_that_did_not_vote_from_the_nearest_cell(make_im
 
 def test_cell_image_at_full_size_is_the_values_themselves(make_image):
     image = make_image()
-    usable = usable_texels(image, OPTIONS)
+    usable = usable_texels(image)
     level = build_level(image, usable, 64)
     assert np.array_equal(cell_image(level, level.value, image.mask)[usable], level.value)
 
 
 def test_values_of_cells_follow_the_surface(make_image):
     image = make_image()
-    level = build_level(image, usable_texels(image, OPTIONS), 16)
+    level = build_level(image, usable_texels(image), 16)
     values = np.stack([np.ones(len(level.value)), level.anchor[:, 0]], 1)
     found = along_surface(level, values, image)
     assert found[:, 0] == pytest.approx(1)
@@ -138,7 +138,7 @@ def test_values_of_cells_do_not_leak_over_a_cut(make_image):
     position = image.position.copy()
     position[:, 32:] += [0, 0, 400.0]
     apart = GeometryImage(position, image.normal, image.mask, texture_linear=image.texture_linear)
-    level = build_level(apart, usable_texels(apart, OPTIONS), 16)
+    level = build_level(apart, usable_texels(apart), 16)
     right = level.center[:, 1] > 31.5
     found = along_surface(level, right[:, None].astype(float), apart)[:, 0]
     assert found == pytest.approx((np.argwhere(image.mask)[:, 1] > 31.5).astype(float), abs=0.01)
@@ -146,7 +146,7 @@ def test_values_of_cells_do_not_leak_over_a_cut(make_image):
 
 def test_means_over_cells_are_those_of_their_texels(make_image):
     image = make_image()
-    level = build_level(image, usable_texels(image, OPTIONS), 16)
+    level = build_level(image, usable_texels(image), 16)
     x = image.position[image.mask][:, 0]
     assert cell_means(level, x, image.mask) == pytest.approx(level.position[:, 0])
 

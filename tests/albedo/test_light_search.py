@@ -27,7 +27,7 @@ PARTS = ("near_light", "roughness", "specular")
 
 
 def _problem(image, size=32, budget=Budget()):
-    level = build_level(image, usable_texels(image, OPTIONS), size)
+    level = build_level(image, usable_texels(image), size)
     return ResidualProblem(level, ShadowLattice(level, None, 0.2), Meter("albedo", "", budget))
 
 
@@ -163,7 +163,7 @@ def test_a_step_and_where_it_starts_have_costs_under_the_same_weights(glossy):
 def test_shadows_are_those_of_the_parameters_that_shade(scenes):
     """Parameters beyond their bounds count as the bounds, in the shading and in the shadows."""
     image = scenes.scene("bumps", "skin", [(20, 0, 2.0, FAR)], size=64).image
-    level = build_level(image, usable_texels(image, OPTIONS), 32)
+    level = build_level(image, usable_texels(image), 32)
     lattice = ShadowLattice(level, RayCaster(*image.occluder_mesh()), 0.2)
     problem = ResidualProblem(level, lattice, Meter("albedo", ""))
     model = LightModel(1, "oren-nayar", VIEW, 100.0)
@@ -180,7 +180,7 @@ def test_the_highlights_strength_is_in_the_unit_of_the_search(scenes):
         "hemisphere", "plain", [(20, 10, 2.0, FAR)], size=96, specular=0.3, noise=0.04, quantize=False
     ).image
     options = EstimateOptions(force=("albedo.specular",))
-    usable = usable_texels(image, options)
+    usable = usable_texels(image)
     scene = LitImage(image, usable, "oren-nayar", VIEW, options, Meter("albedo", ""))
     found = LightSearch(scene).run(1).solution.hypothesis.reflectance.specular_strength
     median = np.median(brightest_around(image.texture_linear, usable)[usable])

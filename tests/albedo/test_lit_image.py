@@ -13,8 +13,7 @@ from scan2albedo.synthetic import face, hemisphere, light_at
 
 
 def level_of(scene):
-    options = EstimateOptions()
-    return build_level(scene.image, usable_texels(scene.image, options), 32)
+    return build_level(scene.image, usable_texels(scene.image), 32)
 
 
 @pytest.mark.parametrize(("azimuth", "elevation"), [(0, 0), (45, 10), (-60, -20)])

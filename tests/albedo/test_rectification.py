@@ -5,7 +5,6 @@ import pytest
 from scipy.ndimage import binary_dilation
 
 from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.poisson import forward_differences, integrate_gradients
 from scan2albedo.albedo.rectification import rectify, shadow_outline
 from scan2albedo.albedo.result import shade_image
@@ -137,7 +136,7 @@ def lit_face(request):
     scene = face(seed, size=FACE, lights=[light_at(azimuth, elevation)])
     value = scene.image.texture_linear.max(-1) / scene.gain
     truth = scene.albedo_linear.max(-1).astype(np.float64)
-    return scene.image, value, truth, usable_texels(scene.image, EstimateOptions()), azimuth, elevation
+    return scene.image, value, truth, usable_texels(scene.image), azimuth, elevation
 
 
 @pytest.mark.parametrize("off", [(1, 0), (0, -1), (2, 0), (0, 2)])

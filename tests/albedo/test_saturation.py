@@ -9,7 +9,7 @@ from skimage.restoration import inpaint_biharmonic
 
 from scan2albedo.albedo.estimate import estimate_albedo
 from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.options import SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
@@ -36,13 +36,13 @@ def _finish(scene, *, known_highlight=1.0, options=OPTIONS, image=None):
     light = np.where(image.mask, scene.shading, 1.0)[..., None]
     texture = image.texture_linear / np.float32(scene.gain)
     left = (np.maximum(texture - specular[..., None], 0) / light).astype(np.float32)
-    usable = usable_texels(image, options)
+    usable = usable_texels(image)
     return left, *inpainted(left, image, usable, options, 0)
 
 
 def _clipped(scene):
     allowed = scene.image.mask if scene.image.inpaint is None else scene.image.mask & scene.image.inpaint
-    return (scene.image.texture_linear >= OPTIONS.saturation_linear).any(-1) & allowed
+    return (scene.image.texture_linear >= SATURATION_LINEAR).any(-1) & allowed
 
 
 def _error(image, scene, where):

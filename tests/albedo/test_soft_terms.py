@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.levels import build_level, usable_texels
 from scan2albedo.albedo.light_parameters import LightModel, SoftState
 from scan2albedo.albedo.residual_objective import ResidualProblem
@@ -41,9 +40,8 @@ def _hidden(normal, seed=0):
 
 @pytest.fixture(scope="module")
 def problem():
-    options = EstimateOptions()
     image = hemisphere(size=48, lights=[light_at(30)], texture="skin").image
-    level = build_level(image, usable_texels(image, options), 32)
+    level = build_level(image, usable_texels(image), 32)
     return ResidualProblem(level, ShadowLattice(level, None, 0.2), Meter("albedo", ""), _hidden(level.normal))
 
 

@@ -218,8 +218,7 @@ def test_deviations_stand_in_the_order_of_the_lights(scenes):
 
 def test_the_order_in_which_the_search_holds_the_lights_does_not_matter(scenes):
     image = scenes.scene("hemisphere", "skin", [(-50, 0, 0.6, FAR), (50, 0, 3.0, FAR)], size=64).image
-    options = EstimateOptions()
-    level = build_level(image, usable_texels(image, options), 64)
+    level = build_level(image, usable_texels(image), 64)
     model = LightModel(2, "lambert", (0.0, 0.0, 1.0), 80.0)
     problem = ResidualProblem(level, ShadowLattice(level, None, 0.2), Meter("albedo", ""))
     x = model.from_lights(np.array([scenes.direction(-50), scenes.direction(50)]), np.array([0.6, 3.0]))

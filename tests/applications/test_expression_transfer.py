@@ -27,11 +27,11 @@ from scan2albedo.applications.expression_transfer import (
 )
 from scan2albedo.cli.commands import app
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model import chosen_model
-from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import face_shape
+from scan2albedo.templates import chosen_model
 
 SMILE = "mouthSmile_L_mouthSmile_R"
 BAR_MM = 1.5

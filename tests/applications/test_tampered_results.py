@@ -11,7 +11,7 @@ import pytest
 from scan2albedo.applications import blend_faces, load_result, relight, swap_texture
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.images import write_exr
-from scan2albedo.recognition.stored_faces import read_albedo
+from scan2albedo.recognition.stored_faces import read_face
 from scan2albedo.report.html import write_report
 
 pytestmark = pytest.mark.usefixtures("no_endless_reading")
@@ -98,7 +98,7 @@ def test_every_reader_names_the_file(stored, tmp_path, kind):
     change(folder)
     with pytest.raises(Scan2AlbedoError, match=name):
         load_result(folder)
-    for read in (read_albedo, lambda out: write_report(out, tmp_path / "page.html")):
+    for read in (read_face, lambda out: write_report(out, tmp_path / "page.html")):
         try:
             read(folder)
         except Scan2AlbedoError as error:

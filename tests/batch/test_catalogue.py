@@ -12,7 +12,7 @@ from scan2albedo.batch.manifest import BatchManifest, ManifestScan
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError
 from scan2albedo.io.result_records import InputRecord, ResultRecord
-from scan2albedo.report.html.rows import row_of_record
+from scan2albedo.report.html.batch_section import row_of_record
 
 SHA = "0" * 64
 

@@ -162,9 +162,9 @@ def test_ctrl_c_and_sigterm_leave_neither_workers_nor_half_files(
 def test_a_face_reaches_numpy(tmp_path):
     from benchmarks.scan_files import write_obj
 
-    from scan2albedo.synthetic import RawScanOptions, raw_scan
+    from scan2albedo.synthetic import Scanner, raw_scan
 
-    scan, _ = raw_scan(0, options=RawScanOptions(size=64, picture_size=300, spacing_mm=4.0))
+    scan, _ = raw_scan(0, scanner=Scanner(size=64, picture_size=300, spacing_mm=4.0))
     write_obj(scan, tmp_path / "face.obj")
     options = ProcessOptions(size=64, pictures=False)
     report = run_batch(tmp_path, tmp_path / "out", options=options, jobs=1)

@@ -2,12 +2,12 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
 import time
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -106,7 +106,7 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
     row = validation.ValidationRow(30.0, "wood", "lambert", 5.0, 0.02, 0.03, 0.01, 0.5, 1)
     monkeypatch.setattr(validation, "validation_row", lambda scene, angle, brdf: row)
     monkeypatch.setattr(
-        validation, "_lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
+        validation, "lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
     monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)  # keep the tests' own Ctrl-C
     done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
@@ -221,31 +221,30 @@ def test_doctor_finds_a_healthy_machine():
     assert {"open3d", "numpy", "default face model"} <= {finding["subject"] for finding in findings}
 
 
-def test_doctor_knows_every_library_of_pyproject():
+def test_doctor_finds_every_library_of_pyproject_by_the_name_that_imports_it():
     project = tomllib.loads((Path(__file__).resolve().parents[2] / "pyproject.toml").read_text())["project"]
-    extras = {k: v for k, v in project["optional-dependencies"].items() if k not in ("test", "dev", "docs")}
-
-    def names(requirements):
-        found = {re.match(r"[\w-]+", line).group() for line in requirements}
-        return {name.removesuffix("-cpu") for name in found} - {"scan2albedo"}
-
-    assert names(project["dependencies"]) == set(doctor.IMPORT_NAMES)
-    assert {name for group in extras.values() for name in names(group)} == set(doctor.EXTRA_IMPORT_NAMES)
-    for name, (extra, _) in doctor.EXTRA_IMPORT_NAMES.items():
-        assert name in names(extras[extra])
+    extras = project["optional-dependencies"]
+    of_extras = [f"{line}; extra == '{extra}'" for extra, lines in extras.items() for line in lines]
+    found = doctor.libraries([*project["dependencies"], *of_extras])
+    assert found["open3d"][0].startswith("open3d-cpu>=")
+    assert {extra for _, extra in found.values()} == {"", *extras} - set(doctor.DEVELOPERS)
+    for package, (_, extra) in found.items():
+        module = doctor.IMPORT_NAMES.get(package, package)
+        assert extra or find_spec(module) is not None, package
+    assert set(doctor.IMPORT_NAMES) <= set(found)
 
 
 def test_doctor_tells_what_an_extra_that_is_not_installed_is_for():
-    finding = doctor._library("no-such-package", "no_such_package", "report")
+    finding = doctor.examined_library("no-such-package", "no-such-package>=1", "report")
     assert finding.good
     assert "[report] alone" in finding.detail
     assert "pip install 'scan2albedo[report]'" in finding.remedy
 
 
-def test_doctor_tells_the_command_for_a_missing_library(monkeypatch):
-    finding = doctor._library("no-such-package", "no_such_package")
+def test_doctor_tells_the_command_for_a_missing_library():
+    finding = doctor.examined_library("no-such-package", "no-such-package>=1")
     assert not finding.good
-    assert "pip install 'no-such-package'" in finding.remedy
+    assert "pip install 'no-such-package>=1'" in finding.remedy
 
 
 def test_doctor_names_the_system_packages_when_open3d_cannot_load(monkeypatch):
@@ -255,7 +254,7 @@ def test_doctor_names_the_system_packages_when_open3d_cannot_load(monkeypatch):
         )
 
     monkeypatch.setattr(doctor.subprocess, "run", broken)
-    finding = doctor._library("open3d", "open3d")
+    finding = doctor.examined_library("open3d", "open3d>=0.19")
     assert "libgl1" in finding.remedy
     assert "libGL.so.1" in finding.detail
 

@@ -17,15 +17,14 @@ from scan2albedo.reflectance import MorphableReflectanceModel, generated_environ
 from scan2albedo.runs.reflectance import ReflectanceRecord
 from scan2albedo.runs.reflectance.demo import write_synthetic_capture, write_synthetic_photograph
 from scan2albedo.synthetic import (
-    FacePhotographOptions,
-    FlashCaptureOptions,
+    Portrait,
     face_photograph,
     flash_capture,
 )
 
 pytestmark = pytest.mark.slow
 
-OPTIONS = FlashCaptureOptions(views=3, flashes=4, picture_size=96, levels=1)
+SMALL = Portrait(picture_size=96)
 
 
 def run(*arguments):
@@ -34,7 +33,7 @@ def run(*arguments):
 
 @pytest.fixture(scope="module")
 def captures():
-    return [flash_capture(seed, options=OPTIONS) for seed in (0, 1)]
+    return [flash_capture(seed, views=3, flashes=4, levels=1, portrait=SMALL) for seed in (0, 1)]
 
 
 @pytest.fixture(scope="module")
@@ -108,10 +107,9 @@ def model(people, captures):
 @pytest.fixture(scope="module")
 def photographs(people):
     """Photograph files of three others; the last without a mesh."""
-    options = FacePhotographOptions(picture_size=96, lights=24)
     return [
         write_synthetic_photograph(
-            face_photograph(10 + k, generated_environment(k), options=options),
+            face_photograph(10 + k, generated_environment(k), lights=24, portrait=SMALL),
             people / f"photograph_{k}",
             mesh=k < 2,
         )

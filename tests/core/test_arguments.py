@@ -22,9 +22,9 @@ SHOWN = ("None", "the text 'face.obj'", "the path 'face.obj'", "an object of int
     ("call", "expected"),
     [
         (lambda x: s2a.register(x, MODEL), "register: scan is .*, expected RawScan; load_scan"),
-        (lambda x: s2a.register(SCAN, x), "register: model is .*, expected AnnotatedFaceModel"),
+        (lambda x: s2a.register(SCAN, x), "register: model is .*, expected AnnotatedSurface"),
         (lambda x: s2a.fit(x, MODEL, np.eye(4)), "fit: scan is .*, expected RawScan"),
-        (lambda x: s2a.fit(SCAN, x, np.eye(4)), "fit: model is .*, expected AnnotatedFaceModel"),
+        (lambda x: s2a.fit(SCAN, x, np.eye(4)), "fit: model is .*, expected AnnotatedSurface"),
         (lambda x: s2a.geometry_image(x, SCAN), "geometry_image: fitted is .*, expected a FittedFace"),
         (lambda x: s2a.estimate_albedo(x), "estimate_albedo: image is .*, expected GeometryImage"),
         (lambda x: s2a.applications.relight(x), "relight: face is .*, expected ProcessedFace; load_result"),

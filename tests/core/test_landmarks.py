@@ -37,8 +37,8 @@ def test_they_grow_with_their_scan():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({68: (0, 0, 0)}, "no landmark 68"),
-        ({"36": (0, 0, 0)}, "no landmark '36'"),
+        ({68: (0, 0, 0)}, "unknown landmark 68"),
+        ({"36": (0, 0, 0)}, "unknown landmark '36'"),
         ({36: (0, 0)}, "landmark 36 is .* expected three"),
         ({36: "abc"}, "landmark 36 is 'abc'"),
         ({}, "no landmark among"),
@@ -46,7 +46,7 @@ def test_they_grow_with_their_scan():
         (some(36, (1e200, 0, 0)), "landmark 36 is .*1e.200"),
         (some(36, (np.nan, 0, 0)), "landmark 36 is .*nan"),
         (np.zeros((5, 3)), r"shape \(5, 3\)"),
-        ([[1, 2], [3]], r"no \(68, 3\) array"),
+        ([[1, 2], [3]], r"not a \(68, 3\) array"),
     ],
 )
 def test_what_is_no_landmark_is_named(given, message):

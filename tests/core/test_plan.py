@@ -41,3 +41,9 @@ def test_level_follows_from_ran_unless_it_is_a_doubt_or_a_fault():
     assert halves.text == "empty"
     assert Plan((SHADOWS, gap, LIGHTS, halves)).doubts().steps == (gap, halves)
     assert Plan() + [gap] == Plan((gap,))
+
+
+def test_evidence_has_no_infinite_threshold_and_no_negative_zero():
+    text = "changes it by -0.0 % (inf % asked), -0.04 mm, x-0, 0.5 (2 % asked)"
+    shown = "changes it by 0.0 %, -0.04 mm, x-0, 0.5 (2 % asked)"
+    assert PlanStep("albedo.specular", True, "it matters", text).evidence == shown

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 
 DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"

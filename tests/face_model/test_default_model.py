@@ -11,7 +11,7 @@ from face_model_generator.regions import MIDDLE_REGIONS
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas
 from scan2albedo.geometry.parametrization import boundary_loop, signed_areas

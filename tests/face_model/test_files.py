@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError, OutputError
-from scan2albedo.face_model.files import FaceModelFile, load_model, save_model
-from scan2albedo.face_model.model import AnnotatedFaceModel
+from scan2albedo.face_model.annotation import AnnotatedSurface, FaceModelFile
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 
 
@@ -21,7 +21,7 @@ def saved(tmp_path: Path) -> Path:
 
 
 def test_round_trip_keeps_every_bit(saved: Path):
-    model, again = AnnotatedFaceModel.default(), load_model(saved)
+    model, again = AnnotatedFaceModel.default(), AnnotatedSurface.load(saved)
     for name in ("control_vertices", "control_faces", "uv", "region", "landmarks"):
         np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
     assert dict(again.regions) == dict(model.regions)
@@ -40,8 +40,8 @@ def test_round_trip_keeps_a_dense_template(tmp_path: Path):
         template_uv=np.arange(6.0).reshape(1, 3, 2),
         name="mine",
     )
-    save_model(model, tmp_path / "t.json")
-    again = load_model(tmp_path / "t.json")
+    model.save(tmp_path / "t.json")
+    again = AnnotatedSurface.load(tmp_path / "t.json")
     assert again.landmarks is None
     np.testing.assert_array_equal(again.template_points.face, points.face)
     np.testing.assert_array_equal(again.template_points.barycentric, points.barycentric)
@@ -52,7 +52,7 @@ def test_round_trip_keeps_a_dense_template(tmp_path: Path):
 
 def test_same_model_gives_the_same_bytes(saved: Path, tmp_path: Path):
     first = saved.read_bytes(), saved.with_suffix(".npz").read_bytes()
-    save_model(load_model(saved), saved)
+    AnnotatedSurface.load(saved).save(saved)
     assert (saved.read_bytes(), saved.with_suffix(".npz").read_bytes()) == first
     assert sorted(p.name for p in tmp_path.iterdir()) == ["afm.json", "afm.npz"]
 
@@ -71,22 +71,22 @@ def test_json_fits_the_shipped_schema(saved: Path):
 
 def test_missing_files_are_named(saved: Path):
     with pytest.raises(ModelError, match=r"nowhere\.json: cannot be read: No such file"):
-        load_model(saved.with_name("nowhere.json"))
+        AnnotatedSurface.load(saved.with_name("nowhere.json"))
     saved.with_suffix(".npz").unlink()
     with pytest.raises(ModelError, match=r"afm\.npz cannot be read .*No such file.*copy it beside"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": "scan2albedo-afm-9"}'])
 def test_a_broken_json_is_refused(saved: Path, text: str):
     saved.write_text(text)
     with pytest.raises(ModelError, match=r"face model .*\(data_schemas/annotated_face_model"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
 
 
 def test_the_binary_given_as_json_is_refused(saved: Path):
     with pytest.raises(ModelError, match="is no text file"):
-        load_model(saved.with_suffix(".npz"))
+        AnnotatedSurface.load(saved.with_suffix(".npz"))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.95])
@@ -95,7 +95,7 @@ def test_a_truncated_binary_is_refused(saved: Path, share: float):
     data = binary.read_bytes()
     binary.write_bytes(data[: int(share * len(data))])
     with pytest.raises(ModelError, match=r"afm\.npz cannot be read"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
 
 
 def change_arrays(path: Path, **arrays: np.ndarray | None) -> None:
@@ -109,10 +109,10 @@ def change_arrays(path: Path, **arrays: np.ndarray | None) -> None:
 def test_files_that_do_not_belong_together_are_refused(saved: Path):
     change_arrays(saved, uv=np.zeros((5, 2)))
     with pytest.raises(ModelError, match=r"uv in .* is of shape \(5, 2\).*do not belong together"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
     change_arrays(saved, uv=None)
     with pytest.raises(ModelError, match=r"uv in .* is missing"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
 
 
 def test_bad_numbers_are_refused(saved: Path):
@@ -121,12 +121,12 @@ def test_bad_numbers_are_refused(saved: Path):
     vertices[3, 1] = np.nan
     change_arrays(saved, control_vertices=vertices)
     with pytest.raises(ModelError, match=r"control_vertices in .* holds NaN"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
     faces = model.control_faces.copy()
     faces[0, 0] = len(vertices)
     change_arrays(saved, control_vertices=model.control_vertices, control_faces=faces)
     with pytest.raises(ModelError, match=r"control_faces in .* points outside"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
 
 
 @pytest.mark.parametrize(
@@ -147,10 +147,10 @@ def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, arrays: dict[st
         template_offset=np.zeros((3, 3)),
         template_faces=np.array([[0, 1, 2]]),
     )
-    save_model(model, tmp_path / "t.json")
+    model.save(tmp_path / "t.json")
     change_arrays(tmp_path / "t.json", **arrays)
     with pytest.raises(ModelError, match=message):
-        load_model(tmp_path / "t.json")
+        AnnotatedSurface.load(tmp_path / "t.json")
 
 
 def test_unknown_region_is_refused(saved: Path):
@@ -158,9 +158,9 @@ def test_unknown_region_is_refused(saved: Path):
     region[0] = 200
     change_arrays(saved, region=region)
     with pytest.raises(ModelError, match=r"region indices \[200\]"):
-        load_model(saved)
+        AnnotatedSurface.load(saved)
 
 
 def test_saving_into_nowhere_is_an_output_error(tmp_path: Path):
     with pytest.raises(OutputError, match="nowhere"):
-        save_model(AnnotatedFaceModel.default(), tmp_path / "nowhere" / "afm.json")
+        AnnotatedFaceModel.default().save(tmp_path / "nowhere" / "afm.json")

@@ -8,8 +8,8 @@ import igl
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
 
 
 def mask_surface(

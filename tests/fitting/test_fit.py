@@ -4,10 +4,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, vertex_normals
@@ -20,7 +20,6 @@ from scan2albedo.geometry.rigid import (
     transform_points,
 )
 from scan2albedo.synthetic import raw_like
-from scan2albedo.synthetic.raw_like import RawLikeOptions
 
 
 def surface_error_mm(fitted, truth_in_model: np.ndarray) -> np.ndarray:
@@ -171,7 +170,7 @@ CEILINGS = {
 )
 def test_error_ceilings_on_raw_like_scans(ict, name):
     shape = ict.shapes[name]
-    scan, scan_from_shape = raw_like(shape, ict.faces, 1, options=RawLikeOptions())
+    scan, scan_from_shape = raw_like(shape, ict.faces, 1)
     fitted = fit(scan, ict.model, pose_of(ict, shape) @ invert_rigid(scan_from_shape))
     inner = transform_points(fitted.model_from_scan @ scan_from_shape, shape)[: ict.inner_vertices]
     error = surface_error_mm(fitted, inner)
@@ -186,7 +185,7 @@ def test_error_ceilings_on_raw_like_scans(ict, name):
 @pytest.mark.slow
 def test_the_pose_given_may_be_off_by_ten_degrees_and_ten_millimetres(ict):
     shape = ict.shapes["person1"]
-    scan, scan_from_shape = raw_like(shape, ict.faces, 1, options=RawLikeOptions(spacing_mm=4.0))
+    scan, scan_from_shape = raw_like(shape, ict.faces, 1, spacing_mm=4.0)
     pose = pose_of(ict, shape) @ invert_rigid(scan_from_shape)
     axis = np.array([0.6, -0.64, 0.48])
     off = compose(rotation_from_vector(np.deg2rad(10) * axis), [6.0, 4.8, -6.4])

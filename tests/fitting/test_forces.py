@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces, springs
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model

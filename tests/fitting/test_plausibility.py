@@ -55,7 +55,7 @@ def test_a_part_without_scan_is_named(model, part):
     fitted = fitted_to(model, control_points, hole=(center, 24.0))
     assert missing_parts(fitted) == (part,)
     (told,) = doubts(fitted)
-    assert told.startswith(f"no scan to follow where the {part} should be")
+    assert told.text.startswith(f"no scan near the {part}")
 
 
 def test_half_a_face_lacks_the_other_eye(model):
@@ -72,7 +72,7 @@ def test_halves_of_two_people_are_told(model, joint_mm, seed):
     of_one = np.clip(0.5 + model.control_vertices[:, :1] / joint_mm, 0, 1)
     fitted = fitted_to(model, of_one * one + (1 - of_one) * other)
     assert asymmetry(fitted).unlikeness > 1
-    assert any("halves of the face" in told for told in doubts(fitted))
+    assert any("asymmetry" in told.text for told in doubts(fitted))
     for whole in (one, other):
         assert asymmetry(fitted_to(model, whole)).unlikeness < 0.7
 

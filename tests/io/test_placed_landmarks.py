@@ -59,7 +59,7 @@ def test_what_process_wrote_is_read_back_with_its_deviations(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.csv", "number,x,y,z\n68,1,2,3\n", "line 2: '68' is the number of no landmark"),
+        ("a.csv", "number,x,y,z\n68,1,2,3\n", "line 2: '68' is not the number of a landmark"),
         ("a.csv", "number,x,y,z\n30,1,two,3\n", "line 2: 'two' is no finite number"),
         ("a.csv", "number,x,y,z\n30,1,2,3\n30,1,2,4\n", r"line 3: landmark 30 was given before \(.*line 2\)"),
         ("a.csv", "number,x,y\n30,1,2\n", "has no columns x, y and z"),
@@ -72,7 +72,7 @@ def test_what_process_wrote_is_read_back_with_its_deviations(tmp_path):
         ("a.json", '{"30": [1, 2, true]}', "'True' is no finite number"),
         ("a.json", '{"landmarks": 5}', "holds no landmarks"),
         ("a.pp", "<a><b></a>", "no file of picked points"),
-        ("a.pp", '<a><point x="1" y="2" z="3" name="nose"/></a>', "'nose' is the number of no landmark"),
+        ("a.pp", '<a><point x="1" y="2" z="3" name="nose"/></a>', "'nose' is not the number of a landmark"),
         ("a.pp", '<a><point x="1" y="2" name="30"/></a>', "'None' is no finite number"),
         ("a.xyz", "", "read from .csv, .json and .pp"),
     ],

@@ -9,7 +9,7 @@ from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.io.units import MM_PER_UNIT, largest_extent, millimetres_per_unit
-from scan2albedo.synthetic import StereoScanOptions, stereo_scan
+from scan2albedo.synthetic import StereoScanner, stereo_scan
 from tests.io.meshes import SQUARE_MM, assert_corner_colors, write_square_obj
 
 HEAD = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
@@ -65,7 +65,7 @@ def test_spikes_and_far_crumbs_do_not_change_the_unit():
 @pytest.mark.parametrize("unit", MM_PER_UNIT)
 def test_stray_patches_that_hang_on_the_face_do_not_change_the_unit(tmp_path, unit):
     """A fifth of the vertices in patches up to 1.3 m away, each joined to the face by a long triangle."""
-    scan, _ = stereo_scan(3, options=StereoScanOptions(stray=(0.2, 0.2), features=()))
+    scan, _ = stereo_scan(3, features=(), scanner=StereoScanner(stray=(0.2, 0.2)))
     parts = vertex_components(len(scan.vertices), scan.faces)
     alone = scan.vertices[parts == np.argmax(np.bincount(parts))]
     first = np.unique(parts, return_index=True)[1]

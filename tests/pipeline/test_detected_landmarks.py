@@ -102,19 +102,21 @@ def test_landmarks_placed_by_hand_win(person, network):
     by_hand[[8, 36]] = [[1.0, 2, 3], [4, 5, 6]]
     placed = replace(scan, landmarks=by_hand)
     network(Network(truth))
-    both = detected.with_detected(placed, truth.model_from_scan).landmarks
+    both = detected.with_detected(placed, truth.model_from_scan)[0].landmarks
     np.testing.assert_array_equal(both.points[[8, 36]], by_hand[[8, 36]])
     assert both.placed.sum() > 30
     network(lambda picture: None)
-    with pytest.warns(UserWarning, match="finds no face"):
-        assert detected.with_detected(placed, truth.model_from_scan).landmarks.placed.sum() == 2
+    alone, (doubt,) = detected.with_detected(placed, truth.model_from_scan)
+    assert alone.landmarks.placed.sum() == 2
+    assert (doubt.level, doubt.reason[:22]) == ("doubt", "MediaPipe finds no fac")
 
 
 def test_a_small_budget_leaves_the_network_out(person, network):
     scan, truth = person
     seen = network(Network(truth))
-    with pytest.warns(UserWarning, match="too little of the budget"):
-        assert detected.with_detected(scan, truth.model_from_scan, 0.5).landmarks is None
+    alone, (doubt,) = detected.with_detected(scan, truth.model_from_scan, 0.5)
+    assert alone.landmarks is None
+    assert "too little of the budget" in doubt.reason
     assert not seen.pictures
 
 
@@ -153,7 +155,7 @@ def test_without_a_model_landmarks_are_told_to_be_unused(monkeypatch, person):
     scan, _ = person
     monkeypatch.setattr(detected, "find_spec", lambda name: None)  # and the network is not asked for
     result = process(scan, landmarks="Auto", model="none", size=32, skip=["albedo"])
-    assert "landmarks are not used: without a model nothing is fitted to them" in result.messages
+    assert "landmarks are not used: without a model nothing is fitted to them" in result.notes
 
 
 def test_a_batch_looks_for_the_network_before_its_first_scan(monkeypatch, tmp_path):

@@ -4,8 +4,7 @@ import csv
 import inspect
 import json
 import os
-import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,7 +16,6 @@ import trimesh
 from PIL import Image
 
 import scan2albedo as s2a
-from scan2albedo.albedo.options import OPTIONAL_STEPS
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
@@ -28,9 +26,9 @@ from scan2albedo.io.obj import write_obj
 from scan2albedo.pipeline import process as pipeline_process
 from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
-from scan2albedo.pipeline.options import FORCEABLE, process_options
-from scan2albedo.registration.refined_pose import refined_registration
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.pipeline.options import STEPS, ProcessOptions
+from scan2albedo.registration.register import refined_registration
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZE = 128
 SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
@@ -58,7 +56,7 @@ FILES = {
 @pytest.fixture(scope="module")
 def case():
     """A synthetic raw scan with its truth, quick to make."""
-    return raw_scan(0, options=RawScanOptions(size=SIZE, picture_size=500, spacing_mm=3.0))
+    return raw_scan(0, scanner=Scanner(size=SIZE, picture_size=500, spacing_mm=3.0))
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +172,7 @@ def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result,
     anew = refined_registration(
         searched, case[0], model, result.fitted.model_from_scan, registration.face_scale
     )
-    assert (anew.rmse_mm, anew.notes) == (registration.rmse_mm, registration.notes)
+    assert (anew.rmse_mm, anew.plan) == (registration.rmse_mm, registration.plan)
     (row,) = result.plan.of_stage("register.refined_pose")
     assert "degrees and" in row.evidence
 
@@ -212,7 +210,7 @@ def test_every_iterative_stage_leaves_a_trace_that_ends_no_worse_than_it_began(r
 
 def test_what_is_doubtful_is_told(case, result, monkeypatch):
     """A doubtful pose and a lamp of unknown strength; nothing about a clear scan."""
-    assert result.notes == (*case[0].notes, *result.messages)
+    assert result.notes == (*case[0].notes, *(step.text for step in result.plan.doubts()))
     assert not any("unsure" in note or "known to" in note for note in result.notes)
     assert "pose unsure" not in result.summary()
 
@@ -233,14 +231,14 @@ def test_what_is_doubtful_is_told(case, result, monkeypatch):
 
 def test_a_hole_where_the_nose_should_be_is_told(case, result):
     """And of the whole face nothing is told."""
-    assert not any("should be" in note or "no person's" in note for note in result.notes)
+    assert not any("no scan near" in note or "proportions" in note for note in result.notes)
     scan, truth = case
     tip = transform_points(invert_rigid(truth.model_from_scan), truth.landmarks[30])
     lost = np.linalg.norm(scan.vertices - tip, axis=1) < 25
     keep = ~lost[scan.faces].any(1)
     holed = replace(scan, faces=scan.faces[keep], uv=scan.uv[keep])
     told = s2a.process(holed, size=64, skip=["albedo"])
-    assert any("no scan to follow where the nose should be" in note for note in told.notes)
+    assert any("no scan near the nose" in note for note in told.notes)
 
 
 @pytest.mark.slow
@@ -297,9 +295,9 @@ def test_an_object_without_a_face_goes_through_xatlas_charts(ball, tmp_path):
 
 def test_unknown_names_and_impossible_wishes_are_refused_before_any_work(case):
     for wrong, message in (
-        ({"skip": ["nonsense"]}, "no stage"),
+        ({"skip": ["nonsense"]}, "unknown stage"),
         ({"skip": ["fit"]}, "cannot be skipped"),
-        ({"force": ["nonsense"]}, "no stage"),
+        ({"force": ["nonsense"]}, "unknown stage"),
         (
             {"force": ["fit"]},
             "'fit' cannot be forced.*can be forced is register.depth_annealing, albedo.shad",
@@ -344,7 +342,7 @@ def test_forced_steps_run_whatever_the_evidence(ball):
     steps = ["albedo.shadows", "albedo.specular", "albedo.near_light", "albedo.roughness"]
     plan = s2a.process(ball, model="none", size=48).plan
     assert not any(plan.ran(step) for step in steps)
-    assert {step.stage for step in plan} > {name for name in FORCEABLE if name.startswith("albedo.")}
+    assert {step.stage for step in plan} > {name for name in STEPS if name.startswith("albedo.")}
     forced = s2a.process(ball, model="none", size=48, force=steps)
     assert all(forced.plan.ran(step) for step in steps)
     assert forced.options["force"] == sorted(steps)
@@ -357,32 +355,17 @@ def test_half_a_face_is_told(case):
     half = replace(scan, faces=scan.faces[kept], uv=scan.uv[kept])
     result = s2a.process(half, size=64, skip=["albedo"])
     assert result.fitted.metrics["coverage"] < 0.8
-    assert sum("% of the face has scan near it" in message for message in result.messages) == 1
+    assert sum("% of the face has scan near it" in note for note in result.notes) == 1
 
 
-def test_warnings_of_the_stages_are_kept_and_others_pass(ball, monkeypatch):
-    sample = pipeline_process.geometry_image_of_scan
-
-    def warn(*arguments):
-        warnings.warn("a hair in the soup", UserWarning, stacklevel=1)
-        warnings.warn("mean of empty slice", RuntimeWarning, stacklevel=1)
-        return sample(*arguments)
-
-    monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", warn)
-    with pytest.warns(RuntimeWarning, match="empty slice"):
-        result = s2a.process(ball, model="none", size=48, skip=["albedo"])
-    assert result.messages == ("a hair in the soup",)
-
-
-def test_an_error_carries_what_the_stages_warned_of_before(ball, monkeypatch):
+def test_an_error_carries_the_doubts_of_earlier_stages(ball, monkeypatch):
     def fail(*arguments):
-        warnings.warn("a hair in the soup", UserWarning, stacklevel=1)
         raise ScanError("no soup")
 
     monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", fail)
     with pytest.raises(ScanError, match="no soup") as caught:
-        s2a.process(ball, model="none", size=48)
-    assert caught.value.__notes__ == ["a hair in the soup"]
+        s2a.process(ball, model="none", size=48, landmarks={30: (0, 0, 60)})
+    assert caught.value.__notes__ == ["landmarks are not used: without a model nothing is fitted to them"]
 
 
 def test_the_input_is_hashed_as_it_was_read(tmp_path, monkeypatch):
@@ -401,18 +384,26 @@ def test_the_input_is_hashed_as_it_was_read(tmp_path, monkeypatch):
     assert record["input"]["sha256"] == result.input_sha256 == before != input_sha256(scan)
 
 
-def test_every_step_that_evidence_decides_on_can_be_forced():
-    assert (STEP, *OPTIONAL_STEPS) == FORCEABLE
-
-
 def test_its_options_are_its_parameters():
-    shown = inspect.signature(s2a.process).parameters
-    code = s2a.process.__code__
-    own = code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]
-    assert [name for name in shown if name not in own] == [option.name for option in process_options()]
-    assert len(shown) == len(own) + len(process_options())
-    with pytest.raises(TypeError, match="sise"):
-        s2a.process("nobody.obj", sise=64)
+    shown = dict(inspect.signature(s2a.process).parameters)
+    own = [shown.pop(name) for name in ("source", "out", "name", "on_progress", "unknown")]
+    assert len(own) == 5
+    assert {name: (one.default, one.annotation) for name, one in shown.items()} == {
+        option.name: (option.default, option.type) for option in fields(ProcessOptions)
+    }
+
+
+@pytest.mark.parametrize(
+    ("wrong", "hint"),
+    [
+        ("sise", "process\\(\\) has no option 'sise': did you mean 'size'\\?"),
+        ("onprogress", "did you mean 'on_progress'"),
+        ("xyz", "has no option 'xyz'; options are name, on_progress, model, "),
+    ],
+)
+def test_an_unknown_option_is_named_with_the_one_that_is_meant(wrong, hint):
+    with pytest.raises(TypeError, match=hint):
+        s2a.process("nobody.obj", **{wrong: 64})
 
 
 def test_the_default_model_has_a_name(ball):

@@ -5,30 +5,30 @@ from dataclasses import replace
 import pytest
 
 import scan2albedo as s2a
-from scan2albedo.pipeline.quality import PRESETS, Quality, quality_of
+from scan2albedo.pipeline.options import PRESETS, ProcessOptions, Quality
 
 
 def test_standard_is_every_stage_by_its_defaults():
-    assert quality_of("standard") == Quality("standard")
+    assert ProcessOptions().stages == Quality("standard")
 
 
 def test_presets_carry_their_names():
     assert {name: quality.name for name, quality in PRESETS.items()} == {name: name for name in PRESETS}
-    assert list(PRESETS) == ["draft", "standard", "best"]
+    assert list(PRESETS) == ["draft", "standard", "best", "paper"]
 
 
 def test_best_is_standard_with_more_texels():
-    assert replace(quality_of("best"), name="standard", size=512) == quality_of("standard")
+    assert replace(PRESETS["best"], name="standard", size=512) == PRESETS["standard"]
 
 
 def test_an_unknown_quality_is_refused_with_the_names_there_are():
-    with pytest.raises(ValueError, match=r"'fine', expected one of draft, standard, best"):
+    with pytest.raises(ValueError, match=r"'fine', expected one of draft, standard, best, paper"):
         s2a.process("nobody.obj", quality="fine")
 
 
 def test_own_qualities_pass_through():
     own = replace(PRESETS["draft"], name="own")
-    assert quality_of(own) is own
+    assert ProcessOptions(quality=own).stages is own
 
 
 def test_too_small_an_image_is_refused():
@@ -37,8 +37,8 @@ def test_too_small_an_image_is_refused():
 
 
 def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for():
-    few = s2a.synthetic.RawScanOptions(spacing_mm=6.0, picture_size=48, size=64)
-    scan, _ = s2a.synthetic.raw_scan(0, options=few)
+    few = s2a.synthetic.Scanner(spacing_mm=6.0, picture_size=48, size=64)
+    scan, _ = s2a.synthetic.raw_scan(0, scanner=few)
     draft = s2a.process(scan, quality="draft", skip=["albedo"])
     best = s2a.process(scan, quality="best", size=64, skip=["albedo"])
     assert draft.geometry_image.mask.shape == (256, 256)
@@ -46,3 +46,13 @@ def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for():
     assert draft.options["quality"] == "draft"
     steps = [result.trace.of_stage("fit").rows[-1].evaluations for result in (draft, best)]
     assert steps[0] < steps[1]
+
+
+def test_the_papers_search_is_chosen_by_name():
+    image = s2a.synthetic.face(0, size=32).image
+    sphere = s2a.RawScan(
+        *image.triangulated(), vertex_color_linear=image.texture_linear[image.mask], name="lit"
+    )
+    result = s2a.process(sphere, model="none", size=32, quality="paper", lights=1)
+    (outlines,) = result.plan.of_stage("albedo.outlines")
+    assert (result.options["quality"], outlines.reason) == ("paper", "no part of the paper's method")

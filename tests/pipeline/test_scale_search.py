@@ -7,14 +7,14 @@ import pytest
 
 import scan2albedo as s2a
 from scan2albedo.errors import NoFaceError, RegistrationError, UnitError
-from scan2albedo.pipeline.scale_search import ScaledScan, registered_at_any_scale
+from scan2albedo.pipeline.scale_search import registered_at_any_scale
 from scan2albedo.registration import Registration
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 
 @pytest.fixture(scope="module")
 def case():
-    return raw_scan(0, options=RawScanOptions(size=64, picture_size=64, spacing_mm=3.5))
+    return raw_scan(0, scanner=Scanner(size=64, picture_size=64, spacing_mm=3.5))
 
 
 def write(path, scan, factor):
@@ -56,11 +56,11 @@ def test_a_doubtful_face_of_unknown_size_is_refused(case):
         return of, doubtful
 
     with pytest.raises(NoFaceError, match="as it is"):
-        registered_at_any_scale(ScaledScan(scan, True), register)
+        registered_at_any_scale(scan, True, register)
     assert len(tried) == 5
     assert len({float(np.ptp(each.vertices)) for each in tried}) == 5
     with pytest.raises(NoFaceError, match="at any scale"):
-        registered_at_any_scale(ScaledScan(scan, False), lambda of: (of, register(of)[1]))
+        registered_at_any_scale(scan, False, lambda of: (of, register(of)[1]))
 
 
 def test_what_fits_is_registered_once(case):
@@ -72,5 +72,5 @@ def test_what_fits_is_registered_once(case):
         return of, sure
 
     scan = replace(case[0], name="once")
-    assert registered_at_any_scale(ScaledScan(scan, True), register) == (scan, sure)
+    assert registered_at_any_scale(scan, True, register) == (scan, sure)
     assert calls == [scan]

@@ -17,7 +17,7 @@ from scan2albedo.io.images import encode_image, read_image_linear
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
 from scan2albedo.pipeline.textured_files import write_unlit
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZE = 128
 
@@ -39,7 +39,7 @@ def with_template(model, columns=1):
 
 @pytest.fixture(scope="module")
 def case():
-    return raw_scan(0, options=RawScanOptions(size=SIZE, picture_size=500, spacing_mm=3.0))
+    return raw_scan(0, scanner=Scanner(size=SIZE, picture_size=500, spacing_mm=3.0))
 
 
 @pytest.fixture(scope="module")
@@ -216,15 +216,16 @@ def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
     skipped = s2a.process(case[0], size=32, unlit="face", skip=["albedo"])
     step = next(step for step in skipped.plan if step.stage == "unlit")
     assert not step.ran
-    assert step.reason == "no albedo was estimated, and so no light to take off the scan"
-    assert f"unlit is left out: {step.reason}" in skipped.messages
+    assert step.reason == "unlit is left out: no albedo was estimated, so the light is not known"
+    assert step.reason in skipped.notes
     assert skipped.unlit is None
 
 
 def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
     tight = s2a.process(case[0], size=32, unlit="all", budget=0.05)
     step = next(step for step in tight.plan if step.stage == "unlit")
-    assert step.reason == "the budget ended before it"
+    assert step.reason == "unlit is left out: the budget ended before it"
+    assert step.level == "wrong"
     assert tight.fitted is not None
 
 

@@ -10,11 +10,9 @@ from scan2albedo.pipeline.validation import (
     ValidationRow,
     ValidationTable,
     angle_between_deg,
-    format_table,
     mean_deviation_percent,
-    validate_face,
-    validate_hemisphere,
     validate_lighting,
+    validate_scenes,
     validation_row,
 )
 from scan2albedo.synthetic import Material, hemisphere, light_at
@@ -55,13 +53,13 @@ def test_scenes_cover_every_light_texture_and_reflectance(monkeypatch):
 
     monkeypatch.setattr(validation, "validation_row", recorded)
     progress = []
-    table = validate_hemisphere(size=16, on_row=progress.append)
+    table = validate_scenes("hemisphere", size=16, on_row=progress.append)
     assert len(table.rows) == len(set(asked)) == 12
     assert tuple(progress) == table.rows
     assert {a[2] for a in asked} == {0.0, 30.0, 60.0}
     assert all(np.rad2deg(a[3].azimuth_rad) == pytest.approx(a[2]) for a in asked)
     assert table.paper_mse_percent == 1.07
-    assert validate_face(size=16).paper_mse_percent == 2.01
+    assert validate_scenes("face", size=16).paper_mse_percent == 2.01
 
 
 def test_the_worst_row_and_channel_count():
@@ -83,14 +81,14 @@ def test_deviation_over_lights_by_hand():
 
 
 def test_tables_show_our_figures_beside_the_papers():
-    text = format_table(ValidationTable("face", (row(), row(light_angle_deg=60.0)), 2.01))
+    text = ValidationTable("face", (row(), row(light_angle_deg=60.0)), 2.01).text()
     assert "worst: 0.0300 %   the paper: 2.01 %" in text
     assert "60°" in text
     assert len({len(line) for line in text.splitlines()[1:-1]}) == 1
     lighting = LightingTable((LightingRow(1, 12.0, 2.0), LightingRow(2, 10.0, 3.0)), 11.0, 4.0)
     assert lighting.texture_std_percent == 11.0
     assert lighting.albedo_std_percent == 2.5
-    text = format_table(lighting)
+    text = lighting.text()
     assert "11.00 %" in text
     assert "4.00 %" in text
     assert "2.50 %" in text
@@ -98,12 +96,12 @@ def test_tables_show_our_figures_beside_the_papers():
 
 @pytest.mark.slow
 def test_hemispheres_stay_below_a_tenth_of_a_percent():
-    assert validate_hemisphere().worst_mse_percent <= 0.1
+    assert validate_scenes("hemisphere").worst_mse_percent <= 0.1
 
 
 @pytest.mark.slow
 def test_faces_stay_below_a_fifth_of_a_percent():
-    assert validate_face().worst_mse_percent <= 0.2
+    assert validate_scenes("face").worst_mse_percent <= 0.2
 
 
 @pytest.mark.slow

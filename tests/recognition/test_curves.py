@@ -114,8 +114,8 @@ def test_choices_out_of_range_are_refused():
 def test_figures_show_every_curve_with_its_interval():
     found = {"albedo": build_identification(separation=3.0), "texture": build_identification()}
     curves = {name: cmc_curve(one) for name, one in found.items()}
-    axis = cmc_figure(curves, most_ranks=5).axes[0]
-    assert [len(line.get_xdata()) for line in axis.lines] == [5, 5]
+    axis = cmc_figure(curves).axes[0]
+    assert [len(line.get_xdata()) for line in axis.lines] == [20, 20]
     assert len(axis.collections) == 2
     assert axis.figure.legends[0].get_texts()[1].get_text().startswith("texture, 40 probes: rank 1")
     rocs = {name: roc_curve(one, resamples=20) for name, one in found.items()}

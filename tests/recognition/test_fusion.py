@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from recognition_experiment.calibration import calibrated
 
-from scan2albedo.recognition import Calibration, fused
+from scan2albedo.recognition import fused
 
 
 def build_scores(seed, count=2000, together=0.5):
@@ -21,7 +22,7 @@ def error(scores, genuine):
 
 
 def test_both_are_better_than_either():
-    calibration = Calibration.of(*build_scores(0)[0], build_scores(0)[1])
+    calibration = calibrated(*build_scores(0)[0], build_scores(0)[1])
     (albedo, shape), genuine = build_scores(1)
     together = fused({"albedo": albedo[None], "shape": shape[None]}, calibration)[0]
     alone = min(error(albedo, genuine), error(shape, genuine))
@@ -32,7 +33,7 @@ def test_both_are_better_than_either():
 
 def test_where_one_is_missing_the_other_keeps_its_scale():
     scores, genuine = build_scores(0)
-    calibration = Calibration.of(*scores, genuine)
+    calibration = calibrated(*scores, genuine)
     nothing = np.full((1, 1), np.nan)
     albedo, shape = np.array([[0.74], [0.74]]), np.array([[np.nan], [0.82]])
     of_albedo, both = fused({"albedo": albedo, "shape": shape}, calibration)
@@ -42,7 +43,7 @@ def test_where_one_is_missing_the_other_keeps_its_scale():
 
 def test_where_all_are_compared_by_one_kind_its_similarities_stay():
     scores, genuine = build_scores(0)
-    calibration = Calibration.of(*scores, genuine)
+    calibration = calibrated(*scores, genuine)
     known = np.array([[0.78, 1.0], [0.8, 0.9]])
     gray = np.array([[0.7, np.nan], [0.6, np.nan]])
     assert fused({"shape": known}, calibration) is known
@@ -52,7 +53,7 @@ def test_where_all_are_compared_by_one_kind_its_similarities_stay():
 
 def test_a_probe_is_compared_by_what_the_whole_gallery_has():
     scores, genuine = build_scores(0)
-    calibration = Calibration.of(*scores, genuine)
+    calibration = calibrated(*scores, genuine)
     albedo = np.array([[0.9, 0.6, np.nan], [0.9, 0.6, 0.7], [0.9, np.nan, 0.7]])
     shape = np.array([[0.7, 0.8, 0.75], [0.7, 0.8, 0.75], [np.nan, 0.8, 0.75]])
     found = fused({"albedo": albedo, "shape": shape}, calibration)
@@ -64,4 +65,4 @@ def test_a_probe_is_compared_by_what_the_whole_gallery_has():
 
 def test_too_few_pairs_are_no_calibration():
     with pytest.raises(ValueError, match="2 pairs of one person and 4 of two"):
-        Calibration.of(np.arange(6.0), np.arange(6.0), [1, 1, 0, 0, 0, 0])
+        calibrated(np.arange(6.0), np.arange(6.0), [1, 1, 0, 0, 0, 0])

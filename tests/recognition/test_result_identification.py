@@ -16,10 +16,9 @@ from scan2albedo.recognition import (
     albedo_templates,
     cw_ssim,
     identify_results,
-    read_albedo,
+    read_face,
     read_labelled_templates,
     read_manifest,
-    result_templates,
     similarity_matrix,
     write_labelled_templates,
 )
@@ -60,7 +59,7 @@ def test_templates_are_those_of_the_texels_that_were_seen(stored, tmp_path):
     hidden = np.zeros((64, 64), bool)
     hidden[28:36, 10:40] = True
     stored(tmp_path / "ann", 0, hidden=hidden)
-    made = result_templates(read_manifest(listed(tmp_path, [("ann", "ann")])), options=OPTIONS)
+    made = read_labelled_templates(listed(tmp_path, [("ann", "ann")]), options=OPTIONS).sets["albedo"]
     scene = face(0, size=64)
     expected = albedo_templates(
         [scene.albedo_linear], ["ann"], masks=[scene.image.mask & ~hidden], options=OPTIONS
@@ -116,7 +115,7 @@ def test_sizes_and_models_have_to_agree(stored, people, tmp_path, probes):
 def test_charts_of_sets_of_templates_have_to_agree(stored, people, tmp_path):
     stored(tmp_path / "other", 0, model="mine")
     sets = [
-        result_templates(read_manifest(listed(tmp_path, [("ann", path)])), options=OPTIONS)
+        read_labelled_templates(listed(tmp_path, [("ann", path)]), options=OPTIONS).templates
         for path in (people / "ann", tmp_path / "other")
     ]
     with pytest.raises(RecognitionError, match="'default' and the second 64 x 64 texels of model 'mine'"):
@@ -153,15 +152,13 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
     hidden[20:40, 30:50] = True
     stored(tmp_path / "ann", 0, hidden=hidden)
     gallery, probes = listed(tmp_path, [("ann", "ann")]), listed(tmp_path, [("ann", people / "ann")], "p.csv")
-    shown, known = read_albedo(people / "ann"), read_albedo(tmp_path / "ann")
-    expected = cw_ssim(shown.albedo_linear, known.albedo_linear, shown.seen, mask_b=known.seen)
+    shown, known = read_face(people / "ann"), read_face(tmp_path / "ann")
+    expected = cw_ssim(shown.values, known.values, shown.seen, mask_b=known.seen)
     by_albedo = identify_results(gallery, probes, use=["albedo"])
     assert by_albedo.matches.similarities[0, 0] == pytest.approx(expected, abs=1e-5)
     by_both = identify_results(gallery, probes)
     assert by_both.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
-    transformed = [
-        TemplateTransformer(mask=one.seen).fit_transform([one.albedo_linear]) for one in (known, shown)
-    ]
+    transformed = [TemplateTransformer(mask=one.seen).fit_transform([one.values]) for one in (known, shown)]
     distance = DistanceTransformer().fit(transformed[0]).transform(transformed[1])
     assert distance[0, 0] == pytest.approx(1 - expected, abs=1e-5)
 
@@ -225,21 +222,21 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
         identify_results(gallery, only, use=["albedo"])
 
 
-def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery):
+def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery, monkeypatch):
     stored(tmp_path / "masked", 0, hidden=np.ones((64, 64), bool))
     narrow = np.ones((64, 64), bool)
     narrow[28:36, 28:36] = False
     stored(tmp_path / "narrow", 0, hidden=narrow)
     rows = [("bob", people / "bob-2"), ("ann", "masked"), ("ann", "narrow")]
-    options = TemplateOptions(size=64, hole_radius=0)
-    found = identify_results(gallery, listed(tmp_path, rows), options=options)
+    monkeypatch.setattr("scan2albedo.recognition.templates.HOLE_RADIUS", 0)
+    found = identify_results(gallery, listed(tmp_path, rows), options=OPTIONS)
     assert found.matches.predicted() == ("bob",)
     assert "line 3: masked: is masked everywhere" in found.notes[0]
     assert "list.csv: narrow: no window of 3 x 3 coefficients lies inside the mask" in found.notes[1]
     with pytest.raises(RecognitionError, match=r"no result has a shape .*masked: is masked everywhere"):
-        identify_results(gallery, listed(tmp_path, rows[1:2]), options=options)
+        identify_results(gallery, listed(tmp_path, rows[1:2]), options=OPTIONS)
     with pytest.raises(RecognitionError, match=r"narrow: no window of 3 x 3 .* and no result is left"):
-        identify_results(gallery, listed(tmp_path, rows[2:]), options=options)
+        identify_results(gallery, listed(tmp_path, rows[2:]), options=OPTIONS)
 
 
 def test_halves_of_faces_that_do_not_meet_count_as_unlike(people, stored, tmp_path):

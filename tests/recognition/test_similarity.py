@@ -8,7 +8,6 @@ from skimage.metrics import structural_similarity
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import (
-    SimilarityOptions,
     TemplateOptions,
     Templates,
     albedo_templates,
@@ -31,7 +30,7 @@ def reference(a, b, mask_a, mask_b, window=3, k=1e-3):
     return np.mean(values)
 
 
-USUAL = SimilarityOptions(window=7)
+USUAL = 7
 """The window of the papers on CW-SSIM."""
 
 
@@ -63,12 +62,12 @@ def test_a_shift_of_two_pixels_is_not_seen(albedo, seed, axis):
     wide = albedo(seed, (160, 160))
     image = wide[16:144, 16:144]
     shifted = np.roll(wide, 2, axis)[16:144, 16:144]
-    assert cw_ssim(image, shifted, similarity=USUAL) >= 0.97
+    assert cw_ssim(image, shifted, window=USUAL) >= 0.97
     assert structural_similarity(image, shifted, data_range=1.0) <= 0.8
 
 
 def test_another_image_is_seen(albedo):
-    assert cw_ssim(albedo(0), albedo(1), similarity=USUAL) < 0.6
+    assert cw_ssim(albedo(0), albedo(1), window=USUAL) < 0.6
     assert cw_ssim(albedo(0), albedo(1)) < 0.8
 
 
@@ -91,11 +90,10 @@ def test_what_is_masked_does_not_count(albedo, face_like_mask):
 @pytest.mark.parametrize("window", [1, 4, 7, 12])
 def test_blocks_are_the_plain_reference(window):
     a, b = random_templates(0, 3), random_templates(1, 4)
-    options = SimilarityOptions(window=window)
-    fast = similarity_matrix(a, b, options=options)
+    fast = similarity_matrix(a, b, window=window)
     if window == 12:
         a, b = (Templates(t.coefficients, np.ones_like(t.mask), t.names) for t in (a, b))
-        fast = similarity_matrix(a, b, options=options)
+        fast = similarity_matrix(a, b, window=window)
     for i in range(3):
         for j in range(4):
             pair = (a.coefficients[i], b.coefficients[j], a.mask[i], b.mask[j])
@@ -151,7 +149,7 @@ def test_images_without_a_window_are_refused(albedo):
     small = np.zeros((128, 128), bool)
     small[60:80, 60:80] = True
     with pytest.raises(RecognitionError, match="no window of 7 x 7"):
-        cw_ssim(image, image, small, similarity=USUAL)
+        cw_ssim(image, image, small, window=USUAL)
 
 
 def test_templates_that_cannot_be_compared_are_refused():
@@ -166,7 +164,9 @@ def test_templates_that_cannot_be_compared_are_refused():
     with pytest.raises(RecognitionError, match="first set is of the shape, the second of the albedo"):
         similarity_matrix(Templates(normals, a.mask, a.names, kind="shape"), a)
     with pytest.raises(RecognitionError, match="window of 13"):
-        similarity_matrix(a, a, options=SimilarityOptions(window=13))
+        similarity_matrix(a, a, window=13)
+    with pytest.raises(ValueError, match="window is 0"):
+        similarity_matrix(a, a, window=0)
     left, right = a.mask.copy(), a.mask.copy()
     left[1, :, 7:] = False
     right[0, :, :7] = False

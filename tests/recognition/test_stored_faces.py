@@ -8,7 +8,7 @@ import pytest
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.images import encode_image, write_exr
-from scan2albedo.recognition import read_albedo
+from scan2albedo.recognition import read_face
 from scan2albedo.synthetic import face
 
 
@@ -21,11 +21,11 @@ def test_a_folder_gives_albedo_seen_texels_and_chart(stored, tmp_path):
     hidden = np.zeros((64, 64), bool)
     hidden[30:40, 20:50] = True
     folder = stored(tmp_path / "ann", 0, hidden=hidden, model="mine")
-    scene, read = face(0, size=64), read_albedo(folder)
-    np.testing.assert_array_equal(read.albedo_linear, scene.albedo_linear)
+    scene, read = face(0, size=64), read_face(folder)
+    np.testing.assert_array_equal(read.values, scene.albedo_linear)
     np.testing.assert_array_equal(read.seen, scene.image.mask & ~hidden)
     assert (read.chart.model, read.chart.shape) == ("mine", (64, 64))
-    of_file = read_albedo(folder / "albedo.exr")
+    of_file = read_face(folder / "albedo.exr")
     np.testing.assert_array_equal(of_file.seen, read.seen)
 
 
@@ -44,10 +44,10 @@ def test_processed_scans_are_read_too(folder):
         "timings_s": {},
     }
     (folder / "result.json").write_text(json.dumps(record))
-    assert read_albedo(folder).chart.model == "mine"
+    assert read_face(folder).chart.model == "mine"
     (folder / "result.json").write_text(json.dumps(record | {"options": {"model": "none"}}))
     with pytest.raises(RecognitionError, match="without a model"):
-        read_albedo(folder)
+        read_face(folder)
 
 
 @pytest.mark.parametrize("name", ["application.json", "geometry_image.npz", "albedo.exr"])
@@ -55,17 +55,17 @@ def test_what_is_missing_or_damaged_is_named(folder, name):
     whole = (folder / name).read_bytes()
     (folder / name).write_bytes(whole[: len(whole) // 3])
     with pytest.raises(RecognitionError, match=name.replace(".", r"\.")):
-        read_albedo(folder)
+        read_face(folder)
     (folder / name).unlink()
     words = "holds no result" if name == "application.json" else f"{name}: is missing"
     with pytest.raises(RecognitionError, match=words):
-        read_albedo(folder)
+        read_face(folder)
 
 
 def test_files_of_different_runs_are_refused(folder):
     write_exr(folder / "albedo.exr", np.ones((20, 20, 3)))
     with pytest.raises(RecognitionError, match="different runs"):
-        read_albedo(folder)
+        read_face(folder)
 
 
 def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
@@ -79,7 +79,7 @@ def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
         encode_image(np.dstack([white, 255 * mask]).astype(np.uint8), ".png")
     )
     for name in ("black.exr", "alpha.exr", "alpha.png"):
-        read = read_albedo(tmp_path / name)
+        read = read_face(tmp_path / name)
         np.testing.assert_array_equal(read.seen, mask, err_msg=name)
         assert (read.chart.model, read.chart.shape) == (None, (64, 64))
 
@@ -87,10 +87,10 @@ def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "gallery.npz").touch()
     with pytest.raises(RecognitionError, match="a file of templates stands for a whole gallery"):
-        read_albedo(tmp_path / "gallery.npz")
+        read_face(tmp_path / "gallery.npz")
     (tmp_path / "notes.txt").touch()
     with pytest.raises(RecognitionError, match="neither the folder of a processed scan nor an image"):
-        read_albedo(tmp_path / "notes.txt")
+        read_face(tmp_path / "notes.txt")
     (tmp_path / "bad.png").write_bytes(b"no picture")
     with pytest.raises(RecognitionError, match=r"bad\.png"):
-        read_albedo(tmp_path / "bad.png")
+        read_face(tmp_path / "bad.png")

@@ -12,7 +12,7 @@ from scan2albedo.recognition import Chart, TemplateOptions, albedo_templates, re
 
 @pytest.fixture
 def templates(albedo, face_like_mask):
-    options = TemplateOptions(channel="value", orientations=4)
+    options = TemplateOptions(size=100, unit_mean=False)
     return albedo_templates(
         [albedo(0), albedo(1)], ["Ann Ö", "bob"], masks=[face_like_mask, None], options=options
     )
@@ -84,8 +84,9 @@ def test_headers_that_do_not_fit_are_named(tmp_path, templates):
     for change, complaint in (
         ({"format": "scan2albedo cameras"}, "format: "),
         ({"names": ["ann"]}, "do not fit"),
-        ({"options": header["options"] | {"scales": 0}}, "options.scales"),
-        ({"options": {"size": 128}}, "options.scales"),
+        ({"options": header["options"] | {"scales": 4}}, "options.scales"),
+        ({"options": header["options"] | {"hole_radius": 0.0}}, "options.hole_radius"),
+        ({"options": {"size": 128}}, "options.unit_mean"),
     ):
         rewritten(path, header=np.array(json.dumps(header | change)))
         with pytest.raises(RecognitionError, match=complaint):

@@ -16,12 +16,12 @@ from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance import read_capture
 from scan2albedo.runs.reflectance.capture_run import fit_capture
 from scan2albedo.runs.reflectance.demo import write_synthetic_capture
-from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
+from scan2albedo.synthetic import Portrait, flash_capture
 
 
 @pytest.fixture(scope="module")
 def capture():
-    return flash_capture(4, options=FlashCaptureOptions(views=2, flashes=3, picture_size=64, levels=1))
+    return flash_capture(4, views=2, flashes=3, levels=1, portrait=Portrait(picture_size=64))
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def test_what_is_written_is_read_again(capture, written):
     assert np.allclose(read.rig.light_positions, capture.light_positions[capture.light])
     assert np.allclose(read.vertices, capture.vertices, atol=1e-4)
     assert (read.faces == capture.faces).all()
-    assert read.reference_distance_mm == capture.options.distance_mm
+    assert read.reference_distance_mm == capture.portrait.distance_mm
     assert read.content.flash_strength == capture.exposure
     olat = read.extract_olat()
     assert olat.linear.shape == (6, 64, 64, 3)
@@ -138,7 +138,7 @@ def test_sixteen_bits_hold_what_eight_do(folder):
 
 
 def test_pictures_without_integers_cannot_be_written(capture, tmp_path):
-    floats = replace(capture, options=replace(capture.options, bits=None))
+    floats = replace(capture, portrait=replace(capture.portrait, bits=None))
     with pytest.raises(ValueError, match="bits"):
         write_synthetic_capture(floats, tmp_path)
 

@@ -10,13 +10,14 @@ import pytest
 from scan2albedo.errors import ReflectanceError, ScanError
 from scan2albedo.reflectance import read_photograph
 from scan2albedo.runs.reflectance.demo import write_synthetic_photograph
-from scan2albedo.synthetic import FacePhotographOptions, face_photograph
+from scan2albedo.synthetic import Portrait, face_photograph
 
 
 @pytest.fixture(scope="module")
 def taken():
-    options = FacePhotographOptions(picture_size=64, lights=4, azimuth_deg=30)
-    return face_photograph(1, np.ones((4, 8, 3)), options=options)
+    return face_photograph(
+        1, np.ones((4, 8, 3)), azimuth_deg=30, lights=4, portrait=Portrait(picture_size=64)
+    )
 
 
 @pytest.fixture(scope="module")

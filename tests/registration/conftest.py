@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from scan2albedo import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, rotation_angle_rad, transform_points
-from scan2albedo.synthetic import RawLikeOptions, raw_like
+from scan2albedo.synthetic import raw_like
 from scan2albedo.synthetic.face_shape import person
 
 FACE_PART = 6706
@@ -39,7 +38,7 @@ def synthetic_scan(model) -> Callable[..., PosedScan]:
         control = person(model, np.random.default_rng(seed))
         subdivision = model.subdivision(2)
         shape = subdivision.matrix @ control
-        scan, scan_from_shape = raw_like(shape, subdivision.faces, seed, options=RawLikeOptions(**options))
+        scan, scan_from_shape = raw_like(shape, subdivision.faces, seed, **options)
         return PosedScan(scan, invert_rigid(scan_from_shape))
 
     return make
@@ -73,7 +72,7 @@ def ict_scan(ict, model) -> Callable[..., PosedScan]:
     def make(shape: str, seed: int, **options) -> PosedScan:
         vertices = ict[shape]
         model_from_shape = model_from_generic @ procrustes(vertices[:FACE_PART], generic[:FACE_PART])
-        scan, scan_from_shape = raw_like(vertices, ict["faces"], seed, options=RawLikeOptions(**options))
+        scan, scan_from_shape = raw_like(vertices, ict["faces"], seed, **options)
         return PosedScan(scan, model_from_shape @ np.linalg.inv(scan_from_shape))
 
     return make

@@ -15,7 +15,7 @@ from scan2albedo.geometry.rigid import (
     transform_points,
 )
 from scan2albedo.registration.placed_pose import PlacedPose
-from scan2albedo.synthetic import StereoScanOptions, stereo_scan
+from scan2albedo.synthetic import StereoScanner, stereo_scan
 
 FIVE = [36, 45, 30, 48, 54]
 
@@ -69,8 +69,8 @@ def test_too_few_or_points_in_a_line_show_no_pose(model, numbers):
 
 
 def test_a_capture_too_poor_to_show_a_face_is_let_in_by_landmarks(model):
-    options = StereoScanOptions(noise_mm=(1.5, 6.0), holes=(15, 60), reach_mm=(45.0, 170.0))
-    scan, truth = stereo_scan(105_020, options=options)
+    scanner = StereoScanner(noise_mm=(1.5, 6.0), holes=(15, 60), reach_mm=(45.0, 170.0))
+    scan, truth = stereo_scan(105_020, scanner=scanner)
     with pytest.raises(NoFaceError):
         register(scan, model)
     scan_from_model = invert_rigid(truth.model_from_scan)

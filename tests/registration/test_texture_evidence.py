@@ -7,7 +7,7 @@ import pytest
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.registration.texture_evidence import TextureEvidence, TextureWitness, texture_evidence
-from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SCORES = [field.name for field in fields(TextureEvidence) if field.name != "log_odds"]
 UPSIDE_DOWN = compose(rotation_from_vector([0, 0, np.pi]), np.zeros(3))
@@ -16,8 +16,8 @@ UPSIDE_DOWN = compose(rotation_from_vector([0, 0, np.pi]), np.zeros(3))
 @pytest.fixture(scope="module", params=range(4))
 def case(request, model):
     """A coloured scan, its right pose, and what its colours say."""
-    options = RawScanOptions(size=32, picture_size=300, spacing_mm=4.0)
-    scan, truth = raw_scan(request.param, options=options)
+    scanner = Scanner(size=32, picture_size=300, spacing_mm=4.0)
+    scan, truth = raw_scan(request.param, scanner=scanner)
     return scan, truth.model_from_scan, TextureWitness.of(scan, model)
 
 

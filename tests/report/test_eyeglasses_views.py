@@ -10,16 +10,16 @@ from scan2albedo.eyeglasses import Camera, register_on_face
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.report import eyeglasses_views
 from scan2albedo.report.eyeglasses_views import SeenView, registration_panels
-from scan2albedo.synthetic import WearerOptions, wearer
+from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
 
-EXACT = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0, mask_noise_px=0)
+EXACT = {"picture_size": 256, "focal_px": 450, "label_noise_px": 0, "mask_noise_px": 0}
 
 
 @pytest.fixture(scope="module")
 def person():
-    return wearer(0, options=EXACT)
+    return wearer(0, **EXACT)
 
 
 @pytest.fixture(scope="module")

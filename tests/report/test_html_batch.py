@@ -8,12 +8,12 @@ import pytest
 
 from scan2albedo import report
 from scan2albedo.errors import MissingDependencyError, Scan2AlbedoError
-from scan2albedo.report.html.batch_section import batch_section
-from scan2albedo.report.html.rows import (
+from scan2albedo.report.html.batch_section import (
     DONE,
     FAILED,
     RESIDUAL,
     ScanRow,
+    batch_section,
     rows_of_catalogue,
     rows_of_folders,
     selected_rows,
@@ -56,18 +56,18 @@ def test_result_files_make_the_table_and_a_damaged_one_is_a_failure_with_its_rea
 def test_the_worst_are_shown_then_the_median_and_the_best():
     rows = [ScanRow(str(k), DONE, folder=k, values={RESIDUAL: v}) for k, v in enumerate((1, 5, 3, 2, 4, 6))]
     rows.append(ScanRow("failed", FAILED, "why"))
-    chosen = selected_rows(rows, 4)
-    assert [rows[k].values[RESIDUAL] for k in chosen.rows] == [6, 5, 3, 1]
-    assert "greatest fit residual, then the median and the best" in chosen.reason
-    assert selected_rows(rows, 0).rows == ()
-    assert len(selected_rows(rows, 99).rows) == 6
-    assert [rows[k].values[RESIDUAL] for k in selected_rows(rows, 2).rows] == [6, 5]
+    chosen, reason = selected_rows(rows, 4)
+    assert [rows[k].values[RESIDUAL] for k in chosen] == [6, 5, 3, 1]
+    assert "greatest fit residual, then the median and the best" in reason
+    assert selected_rows(rows, 0)[0] == ()
+    assert len(selected_rows(rows, 99)[0]) == 6
+    assert [rows[k].values[RESIDUAL] for k in selected_rows(rows, 2)[0]] == [6, 5]
 
 
 def test_scans_without_a_fit_are_chosen_by_their_albedo():
     name = "metrics_albedo_uncertainty_albedo_deviation"
     rows = [ScanRow(str(k), DONE, folder=k, values={name: v}) for k, v in enumerate((0.1, 0.3, 0.2))]
-    assert selected_rows(rows, 1).rows == (1,)
+    assert selected_rows(rows, 1)[0] == (1,)
 
 
 def test_a_catalogue_makes_the_table_with_the_users_columns(write_scan, tmp_path):
@@ -143,12 +143,12 @@ def test_an_empty_catalogue_makes_a_page(tmp_path):
 def test_a_table_that_would_be_too_long_keeps_failures(tmp_path):
     rows = [ScanRow(str(k), FAILED if k == 90 else DONE, values={"seconds": float(k)}) for k in range(100)]
     section = batch_section(rows, {50: "scan-51"}, tmp_path / "page.html", 10)
-    assert len(section.rows) == 10
-    assert section.rows_left_out == 90
-    assert {"90", "50"} <= {row.name for row in section.rows}
-    assert section.counts == {"done": 99, "failed": 1}
+    assert len(section["rows"]) == 10
+    assert section["rows_left_out"] == 90
+    assert {"90", "50"} <= {row["name"] for row in section["rows"]}
+    assert section["counts"] == {"done": 99, "failed": 1}
     running = batch_section([ScanRow("a", "running")], {}, tmp_path / "page.html", 10)
-    assert running.counts == {"done": 0, "running": 1}
+    assert running["counts"] == {"done": 0, "running": 1}
 
 
 def test_distributions_count_the_scans_that_are_done(tmp_path):
@@ -157,12 +157,14 @@ def test_distributions_count_the_scans_that_are_done(tmp_path):
     ]
     rows.append(ScanRow("f", FAILED, values={"seconds": 1e9}))
     rows.append(ScanRow("d", DONE))
-    charts = {chart.column: chart for chart in batch_section(rows, {}, tmp_path / "p.html", 99).histograms}
+    charts = {
+        chart["column"]: chart for chart in batch_section(rows, {}, tmp_path / "p.html", 99)["histograms"]
+    }
     assert set(charts) == {"seconds", "metrics_albedo_lights"}
-    assert sum(bar.count for bar in charts["seconds"].bars) == 30
-    assert charts["seconds"].missing == 1
-    assert [bar.count for bar in charts["metrics_albedo_lights"].bars] == [10, 10, 10]
-    assert [text for _, text in charts["metrics_albedo_lights"].ticks] == ["0", "1", "2"]
+    assert sum(bar["count"] for bar in charts["seconds"]["bars"]) == 30
+    assert charts["seconds"]["missing"] == 1
+    assert [bar["count"] for bar in charts["metrics_albedo_lights"]["bars"]] == [10, 10, 10]
+    assert [text for _, text in charts["metrics_albedo_lights"]["ticks"]] == ["0", "1", "2"]
 
 
 def test_rows_of_result_files_have_the_columns_of_a_catalogue(one_scan):

@@ -14,14 +14,14 @@ from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoError
 from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.report.html.page import _environment, data_json
+from scan2albedo.report.html.write import _environment, data_json
 from tests.report.pages import check
 
 EVIL = "<script>alert('x')</script>\"'&<!--"
 
 
 def written(folder, path, **options):
-    made = report.write_report(folder, path, options=report.ReportOptions(**options))
+    made = report.write_report(folder, path, **options)
     assert made.size_bytes == made.path.stat().st_size
     return check(made.path.read_text(encoding="utf-8"))
 
@@ -33,7 +33,7 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
     words = check(made.path.read_text(encoding="utf-8")).words()
     for told in (
         "fit 0.125 mm mean · 2 lights at (35°, 20°), (−50°, 5°) · albedo ± 1.2 % · 12.5 s",
-        "albedo · shadows ran it shades itself at most 28 %",
+        "albedo · shadows did it shades itself at most 28 %",
         "left out no model was asked for",
         "± 0.5°",
         "Other lights explain the image nearly as well: (−20°, 5°) at 1.5 % more cost",
@@ -191,9 +191,9 @@ def test_without_jinja_the_extra_is_named(one_scan, tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
-def test_options_out_of_range_are_refused():
+def test_options_out_of_range_are_refused(one_scan):
     with pytest.raises(ValueError, match="scans is -1"):
-        report.ReportOptions(scans=-1)
+        report.write_report(one_scan, scans=-1)
 
 
 @pytest.mark.slow

@@ -12,8 +12,7 @@ from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.sampling.cameras import texture_cameras
-from scan2albedo.synthetic import raw_scan
-from scan2albedo.synthetic.raw_scan import RawScanOptions
+from scan2albedo.synthetic import Scanner, raw_scan
 
 PIXELS = 500
 PLACES = np.array([[600.0, 100.0, 800.0], [-550.0, 80.0, 820.0]])
@@ -119,7 +118,7 @@ def test_photographs_on_half_of_a_texture_are_not_enough():
 
 
 def test_the_pods_of_a_synthetic_scan_are_found():
-    scan, truth = raw_scan(3, options=RawScanOptions(picture_size=64, size=32, spacing_mm=4.0))
+    scan, truth = raw_scan(3, scanner=Scanner(picture_size=64, size=32, spacing_mm=4.0))
     positions = transform_points(truth.model_from_scan, texture_cameras(scan).positions)
     azimuth = np.degrees(np.arctan2(positions[:, 0], positions[:, 2]))
     assert np.sort(azimuth) == pytest.approx([-37, 37], abs=3)

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import rasterize_uv
 from scan2albedo.synthetic import Material, face, light_at

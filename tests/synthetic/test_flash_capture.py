@@ -14,20 +14,19 @@ from scan2albedo.reflectance import (
     rig_of_head_poses,
     sample_vertices,
 )
-from scan2albedo.synthetic import FlashCaptureOptions, flash_capture
+from scan2albedo.synthetic import Portrait, flash_capture
 
-FEW = FlashCaptureOptions(views=3, flashes=5, picture_size=192)
-CLEAN = replace(FEW, noise=0.0, bits=None, saturated_part=0.0, hair=False)
+CLEAN = Portrait(picture_size=192, noise=0.0, bits=None, saturated_part=0.0)
 
 
 @pytest.fixture(scope="module")
 def clean():
-    return flash_capture(3, options=CLEAN)
+    return flash_capture(3, views=3, flashes=5, hair=False, portrait=CLEAN)
 
 
 @pytest.fixture(scope="module")
 def noisy():
-    return flash_capture(3, options=FEW)
+    return flash_capture(3, views=3, flashes=5, portrait=Portrait(picture_size=192))
 
 
 def rig_of(capture):
@@ -48,7 +47,7 @@ def samples_of(capture, noise=0.01):
         capture.vertices,
         capture.faces,
         normals=capture.normals,
-        reference_distance_mm=capture.options.distance_mm,
+        reference_distance_mm=capture.portrait.distance_mm,
     )
 
 
@@ -68,11 +67,11 @@ def test_pictures_are_eight_bits_and_some_are_saturated(noisy):
 def test_flashes_stand_where_cameras_do_and_two_above(clean):
     rig = rig_of(clean)
     assert np.allclose(rig.cameras, clean.cameras)
-    centers = rig.camera_positions[:: clean.options.flashes]
+    centers = rig.camera_positions[:: len(clean.light_gain)]
     assert clean.light_positions[:3] == pytest.approx(centers)
     assert (clean.light_positions[3:, 1] > 300).all()
     offsets = clean.light_positions - np.array([0, 0, -5.0])
-    assert np.linalg.norm(offsets, axis=1) == pytest.approx(np.full(5, clean.options.distance_mm))
+    assert np.linalg.norm(offsets, axis=1) == pytest.approx(np.full(5, clean.portrait.distance_mm))
 
 
 def test_colours_at_vertices_are_what_the_lobes_say(clean):
@@ -83,7 +82,7 @@ def test_colours_at_vertices_are_what_the_lobes_say(clean):
         clean.normals,
         rig_of(clean).camera_positions,
         rig_of(clean).light_positions,
-        reference_distance_mm=clean.options.distance_mm,
+        reference_distance_mm=clean.portrait.distance_mm,
     )
     assert np.allclose(lobes, samples.lobes)
     foretold = (
@@ -97,10 +96,10 @@ def test_colours_at_vertices_are_what_the_lobes_say(clean):
 
 
 def test_landmarks_and_vertices_are_in_the_frame_of_the_cameras(clean):
-    for camera in clean.cameras[:: clean.options.flashes]:
+    for camera in clean.cameras[:: len(clean.light_gain)]:
         pixels, depth = project(camera, clean.vertices)
         assert (depth > 700).all()
-        assert ((pixels > 0) & (pixels < clean.options.picture_size)).all()
+        assert ((pixels > 0) & (pixels < clean.portrait.picture_size)).all()
     nearest = np.linalg.norm(clean.landmarks[:, None] - clean.vertices[None], axis=2).min(1)
     assert nearest.max() < 3.0
 
@@ -117,22 +116,24 @@ def test_a_fit_finds_the_reflectance_again(noisy):
 
 @pytest.mark.slow
 def test_gains_of_flashes_are_in_the_pictures():
-    options = replace(CLEAN, views=1, flashes=3, gain_deviation=0.3, room=0.0, picture_size=64)
+    portrait = replace(CLEAN, picture_size=64)
     varied, even = (
-        flash_capture(1, options=options),
-        flash_capture(1, options=replace(options, gain_deviation=0)),
+        flash_capture(1, views=1, flashes=3, gain_deviation=d, room=0.0, hair=False, portrait=portrait)
+        for d in (0.3, 0)
     )
     assert varied.light_gain.mean() == pytest.approx(1)
     assert np.ptp(varied.light_gain) > 0.1
     for k, gain in enumerate(varied.light_gain):
-        light = [c.flash[k] ** c.options.gamma / c.exposure for c in (varied, even)]
+        light = [c.flash[k] ** c.portrait.gamma / c.exposure for c in (varied, even)]
         assert np.allclose(light[0], gain * light[1], rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.slow
 def test_same_seed_same_bits_and_other_seed_other_person():
-    options = replace(FEW, views=1, flashes=1, picture_size=48, levels=1)
-    one, again, other = (flash_capture(seed, options=options) for seed in (5, 5, 6))
+    small = Portrait(picture_size=48)
+    one, again, other = (
+        flash_capture(seed, views=1, flashes=1, levels=1, portrait=small) for seed in (5, 5, 6)
+    )
     assert (one.flash == again.flash).all()
     assert (one.diffuse_linear == again.diffuse_linear).all()
     assert not np.allclose(one.vertices, other.vertices)
@@ -140,8 +141,8 @@ def test_same_seed_same_bits_and_other_seed_other_person():
 
 @pytest.mark.slow
 def test_vertices_of_coarse_meshes_are_those_of_fine_ones():
-    options = replace(FEW, views=1, flashes=1, picture_size=32)
-    coarse, fine = (flash_capture(2, options=replace(options, levels=k)) for k in (1, 2))
+    small = Portrait(picture_size=32)
+    coarse, fine = (flash_capture(2, views=1, flashes=1, levels=k, portrait=small) for k in (1, 2))
     count = len(coarse.vertices)
     assert (coarse.vertices == fine.vertices[:count]).all()
     assert (coarse.weights == fine.weights[:count]).all()
@@ -153,14 +154,30 @@ def test_vertices_of_coarse_meshes_are_those_of_fine_ones():
     [
         ({"views": 0}, "views is 0"),
         ({"flashes": 6, "views": 3}, "6 flashes and 3 views"),
-        ({"bits": 12}, "bits is 12"),
-        ({"saturated_part": 1.0}, "saturated_part"),
-        ({"gamma": 0.0}, "gamma"),
-        ({"noise": -1.0}, "noise"),
         ({"levels": 4}, "levels"),
-        ({"distance_mm": float("nan")}, "distance_mm"),
+        ({"gain_deviation": -1.0}, "gain_deviation"),
+        ({"room": float("inf")}, "room"),
     ],
 )
-def test_options_out_of_range_are_refused(change, told):
+def test_arguments_out_of_range_are_refused(change, told):
     with pytest.raises(ValueError, match=told):
-        replace(FEW, **change)
+        flash_capture(0, **change)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"bits": 12}, "bits is 12"),
+        ({"saturated_part": 1.0}, "saturated_part"),
+        ({"saturated_part": -0.1}, "saturated_part"),
+        ({"gamma": 0.0}, "gamma"),
+        ({"noise": -1.0}, "noise"),
+        ({"noise": float("nan")}, "noise"),
+        ({"reach_mm": 0.0}, "reach_mm"),
+        ({"distance_mm": float("nan")}, "distance_mm"),
+        ({"picture_size": 0}, "picture_size"),
+    ],
+)
+def test_cameras_out_of_range_are_refused(change, told):
+    with pytest.raises(ValueError, match=told):
+        Portrait(**change)

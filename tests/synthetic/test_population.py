@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.synthetic import Material, PopulationOptions, RawScanOptions, light_at, population_scan
+from scan2albedo import AnnotatedFaceModel
+from scan2albedo.synthetic import Material, Population, Scanner, light_at, population_scan
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.face_shape import face_geometry_image, face_surface
 from scan2albedo.synthetic.population import _painter, _random_lights
@@ -14,11 +14,11 @@ from scan2albedo.synthetic.sitter import sit_down
 
 pytestmark = pytest.mark.slow
 
-SMALL = RawScanOptions(spacing_mm=8.0, picture_size=48, size=64)
+SMALL = Scanner(spacing_mm=8.0, picture_size=48, size=64)
 
 
 def scanned(person, session, **choices):
-    return population_scan(person, session, options=PopulationOptions(capture=SMALL, **choices))
+    return population_scan(person, session, population=Population(capture=SMALL, **choices))
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +51,10 @@ def test_less_individuality_makes_people_more_alike():
     model, uv = AnnotatedFaceModel.default(), np.random.default_rng(0).uniform(size=(2000, 2))
 
     def unlike(individuality):
-        options = PopulationOptions(individuality=individuality)
-        skins = [np.log(_painter(model, np.random.default_rng(k), 0.3, options, [0])(uv)) for k in range(2)]
+        population = Population(individuality=individuality)
+        skins = [
+            np.log(_painter(model, np.random.default_rng(k), 0.3, population, [0])(uv)) for k in range(2)
+        ]
         return np.abs(skins[0] - skins[1]).mean()
 
     assert unlike(0.25) == pytest.approx(0.25 * unlike(1.0), rel=1e-6)
@@ -63,13 +65,13 @@ def test_same_seed_same_scan_and_another_population_is_another(first):
     same, _ = scanned(0, 0)
     np.testing.assert_array_equal(scan.vertices, same.vertices)
     np.testing.assert_array_equal(scan.texture_linear, same.texture_linear)
-    _, foreign = population_scan(0, 0, seed=1, options=PopulationOptions(capture=SMALL))
+    _, foreign = population_scan(0, 0, seed=1, population=Population(capture=SMALL))
     assert foreign.lights != first[1].lights
 
 
 def test_lights_stay_in_their_cone_and_apart():
-    options = PopulationOptions(light_cone_deg=40, two_lights=0.5)
-    drawn = [_random_lights(np.random.default_rng(k), options) for k in range(300)]
+    population = Population(light_cone_deg=40, two_lights=0.5)
+    drawn = [_random_lights(np.random.default_rng(k), population) for k in range(300)]
     tilts = [np.degrees(np.arccos(light.direction[2])) for lights in drawn for light in lights]
     assert max(tilts) <= 40
     assert max(tilts) > 38
@@ -148,4 +150,4 @@ def test_brows_and_lips_take_their_own_form():
 )
 def test_options_out_of_range_are_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        PopulationOptions(**wrong)
+        Population(**wrong)

@@ -3,7 +3,7 @@
 import numpy as np
 
 import scan2albedo as s2a
-from scan2albedo.synthetic import PopulationOptions, population_reflectance
+from scan2albedo.synthetic import Population, population_reflectance
 from scan2albedo.synthetic.sitter import sit_down
 
 
@@ -19,10 +19,10 @@ def test_people_correspond_and_differ():
 
 
 def test_shares_of_individuality_make_people_alike():
-    alike = PopulationOptions(individuality=0.2, tones=(0.3, 0.3))
-    own = PopulationOptions(individuality=1.0, tones=(0.3, 0.3))
+    alike = Population(individuality=0.2, tones=(0.3, 0.3))
+    own = Population(individuality=1.0, tones=(0.3, 0.3))
     spread = [
-        np.log(np.stack([population_reflectance(k, options=o).diffuse_linear for k in range(4)]))
+        np.log(np.stack([population_reflectance(k, population=o).diffuse_linear for k in range(4)]))
         .std(0)
         .mean()
         for o in (alike, own)

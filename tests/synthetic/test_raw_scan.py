@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from scan2albedo.face_model import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_components
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import Material, RawScanOptions, raw_scan
+from scan2albedo.synthetic import Material, Scanner, raw_scan
 from scan2albedo.synthetic.head import head_around
 from scan2albedo.synthetic.scanner import two_pods
 from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, HEAD, sit_down
 
-SMALL = RawScanOptions(picture_size=400, size=128, spacing_mm=3.5)
+SMALL = Scanner(picture_size=400, size=128, spacing_mm=3.5)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def sitter():
 
 @pytest.fixture(scope="module")
 def made():
-    return raw_scan(0, options=SMALL, material=Material(sigma_rad=0.0))
+    return raw_scan(0, scanner=SMALL, material=Material(sigma_rad=0.0))
 
 
 def test_pods_project_their_own_rays_back():
@@ -95,7 +95,7 @@ def test_texture_is_the_true_albedo_under_the_true_light(made):
 
 def test_same_seed_same_scan(made):
     scan, truth = made
-    again, same = raw_scan(0, options=SMALL, material=Material(sigma_rad=0.0))
+    again, same = raw_scan(0, scanner=SMALL, material=Material(sigma_rad=0.0))
     assert np.array_equal(scan.vertices, again.vertices)
     assert np.array_equal(scan.texture_linear, again.texture_linear)
     assert np.array_equal(truth.albedo_linear, same.albedo_linear)

@@ -6,11 +6,9 @@ import pytest
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import StereoScanOptions, stereo_scan, stereo_scan_of
+from scan2albedo.synthetic import StereoScanner, stereo_scan, stereo_scan_of
 from scan2albedo.synthetic.sitter import sit_down
-from scan2albedo.synthetic.stereo_features import FEATURE_LANDMARKS, FEATURES, SCRAPS
-
-PLAIN = StereoScanOptions(features=())
+from scan2albedo.synthetic.stereo_scan import FEATURE_LANDMARKS, FEATURES, SCRAPS
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +35,14 @@ def test_scans_have_the_statistics_of_raw_stereo(scans):
 
 
 def test_landmarks_lie_on_the_scan_in_the_truths_frame():
-    scan, truth = stereo_scan(3, options=PLAIN)
+    scan, truth = stereo_scan(3, features=())
     points = in_model_frame(scan, truth)
     apart = np.linalg.norm(points[:, None] - truth.landmarks[None, 17:], axis=2).min(0)
     assert np.median(apart) < 4
 
 
 def test_the_same_seed_gives_the_same_scan_and_another_another():
-    first, again, other = (stereo_scan(seed, options=PLAIN)[0] for seed in (1, 1, 2))
+    first, again, other = (stereo_scan(seed, features=())[0] for seed in (1, 1, 2))
     assert np.array_equal(first.vertices, again.vertices)
     assert len(first.vertices) != len(other.vertices)
 
@@ -55,8 +53,7 @@ def _across(points, center):
 
 def test_each_feature_changes_what_is_measured():
     """Behind glasses, beside a half face and below a chin nothing is left; mouth, beard, fringe stand off."""
-    options = {name: StereoScanOptions(features=(name,)) for name in FEATURES}
-    seen = {name: stereo_scan(5, options=option) for name, option in options.items()}
+    seen = {name: stereo_scan(5, features=(name,)) for name in FEATURES}
     points = {name: in_model_frame(*pair) for name, pair in seen.items()}
     landmarks = seen["glasses"][1].landmarks
 
@@ -74,7 +71,7 @@ def test_each_feature_changes_what_is_measured():
     above = brow + [0, 45, 0]
     assert near("fringe", above, 30)[:, 2].max() > near("glasses", above, 30)[:, 2].max() + 1
     with pytest.raises(ValueError, match="unknown features"):
-        stereo_scan(0, options=StereoScanOptions(features=("moustache",)))
+        stereo_scan(0, features=("moustache",))
 
 
 def _nearest(points, others):
@@ -82,8 +79,8 @@ def _nearest(points, others):
 
 
 def test_captures_of_one_shape_share_the_person_and_nothing_else():
-    options = StereoScanOptions(noise_mm=(0.1, 0.1), features=("open mouth",))
-    pairs = [stereo_scan(6, capture_seed=capture, options=options) for capture in (0, 1)]
+    how = {"features": ("open mouth",), "scanner": StereoScanner(noise_mm=(0.1, 0.1))}
+    pairs = [stereo_scan(6, capture_seed=capture, **how) for capture in (0, 1)]
     (first, truth), (second, other) = pairs
     assert np.array_equal(truth.landmarks, other.landmarks)
     assert (truth.expression, truth.features) == (other.expression, other.features)
@@ -94,19 +91,19 @@ def test_captures_of_one_shape_share_the_person_and_nothing_else():
         points, others = (in_model_frame(*pair) for pair in pairs)
         near = points[np.linalg.norm(points - center, axis=1) < 20]
         assert np.median(ClosestPointQuery(others, second.faces).query(near).distance) < 0.3
-    again, _ = stereo_scan(6, capture_seed=1, options=options)
+    again, _ = stereo_scan(6, capture_seed=1, **how)
     assert np.array_equal(again.vertices, second.vertices)
 
 
 def test_any_head_can_be_scanned_wherever_it_is(model):
     sitter, shift = sit_down(6, expression="smile", model=model), np.array([400.0, -900.0, 250.0])
     landmarks = sitter.face.landmarks + shift
-    plain, before = stereo_scan_of(sitter.vertices + shift, sitter.faces, landmarks, 2, options=PLAIN)
+    plain, before = stereo_scan_of(sitter.vertices + shift, sitter.faces, landmarks, 2, features=())
     assert np.array_equal(before.landmarks, landmarks)
     assert (before.expression, before.features) == ("", ())
     assert np.median(_nearest(landmarks[17:], in_model_frame(plain, before))) < 4
-    options = StereoScanOptions(features=("fringe", "glasses"))
-    worn, truth = stereo_scan_of(sitter.vertices + shift, sitter.faces, landmarks, 2, options=options)
+    features = ("fringe", "glasses")
+    worn, truth = stereo_scan_of(sitter.vertices + shift, sitter.faces, landmarks, 2, features=features)
     eye = landmarks[[37, 38, 40, 41]].mean(0)[None]
     assert _nearest(eye, in_model_frame(worn, truth)) > 6 > _nearest(eye, in_model_frame(plain, before))
     with pytest.raises(ValueError, match=r"landmarks have shape \(51, 3\)"):
@@ -115,7 +112,7 @@ def test_any_head_can_be_scanned_wherever_it_is(model):
 
 @pytest.mark.parametrize("scrap", SCRAPS)
 def test_a_scrap_shows_no_face(scrap):
-    scan, truth = stereo_scan(SCRAPS.index(scrap), options=StereoScanOptions(features=(), scrap=scrap))
+    scan, truth = stereo_scan(SCRAPS.index(scrap), features=(), scrap=scrap)
     piece = vertex_components(len(scan.vertices), scan.faces)[scan.faces[:, 0]]
     largest = np.unique(scan.faces[piece == np.bincount(piece).argmax()])
     assert len(largest) > 50
@@ -125,9 +122,9 @@ def test_a_scrap_shows_no_face(scrap):
 
 def test_a_scrap_of_an_unknown_place_is_refused():
     with pytest.raises(ValueError, match="unknown scrap 'knee'"):
-        stereo_scan(0, options=StereoScanOptions(scrap="knee"))
+        stereo_scan(0, scrap="knee")
 
 
 def test_holes_that_leave_nothing_are_named():
     with pytest.raises(ValueError, match="nothing is left of the head: fewer holes"):
-        stereo_scan(0, options=StereoScanOptions(reach_mm=(20.0, 20.0), holes=(600, 600)))
+        stereo_scan(0, scanner=StereoScanner(reach_mm=(20.0, 20.0), holes=(600, 600)))

@@ -5,16 +5,16 @@ import pytest
 
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic import GlassesBend, WearerOptions, wearer
+from scan2albedo.synthetic import GlassesBend, wearer
 
 pytestmark = pytest.mark.slow
 
-CLEAN = WearerOptions(picture_size=512, focal_px=900, label_noise_px=0, mask_noise_px=0)
+CLEAN = {"picture_size": 512, "focal_px": 900, "label_noise_px": 0, "mask_noise_px": 0}
 
 
 @pytest.fixture(scope="module")
 def person():
-    return wearer(2, options=CLEAN)
+    return wearer(2, **CLEAN)
 
 
 def test_the_frame_rests_on_the_nose(person):
@@ -54,8 +54,8 @@ def test_masks_show_what_the_head_does_not_hide(person):
 
 
 def test_noise_is_as_asked():
-    noisy = WearerOptions(picture_size=512, focal_px=900, label_noise_px=2.0, outliers=2, missing=3)
-    person = wearer(2, options=noisy)
+    noisy = {"picture_size": 512, "focal_px": 900, "label_noise_px": 2.0, "outliers": 2, "missing": 3}
+    person = wearer(2, **noisy)
     pixels = np.stack([project(camera, person.keypoints)[0] for camera in person.cameras])
     off = np.abs(person.labels - pixels)
     assert np.nanmedian(off) == pytest.approx(2.0 * 0.6745, rel=0.35)
@@ -64,7 +64,7 @@ def test_noise_is_as_asked():
 
 
 def test_the_same_seed_gives_the_same_person(person):
-    again = wearer(2, options=CLEAN)
+    again = wearer(2, **CLEAN)
     np.testing.assert_array_equal(person.vertices, again.vertices)
     np.testing.assert_array_equal(person.masks, again.masks)
 

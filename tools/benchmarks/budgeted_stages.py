@@ -159,12 +159,11 @@ def _weights(quick: bool) -> BudgetedStage:
 
 
 def _glasses(quick: bool) -> BudgetedStage:
-    from benchmarks.glasses import QUICK_WEARER, registered, rms_mm, worn_glasses
+    from benchmarks.glasses import QUICK_WEARER_PX, registered, rms_mm, worn_glasses
     from scan2albedo.core import Budget
     from scan2albedo.eyeglasses import FaceRegistrationOptions
-    from scan2albedo.synthetic import WearerOptions
 
-    scene = worn_glasses(0, QUICK_WEARER if quick else WearerOptions())
+    scene = worn_glasses(0, *QUICK_WEARER_PX) if quick else worn_glasses(0)
     options = FaceRegistrationOptions()
 
     def run(budget: float | None, on_progress: ProgressCallback | None) -> FloatArray:

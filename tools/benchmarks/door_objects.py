@@ -10,9 +10,9 @@ import trimesh
 
 from benchmarks.door_scans import light_stage_head, random_body
 from benchmarks.scan_files import face_data
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.io import load_scan
 from scan2albedo.synthetic.head import Mesh, compact, grid_faces, join, shoulder_sheet
 from scan2albedo.synthetic.sitter import HAIR, sit_down

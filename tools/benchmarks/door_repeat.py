@@ -11,13 +11,13 @@ from functools import lru_cache
 import numpy as np
 
 from benchmarks.door_scans import UNSEEN, light_stage_head
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.registration import register
-from scan2albedo.synthetic import StereoScanOptions, stereo_scan_of
+from scan2albedo.synthetic import stereo_scan_of
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.sitter import sit_down
 
@@ -92,14 +92,13 @@ def _shape(number: int) -> _Shape:
 def captured(shape_number: int, capture_seed: int, *, fitting: bool) -> Capture:
     """Scan a shape once more, register the scan and, when `fitting`, fit it."""
     shape, model = _shape(shape_number), AnnotatedFaceModel.default()
-    options = StereoScanOptions(features=shape.features)
     scan, truth = stereo_scan_of(
         shape.vertices,
         shape.faces,
         shape.landmarks,
         UNSEEN + shape_number,
         capture_seed=capture_seed,
-        options=options,
+        features=shape.features,
     )
     scan_from_shape = invert_rigid(truth.model_from_scan)
     registered, fitted, confidence, cpu_s = None, None, None, 0.0

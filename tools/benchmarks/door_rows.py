@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.door_scans import Case
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.registration import Registration, register
 

@@ -10,21 +10,21 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 
 from benchmarks.scan_files import face_data
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.landmarks import PlacedLandmarks
-from scan2albedo.face_model import AnnotatedFaceModel
-from scan2albedo.face_model.template_cleaning import boundary_loops
+from scan2albedo.geometry.mesh import boundary_loops
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.synthetic import StereoScanOptions, StereoTruth, stereo_scan, stereo_scan_of
+from scan2albedo.synthetic import StereoScanner, StereoTruth, stereo_scan, stereo_scan_of
 from scan2albedo.synthetic.head import Mesh, grid_faces, hair_shell, join
-from scan2albedo.synthetic.stereo_features import SCRAPS
+from scan2albedo.synthetic.stereo_scan import SCRAPS
 
 UNSEEN = 100_000
 """Added to the number of every scan: no calibration draws from there on."""
 RIGID = slice(17, 48)
 """iBUG-68: brows, nose and eyes, which no expression moves far."""
-HARD = StereoScanOptions(noise_mm=(1.5, 6.0), holes=(15, 60), reach_mm=(45.0, 170.0))
+HARD = StereoScanner(noise_mm=(1.5, 6.0), holes=(15, 60), reach_mm=(45.0, 170.0))
 """Three times the measured noise and holes and half the reach: about two in three faces are let in, so that
 confidence is met with in every bin."""
 _SPREAD = 0.35
@@ -57,15 +57,15 @@ def face_case(scan: RawScan, truth: StereoTruth, *, rest: FloatArray | None = No
     return Case(scan, kinds, model_from_head @ truth.model_from_scan, landmarks)
 
 
-def own_person(number: int, options: StereoScanOptions = StereoScanOptions()) -> Case:
+def own_person(number: int, scanner: StereoScanner = StereoScanner()) -> Case:
     """Return a random person of `stereo_scan`."""
-    return face_case(*stereo_scan(UNSEEN + number, options=options))
+    return face_case(*stereo_scan(UNSEEN + number, scanner=scanner))
 
 
-def light_stage_person(number: int, options: StereoScanOptions = StereoScanOptions()) -> Case:
+def light_stage_person(number: int, scanner: StereoScanner = StereoScanner()) -> Case:
     """Return raw stereo of a mixture of light-stage people with a mixture of their expressions."""
     head = light_stage_head(np.random.default_rng([41, UNSEEN + number]))
-    scan, truth = stereo_scan_of(head.vertices, head.faces, head.landmarks, UNSEEN + number, options=options)
+    scan, truth = stereo_scan_of(head.vertices, head.faces, head.landmarks, UNSEEN + number, scanner=scanner)
     case = face_case(scan, truth, rest=head.rest)
     return Case(case.scan, (*case.kinds, *head.expressions), case.model_from_scan, case.landmarks)
 
@@ -96,12 +96,11 @@ def hard_person(number: int) -> Case:
 def scrap(number: int) -> Case:
     """Return what raw stereo leaves of a head when it shows no face, of both sorts of people in turn."""
     place = SCRAPS[number // 2 % len(SCRAPS)]
-    options = StereoScanOptions(scrap=place)
     if number % 2:
         head = light_stage_head(np.random.default_rng([43, UNSEEN + number]))
-        scan, _ = stereo_scan_of(head.vertices, head.faces, head.landmarks, UNSEEN + number, options=options)
+        scan, _ = stereo_scan_of(head.vertices, head.faces, head.landmarks, UNSEEN + number, scrap=place)
     else:
-        scan, _ = stereo_scan(UNSEEN + number, options=options)
+        scan, _ = stereo_scan(UNSEEN + number, scrap=place)
     return Case(scan, (place,))
 
 

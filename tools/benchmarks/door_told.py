@@ -18,9 +18,9 @@ from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
-from scan2albedo.synthetic import RawLikeOptions, RawScanOptions, raw_like, raw_scan
+from scan2albedo.synthetic import Scanner, raw_like, raw_scan
 from scan2albedo.synthetic.head import join
-from scan2albedo.synthetic.stereo_features import scrap_of
+from scan2albedo.synthetic.stereo_scan import scrap_of
 
 STRETCHES = (1.5, 0.67)
 NOSE_HOLE_MM = 26.0
@@ -72,15 +72,15 @@ def false_faces(
 
 def _own(number: int) -> tuple[RawScan, FloatArray]:
     """Return a textured scan of a random person, face to +z, and its landmarks."""
-    options = RawScanOptions(size=64, picture_size=500)
-    scan, truth = raw_scan(200_000 + number, options=options)
+    scanner = Scanner(size=64, picture_size=500)
+    scan, truth = raw_scan(200_000 + number, scanner=scanner)
     return replace(scan, vertices=transform_points(truth.model_from_scan, scan.vertices)), truth.landmarks
 
 
 def _light_stage(number: int) -> tuple[RawScan, FloatArray]:
     """Return an untextured scan of a light-stage person, face to +z, and its landmarks."""
     head = light_stage_head(np.random.default_rng([79, number]), {}, hair=False)
-    scan, scan_from_head = raw_like(head.vertices, head.faces, number, options=RawLikeOptions())
+    scan, scan_from_head = raw_like(head.vertices, head.faces, number)
     vertices = transform_points(invert_rigid(scan_from_head), scan.vertices)
     return replace(scan, vertices=vertices, name="light-stage"), head.landmarks
 

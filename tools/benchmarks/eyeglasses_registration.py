@@ -21,26 +21,25 @@ from scan2albedo.eyeglasses import (
     register_on_face,
 )
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.inputs import checked_inputs
 from scan2albedo.eyeglasses.on_face.objective import (
     Linearization,
-    OutlineSamples,
     RegistrationObjective,
     descend,
 )
-from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
-from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
-from scan2albedo.eyeglasses.on_face.registration_report import mark_deviations
+from scan2albedo.eyeglasses.on_face.outline import FrameMesh, OutlineSampler, OutlineSamples
+from scan2albedo.eyeglasses.on_face.report import mark_deviations
 from scan2albedo.eyeglasses.on_face.start_poses import starting_poses
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic import Wearer, WearerOptions, wearer
+from scan2albedo.synthetic import Wearer, wearer
 
-CASES = {
-    "exact": WearerOptions(label_noise_px=0, mask_noise_px=0),
-    "1 px / 1 px": WearerOptions(),
-    "4 px / 2 px": WearerOptions(label_noise_px=4, mask_noise_px=2),
-    "3 outliers a view": WearerOptions(outliers=3),
-    "8 key points missing": WearerOptions(missing=8),
-    "hair over temples": WearerOptions(hair=True),
+CASES: dict[str, dict[str, Any]] = {
+    "exact": {"label_noise_px": 0, "mask_noise_px": 0},
+    "1 px / 1 px": {},
+    "4 px / 2 px": {"label_noise_px": 4, "mask_noise_px": 2},
+    "3 outliers a view": {"outliers": 3},
+    "8 key points missing": {"missing": 8},
+    "hair over temples": {"hair": True},
 }
 ADAM_STEPS_MM = (1.0, 0.3, 0.1, 0.03)
 ADAM_ITERATIONS = 3000
@@ -67,7 +66,7 @@ def bench_cases(seeds: int) -> None:
     for name, options in CASES.items():
         rows = []
         for seed in range(seeds):
-            worn = wearer(seed, options=options)
+            worn = wearer(seed, **options)
             cpu = time.process_time()
             found = register(worn, seed)
             cpu = time.process_time() - cpu
@@ -127,7 +126,7 @@ class SameLoss:
         mesh = FrameMesh(SkinnedPoints(given.vertices, scene.weights), given.faces)
         self.points, self.unit = mesh.points, given.unit
         assert given.head is not None
-        sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head), options)
+        sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head))
         near = self.descend(None)
         motion = self.objective.motion(near[0])
         self.samples: OutlineSamples = sampler.sample(motion, mark_deviations(given, motion, near[1]))

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 
-from benchmarks.presets import preset_settings
 from benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import FloatArray
@@ -17,10 +16,11 @@ from scan2albedo.eyeglasses import (
     bounded_biharmonic_weights,
     register_on_face,
 )
-from scan2albedo.synthetic import Wearer, WearerOptions, wearer
+from scan2albedo.synthetic import Wearer, wearer
 
 _SCENES, _QUICK_SCENES = 4, 1
-QUICK_WEARER = WearerOptions(picture_size=256, focal_px=450.0)
+QUICK_WEARER_PX = (256, 450.0)
+"""Size of the pictures and focal length of a wearer for quick runs; 1024 and 1800 by default."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class WornGlasses:
 
 
 @cache
-def worn_glasses(seed: int, options: WearerOptions = WearerOptions()) -> WornGlasses:
+def worn_glasses(seed: int, picture_size: int = 1024, focal_px: float = 1800.0) -> WornGlasses:
     """Return a wearer with the weights of the frame, which the registration is given."""
-    worn = wearer(seed, options=options)
+    worn = wearer(seed, picture_size=picture_size, focal_px=focal_px)
     glasses = worn.glasses
     weights = bounded_biharmonic_weights(glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
     return WornGlasses(worn, weights)
@@ -74,9 +74,6 @@ def _settings(quick: bool) -> list[Setting]:
         return [default, *within(options, (4,))]
     return [
         default,
-        *preset_settings("glasses"),
-        *varied("outline_stride", options, (2, 4, 8, 16)),
-        *varied("outline_correlation_px", options, (5.0, 10.0, 40.0), "{:g} px".format),
         *varied("bend", options, (False,)),
         *within(options, (2, 4, 8, 12, 16, 24, 32, 48)),
     ]
@@ -93,7 +90,7 @@ def _peers(quick: bool) -> list[Peer]:
 
 def _scenes(quick: bool) -> list[WornGlasses]:
     if quick:
-        return [worn_glasses(seed, QUICK_WEARER) for seed in range(_QUICK_SCENES)]
+        return [worn_glasses(seed, *QUICK_WEARER_PX) for seed in range(_QUICK_SCENES)]
     return [worn_glasses(seed) for seed in range(_SCENES)]
 
 

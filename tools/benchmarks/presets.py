@@ -6,19 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.sweep import Setting
-from scan2albedo.eyeglasses import FaceRegistrationOptions
-from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
-from scan2albedo.pipeline.quality import PRESETS
-from scan2albedo.sampling import LookupOptions
+from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES
+from scan2albedo.eyeglasses.weighting.weights import TOLERANCE
+from scan2albedo.pipeline.options import PRESETS
 
 STANDARD = "standard"
-GLASSES: dict[str, dict[str, Any]] = {
-    "draft": {"outline_stride": 2},
-    "best": {"outline_correlation_px": 40.0},
-}
 WEIGHTS: dict[str, dict[str, Any]] = {
-    "draft": {"tolerance": 1e-4, "finest": 1 / 85},
-    "best": {"coarsest": 1 / 150, "max_nodes": 20_000},
+    "draft": {"tolerance": 1e-4},
+    "best": {"max_nodes": 20_000},
 }
 """Fields that differ from the defaults, of stages that `process` does not have; `quality.PRESETS` has the
 others'."""
@@ -29,23 +24,24 @@ class SizeOptions:
     """What a geometry image is made with."""
 
     size: int = 512
-    lookup: LookupOptions = LookupOptions()
 
 
 @dataclass(frozen=True)
 class SpacingOptions:
-    """A lattice's spacing in mm, or "auto"."""
+    """A lattice's spacing in mm, or "auto", and the limits of `solve_weights`."""
 
     spacing: str | float = "auto"
-    options: WeightOptions = WeightOptions()
+    max_nodes: int = MAX_NODES
+    tolerance: float = TOLERANCE
+
+    def limits(self) -> dict[str, Any]:
+        return {"max_nodes": self.max_nodes, "tolerance": self.tolerance}
 
 
 def preset_settings(stage: str) -> list[Setting]:
     """Return the presets of a stage as settings, short of those that leave it at its default."""
-    if stage == "glasses":
-        named: dict[str, Any] = {name: FaceRegistrationOptions(**fields) for name, fields in GLASSES.items()}
-    elif stage == "weights":
-        named = {name: SpacingOptions(options=WeightOptions(**fields)) for name, fields in WEIGHTS.items()}
+    if stage == "weights":
+        named: dict[str, Any] = {name: SpacingOptions(**fields) for name, fields in WEIGHTS.items()}
     else:
         standard = _of_process(stage, PRESETS[STANDARD])
         every = {name: _of_process(stage, quality) for name, quality in PRESETS.items()}

@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw
 import scan2albedo as s2a
 from benchmarks.environments import ENVIRONMENTS, errors, reference_lights
 from benchmarks.scan_files import face_data
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.applications import (
     ProcessedFace,
     RelightOptions,
@@ -30,7 +31,6 @@ from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.lighting.environment import DistantLights, LightSpread
 from scan2albedo.pipeline.result import write_result
 from scan2albedo.rendering.scene_light import SceneLight

@@ -20,7 +20,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     shade_environment,
 )
-from scan2albedo.synthetic import FacePhotographOptions, face_photograph, face_shape
+from scan2albedo.synthetic import Portrait, face_photograph, face_shape
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 
 CAMERA_MM = np.array([0.0, 0.0, 900.0])
@@ -130,8 +130,8 @@ class GeometryScene:
 def geometry_scene(seed: int) -> GeometryScene:
     """Return a person under generated light, without hair, whose reflectance and light are known."""
     environment = generated_environment(80_000 + seed)
-    options = FacePhotographOptions(hair=False, gamma=1.0, bits=None, lights=128, saturated_part=0.0)
-    taken = face_photograph(seed, environment, options=options)
+    portrait = Portrait(gamma=1.0, bits=None, saturated_part=0.0)
+    taken = face_photograph(seed, environment, hair=False, lights=128, portrait=portrait)
     known = np.ones(len(taken.vertices), bool)
     light = taken.exposure * project_environment(environment)
     return GeometryScene(

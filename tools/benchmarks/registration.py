@@ -40,10 +40,10 @@ BASIN_DEG, BASIN_MM = 10.0, 15.0
 """Within these a fit finds the rest."""
 _SCENES, _QUICK_SCENES = 6, 1
 _EFFORTS: dict[str, dict[str, Any]] = {
-    "1/64": {"rotation_count": 12, "anchor_spacing_mm": 60.0, "kept_starts": 20, "candidates": 2},
-    "1/16": {"rotation_count": 25, "anchor_spacing_mm": 45.0, "kept_starts": 40, "candidates": 2},
-    "1/4": {"rotation_count": 50, "kept_starts": 60, "candidates": 4},
-    "4": {"rotation_count": 400, "anchor_spacing_mm": 20.0, "kept_starts": 480, "candidates": 16},
+    "1/64": {"anchor_spacing_mm": 60.0, "kept_starts": 20, "candidates": 2},
+    "1/16": {"anchor_spacing_mm": 45.0, "kept_starts": 40, "candidates": 2},
+    "1/4": {"kept_starts": 60, "candidates": 4},
+    "4": {"anchor_spacing_mm": 20.0, "kept_starts": 480, "candidates": 16},
 }
 """Several knobs at once; the name is about the number of starts relative to the default."""
 
@@ -64,15 +64,9 @@ def _settings(quick: bool) -> list[Setting]:
     return [
         default,
         *preset_settings("register"),
-        *varied("rotation_count", options, (12, 50, 400)),
         *varied("anchor_spacing_mm", options, (60.0, 20.0), "{:g} mm".format),
         *varied("kept_starts", options, (20, 480)),
-        *varied("coarse_iterations", options, ((2, 4), (8, 16)), "{0[0]} and {0[1]}".format),
-        *varied("scan_spacing_mm", options, (10.0, 7.0, 3.0), "{:g} mm".format),
-        *varied("model_spacing_mm", options, (12.0, 8.0, 4.0), "{:g} mm".format),
         *varied("candidates", options, (1, 2, 4, 16)),
-        *varied("icp_iterations", options, (4, 60)),
-        *varied("scaled_iterations", options, (4, 40)),
         *varied("settling_iterations", options, (2, 10, 100)),
         *within(options, (20, 50, 100, 200, 500, 1000, 2000)),
         *(Setting("effort", name, replace(options, **fields)) for name, fields in _EFFORTS.items()),

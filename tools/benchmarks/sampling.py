@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from benchmarks.presets import SizeOptions, preset_settings
 from benchmarks.sweep import ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry.mesh import face_areas, face_normals
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.sampling import LookupOptions, geometry_image
+from scan2albedo.sampling import geometry_image
 from scan2albedo.sampling.texture_lookup import TextureLookup
-from scan2albedo.synthetic import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZES = (64, 96, 128, 192, 256, 384, 512, 768, 1024)
 _POINTS = 40_000
@@ -43,8 +43,8 @@ class SampledFace:
 @cache
 def _sampled_face(seed: int, picture_size: int) -> SampledFace:
     model = AnnotatedFaceModel.default()
-    options = RawScanOptions(picture_size=picture_size, size=32)
-    scan, truth = raw_scan(seed, model=model, options=options)
+    scanner = Scanner(picture_size=picture_size, size=32)
+    scan, truth = raw_scan(seed, model=model, scanner=scanner)
     fitted = fit(scan, model, truth.model_from_scan)
     rng = np.random.default_rng(seed)
     area = face_areas(fitted.vertices, fitted.faces)
@@ -69,15 +69,14 @@ def _settings(quick: bool) -> list[Setting]:
     if quick:
         return [Setting("size", str(n), SizeOptions(n)) for n in (32, 64)]
     sizes = [Setting("size", str(n), SizeOptions(n)) for n in SIZES if n != SizeOptions().size]
-    taps = [Setting("taps", str(n), SizeOptions(lookup=LookupOptions(taps=n))) for n in (1, 2, 8)]
-    return [default, *preset_settings("geometry_image"), *sizes, *taps]
+    return [default, *preset_settings("geometry_image"), *sizes]
 
 
 def _run(scene: SampledFace, setting: Setting) -> Outcome:
     made: SizeOptions = setting.options
 
     def work() -> GeometryImage:
-        return geometry_image(scene.fitted, scene.scan, made.size, options=made.lookup)
+        return geometry_image(scene.fitted, scene.scan, made.size)
 
     image, cost = timed(work)
     inside, position = _interpolated(image, image.position, scene.uv, image.mask)

@@ -7,18 +7,18 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.registration import register
-from scan2albedo.synthetic import RawScanOptions, SyntheticTruth, raw_scan
+from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.face_shape import Expression
 
 EXPRESSIONS: tuple[Expression, ...] = ("neutral", "smile", "surprise", "frown", "pout", "puff")
-_PLAIN = RawScanOptions(picture_size=48, size=128)
+_PLAIN = Scanner(picture_size=48, size=128)
 """Small pictures: nothing here looks at colour."""
 _NOISY = replace(_PLAIN, noise_mm=0.6, holes=20, spikes=100)
 _COARSE = replace(_PLAIN, spacing_mm=5.0)
@@ -94,10 +94,10 @@ def hard_scan_scenes(count: int) -> tuple[ScanScene, ...]:
     return tuple(scenes)
 
 
-def _scene(seed: int, options: RawScanOptions) -> ScanScene:
+def _scene(seed: int, options: Scanner) -> ScanScene:
     model = AnnotatedFaceModel.default()
     expression = EXPRESSIONS[seed % len(EXPRESSIONS)]
-    return ScanScene(*raw_scan(seed, expression=expression, model=model, options=options), model)
+    return ScanScene(*raw_scan(seed, expression=expression, model=model, scanner=options), model)
 
 
 def _half(scene: ScanScene) -> ScanScene:

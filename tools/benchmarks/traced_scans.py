@@ -23,9 +23,8 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.synthetic.camera import toward
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
-from scan2albedo.synthetic.raw_like import random_pose
-from scan2albedo.synthetic.raw_scan import RawScanOptions, assembled, beside
-from scan2albedo.synthetic.scanner import Pod, RangeMesh, capture
+from scan2albedo.synthetic.raw_scan import assembled, beside
+from scan2albedo.synthetic.scanner import Pod, RangeMesh, Scanner, capture, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import FACE, HEAD, Sitter
 
@@ -39,7 +38,7 @@ CAMERAS_DEG: dict[int, list[tuple[float, float]]] = {
 CAMERA_MM, REACH_MM = 1000.0, 180.0
 CENTER_FROM_NOSE_MM = np.array([0.0, -10.0, -60.0])
 ALBEDO_TEXELS = 1024
-SCANNER = RawScanOptions(spacing_mm=2.0, noise_mm=0.15, spikes=8, holes=4, crumbs=4)
+SCANNER = Scanner(spacing_mm=2.0, noise_mm=0.15, spikes=8, holes=4, crumbs=4)
 _BACKDROP = np.array([0.010, 0.016, 0.030])
 _BEFORE_MM = 0.3
 _LEAST_COSINE = 0.1

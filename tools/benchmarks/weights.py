@@ -12,7 +12,7 @@ from benchmarks.presets import SpacingOptions, preset_settings
 from benchmarks.sweep import Cost, ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import solve_weights
-from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
+from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
 from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
 from scan2albedo.synthetic import GlassesBend, SyntheticEyeglasses, eyeglasses
 
@@ -43,10 +43,7 @@ def _settings(quick: bool) -> list[Setting]:
     if quick:
         return [Setting("spacing", f"{s:g} mm", SpacingOptions(s)) for s in (2.65, 2.8)]
     spacings = [Setting("spacing", f"{s:g} mm", SpacingOptions(s)) for s in _SPACINGS_MM]
-    loose = [
-        Setting(s.knob, s.value, SpacingOptions(options=s.options))
-        for s in varied("tolerance", WeightOptions(), (1e-3, 1e-4, 1e-5), "{:g}".format)
-    ]
+    loose = varied("tolerance", plain, (1e-3, 1e-4, 1e-5), "{:g}".format)
     return [
         Setting("default", "", plain),
         *preset_settings("weights"),
@@ -59,7 +56,7 @@ def _settings(quick: bool) -> list[Setting]:
 def _run(scene: WeightedFrame, setting: Setting) -> Outcome:
     glasses, made = scene.glasses, setting.options
     mesh = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints)
-    found, cost = timed(lambda: solve_weights(*mesh, made.spacing, setting.budget, options=made.options))
+    found, cost = timed(lambda: solve_weights(*mesh, made.spacing, setting.budget, **made.limits()))
     return weight_errors(scene, found.weights, cost, int(found.iterations.sum()), float(found.node_count))
 
 
@@ -83,9 +80,7 @@ def _igl(spacing: float):  # type: ignore[no-untyped-def]
         glasses = scene.glasses
 
         def work() -> tuple[FloatArray, int]:
-            embedding = embed(
-                glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, spacing, WeightOptions()
-            )
+            embedding = embed(glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, spacing)
             raw = np.clip(igl_bbw(embedding), 0.0, 1.0)
             weights = embedding.interpolation @ (raw / raw.sum(1, keepdims=True))
             return weights / weights.sum(1, keepdims=True), len(embedding.lattice.nodes)

@@ -19,9 +19,9 @@ from face_model_generator.regions import (
     in_one_piece,
     without_spikes,
 )
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS, MOUTH_REGION
-from scan2albedo.face_model.model import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints, limit_matrix
 from scan2albedo.geometry.mesh import face_areas

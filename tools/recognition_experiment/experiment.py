@@ -131,9 +131,7 @@ class _Run:
             for scan in range(1, 1 + self.options.probes)
             if (person, scan) in self.templates
         ]
-        return identify(
-            Templates.joined(gallery), Templates.joined(probes), similarity=self.options.similarity
-        )
+        return identify(Templates.joined(gallery), Templates.joined(probes), window=self.options.window)
 
     def report(self) -> RecognitionReport:
         persons, failures = self.persons(), tuple(self.failures.values())

@@ -10,7 +10,7 @@ from recognition_experiment.sessions import TEXTURE, Session
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.recognition import Templates, albedo_templates
-from scan2albedo.recognition.preparation import one_channel
+from scan2albedo.recognition.templates import LUMINANCE
 
 RAW, RAW_SRGB = "raw texture", "raw texture, sRGB"
 RETINEX, EQUALIZED = "multi-scale retinex", "histogram equalisation"
@@ -34,21 +34,27 @@ def unlit_chromaticity(options: RecognitionExperimentOptions) -> str:
     return f"red to green of {albedo_method(options.brdfs[0])}"
 
 
+def red_to_green(color_linear: FloatArray) -> FloatArray:
+    """Return red over green (H, W) of linear colour, which shading under lamps of one colour leaves alone."""
+    lit = np.maximum(color_linear[..., :2], max(float(color_linear.max()), 1e-12) / 255)
+    return np.asarray(lit[..., 0] / lit[..., 1])
+
+
 def method_image(method: str, session: Session, options: RecognitionExperimentOptions) -> FloatArray:
     """Return what a method compares, (H, W) or (H, W, 3)."""
     for brdf in options.brdfs:
         if method == albedo_method(brdf):
             return session.images[brdf].astype(np.float64)
     if method == unlit_chromaticity(options):
-        return one_channel(session.images[options.brdfs[0]].astype(np.float64), "red-to-green")
+        return red_to_green(session.images[options.brdfs[0]].astype(np.float64))
     texture = session.images[TEXTURE].astype(np.float64)
     if method == RAW:
         return texture
     if method == RAW_SRGB:
         return linear_to_srgb(texture)
     if method == CHROMATICITY:
-        return one_channel(texture, "red-to-green")
-    bright = one_channel(texture, options.templates.channel)
+        return red_to_green(texture)
+    bright = texture @ LUMINANCE
     if method == EQUALIZED:
         return histogram_equalized(bright, session.seen)
     if method == RETINEX:

@@ -11,9 +11,10 @@ from pathlib import Path
 import scan2albedo
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.core.geometry_image import SMALLEST_SIZE
-from scan2albedo.recognition import SimilarityOptions, TemplateOptions
-from scan2albedo.synthetic.population import PopulationOptions
-from scan2albedo.synthetic.raw_scan import RawScanOptions
+from scan2albedo.recognition import TemplateOptions
+from scan2albedo.recognition.similarity import WINDOW
+from scan2albedo.synthetic import Scanner
+from scan2albedo.synthetic.population import Population
 
 _PROCESSING = (
     "albedo",
@@ -46,9 +47,10 @@ class RecognitionExperimentOptions:
         Of the population.
     brdfs : tuple of str
         Reflectances whose albedos are compared.
-    population : PopulationOptions
+    population : Population
     templates : TemplateOptions
-    similarity : SimilarityOptions
+    window : int
+        Side of the windows of CW-SSIM.
 
     Raises
     ------
@@ -61,11 +63,11 @@ class RecognitionExperimentOptions:
     size: int = 256
     seed: int = 0
     brdfs: tuple[str, ...] = BRDFS
-    population: PopulationOptions = field(
-        default_factory=lambda: PopulationOptions(capture=RawScanOptions(picture_size=640, size=64))
+    population: Population = field(
+        default_factory=lambda: Population(scanner=Scanner(picture_size=640, size=64))
     )
     templates: TemplateOptions = TemplateOptions()
-    similarity: SimilarityOptions = SimilarityOptions()
+    window: int = WINDOW
 
     def __post_init__(self) -> None:
         if self.persons < 2 or self.probes < 1:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from recognition_experiment.calibration import calibrated
 from recognition_experiment.methods import method_names, session_templates
 from recognition_experiment.options import RecognitionExperimentOptions
 from recognition_experiment.report import MethodResult
@@ -182,7 +183,7 @@ class ComparedSet:
 
     def calibration(self, albedo: str) -> Calibration:
         """Return how albedo, by its method's name, and shape are best weighed on these people."""
-        return Calibration.of(self.similarities[albedo], self.similarities[SHAPE], self.genuine)
+        return calibrated(self.similarities[albedo], self.similarities[SHAPE], self.genuine)
 
     def results(self) -> dict[tuple[str, str], list[MethodResult]]:
         """Return the results of all methods by condition and its value; ("all", "") of all probes.
@@ -223,7 +224,7 @@ def compared(data: DataSet, scans: Path, cache: Path, options: RecognitionExperi
             Templates.joined([made[scan.name][method] for scan in scans_])
             for scans_ in (data.probes, data.gallery)
         )
-        found[method] = similarity_matrix(probes, gallery, options=options.similarity)
+        found[method] = similarity_matrix(probes, gallery, window=options.window)
     if coloured:
         albedo = next(name for name in methods if name.startswith("albedo"))
         found[BOTH] = fused({"albedo": found[albedo], "shape": found[SHAPE]})

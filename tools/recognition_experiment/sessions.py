@@ -70,7 +70,7 @@ def cached_session(
 
 def made_session(options: RecognitionExperimentOptions, person: int, session: int) -> Session:
     """Scan a person and process the scan, once through the whole pipeline and on for each further BRDF."""
-    scan, _ = population_scan(person, session, seed=options.seed, options=options.population)
+    scan, _ = population_scan(person, session, seed=options.seed, population=options.population)
     seed = options.seed
     try:
         result = process(scan, size=options.size, brdf=options.brdfs[0], seed=seed)

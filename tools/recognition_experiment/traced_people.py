@@ -26,9 +26,8 @@ from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_around
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
-from scan2albedo.synthetic.raw_like import random_pose
-from scan2albedo.synthetic.raw_scan import RawScanOptions, assembled
-from scan2albedo.synthetic.scanner import Pod, RangeMesh, capture
+from scan2albedo.synthetic.raw_scan import assembled
+from scan2albedo.synthetic.scanner import Pod, RangeMesh, Scanner, capture, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.textures import HEMOGLOBIN, smooth_noise
 
@@ -39,7 +38,7 @@ SESSIONS = (
     ("studio", "mixed"),
 )
 """Light and expression of each session; the first is the gallery's, whose lamps the last one has too."""
-SCANNER = RawScanOptions(spacing_mm=2.0, noise_mm=0.15, spikes=8, holes=3, crumbs=3)
+SCANNER = Scanner(spacing_mm=2.0, noise_mm=0.15, spikes=8, holes=3, crumbs=3)
 _PICTURE, _PATHS, _CAMERAS = 448, 64, 2
 _BACKDROP = 0.02
 _CHART_MM, _TEXTURE = 200.0, (640, 1024)

@@ -17,7 +17,7 @@ from scan2albedo.albedo.rectification import rectify
 from scan2albedo.core import Budget, PointLight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.synthetic import Material, SyntheticScene, hemisphere, light_at
-from stability_cases.case import Cases, Measured, assert_finite, naming
+from stability_cases.case import Cases, Measured, assert_finite, naming, said
 
 CASES = Cases()
 STAGE = "albedo"
@@ -135,7 +135,7 @@ for _name, _told, _made in (
         scene = _ball(**made)
         estimate = estimate_albedo(scene.image, 1)
         row = next(step for step in estimate.plan if step.stage == "albedo.limits")
-        assert row.ran
+        assert row.level == "doubt"
         assert told in row.evidence
         return Measured(f"albedo off by {_error(estimate, scene):.2f} %, the plan says: {row.evidence}")
 
@@ -227,13 +227,13 @@ def _hdr() -> str:
     return _figure(_textured(scene, scene.image.texture_linear * 1e6), scene, 1)
 
 
-for _name, _scale in (("1e6, saturation_linear said", 1e6), ("1e-6", 1e-6)):
+for _name, _scale in (("1e-6", 1e-6), ("1e-3", 1e-3)):
 
     @CASES.extreme(STAGE, f"texture times {_name}")
     def _exposed(scale: float = _scale) -> str:
         scene = _ball()
         image = _textured(scene, scene.image.texture_linear * scale)
-        return _figure(image, scene, 0.05, options=EstimateOptions(saturation_linear=max(scale, 1.0)))
+        return _figure(image, scene, 0.05)
 
 
 @CASES.extreme(STAGE, "texture with NaN", "named error")
@@ -362,8 +362,7 @@ def _one() -> str:
 @CASES.extreme(STAGE, "image of 8 x 8")
 def _eight() -> str:
     scene = _ball(size=8)
-    options = EstimateOptions(minimal_texels=32)
-    return _figure(scene.image, scene, 2.0, options=options)
+    return _figure(scene.image, scene, 2.0)
 
 
 @CASES.extreme(STAGE, "image of 3 x 500", slow=True)
@@ -446,7 +445,9 @@ def _four() -> str:
 
 @CASES.extreme(STAGE, "view from behind", "measured warning")
 def _view_behind() -> str:
-    return _figure(_ball().image, _ball(), 2.0, view_direction=(0, 0, -1))
+    scene = _ball()
+    estimate = estimate_albedo(scene.image, 1, view_direction=(0, 0, -1))
+    return said(f"albedo off by {_error(estimate, scene):.3f} %", estimate.plan.of_stage("albedo.view"))
 
 
 @CASES.extreme(STAGE, "roughness asked of Lambert", "named error")
@@ -471,7 +472,6 @@ for _wrong in (
     {"sizes": (0, 64, 128)},
     {"sizes": (32, 64)},
     {"start_directions": 0},
-    {"starts": 0},
     {"maximal_lights": 6},
     {"descent_iterations": 0},
 ):
@@ -479,18 +479,6 @@ for _wrong in (
     @CASES.extreme(STAGE, "option " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
     def _odd_option(wrong: dict[str, Any] = _wrong) -> str:
         return str(EstimateOptions(**wrong))
-
-
-for _wrong in (
-    {"minimal_texels": math.nan},
-    {"saturation_linear": math.nan},
-    {"saturation_linear": 0.0},
-    {"shadow_offset_mm": math.nan},
-):
-
-    @CASES.extreme(STAGE, "option " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
-    def _odder_option(wrong: dict[str, Any] = _wrong) -> str:
-        return _figure(_ball().image, _ball(), 1, options=EstimateOptions(**wrong))
 
 
 @CASES.extreme(STAGE, "four fifths of it saturated, a quarter white")

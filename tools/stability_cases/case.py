@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import scan2albedo
+from scan2albedo.core import Plan
 from scan2albedo.errors import Scan2AlbedoError
 
 _PACKAGE = Path(scan2albedo.__file__).parent
@@ -65,6 +66,12 @@ class Measured(str):
     """A figure of a result that says itself, in a note or a number, that it is in trouble."""
 
     __slots__ = ()
+
+
+def said(figure: str, plan: Plan) -> str:
+    """Return the figure; with a doubt of the plan it is one of a result that says that it is in trouble."""
+    doubts = plan.doubts()
+    return Measured(f"{figure}; {doubts[0].text}") if len(doubts) else figure
 
 
 class Cases(list[Case]):

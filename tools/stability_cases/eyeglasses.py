@@ -28,7 +28,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.synthetic import GlassesBend, GlassesShape, WearerOptions, eyeglasses, wearer
+from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses, wearer
 from stability_cases.case import Cases, Measured, assert_finite, naming
 
 CASES = Cases()
@@ -211,7 +211,7 @@ def _nothing_to_skin() -> str:
 
 # Canonical frames.
 
-QUICK_WEIGHTS = CanonicalizationOptions(mode="mean", spacing=SPACING)
+QUICK_WEIGHTS = CanonicalizationOptions(mode="mean")
 
 
 def _back(bent: Any, scale: float = 1.0, shift: float = 0.0) -> tuple[Any, float]:
@@ -329,6 +329,7 @@ def _canonical_spent() -> str:
         [frame],
         [frame.keypoints],
         mean_keypoints=frame.rest_keypoints,
+        spacing=SPACING,
         budget=Budget(evaluations=1),
         options=QUICK_WEIGHTS,
     )
@@ -383,12 +384,12 @@ for _name, _focal in (("1", 1.0), ("1e6", 1e6)):
 
 # Registration on a face.
 
-SMALL = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0.5, mask_noise_px=0.5)
+SMALL = {"picture_size": 256, "focal_px": 450, "label_noise_px": 0.5, "mask_noise_px": 0.5}
 
 
 @cache
 def _worn() -> Any:
-    return wearer(1, options=SMALL)
+    return wearer(1, **SMALL)
 
 
 @cache

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scan2albedo import Budget, FittedFace, RawScan, fit
 from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from stability_cases.case import Cases, Measured, assert_finite, naming
+from stability_cases.case import Cases, Measured, assert_finite, naming, said
 from stability_cases.scanned_person import (
     Scanned,
     model,
@@ -47,7 +47,7 @@ def fitted(
     assert_finite(face.vertices, face.landmarks, *face.metrics.values())
     error = scene.surface_error_mm(face)
     assert error < most_mm, f"{error:.3f} mm from the truth"
-    return face, f"{error:.2f} mm"
+    return face, said(f"{error:.2f} mm", face.plan)
 
 
 def as_stiff(stiffness: float, most_mm: float) -> tuple[FittedFace, str]:
@@ -63,15 +63,15 @@ def _() -> str:
 
 @CASES.extreme(STAGE, "stiffness 1e-6", "measured warning")
 def _() -> str:
-    face, figure = as_stiff(1e-6, 0.4)
-    return f"{figure}, {face.metrics['flipped_faces']:.0f} faces flipped"
+    face, _ = as_stiff(1e-6, 0.4)
+    return said(f"{face.metrics['flipped_faces']:.0f} faces flipped", face.plan)
 
 
 @CASES.extreme(STAGE, "no stiffness at all", "measured warning")
 def _() -> str:
-    face, figure = fitted(person(), 0.6, bending_mm=(0.0, 0.0), membrane_mm=(0.0, 0.0))
+    face, _ = fitted(person(), 0.6, bending_mm=(0.0, 0.0), membrane_mm=(0.0, 0.0))
     assert face.metrics["flipped_faces"] + face.metrics["strain"] > 0.15
-    return f"{figure}, {face.metrics['flipped_faces']:.0f} faces flipped"
+    return said(f"{face.metrics['flipped_faces']:.0f} faces flipped", face.plan)
 
 
 @CASES.extreme(STAGE, "stiffness beyond doubles (lengths of 1e8 mm)")

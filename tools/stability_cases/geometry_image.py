@@ -91,7 +91,7 @@ def _() -> str:
         with suppress(GeometryImageError):
             sampled(person().scan, size=size)
             raise AssertionError(f"size {size} passed")
-    with naming("size 64.5 is no size", "whole number of texels"):
+    with naming("size 64.5 does not suit", "whole number of texels"):
         sampled(person().scan, size=64.5)  # type: ignore[arg-type]
     return "sampled"
 

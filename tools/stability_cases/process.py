@@ -103,7 +103,7 @@ def _() -> str:
 @CASES.extreme(STAGE, "1.5 times too large", "measured warning", slow=True)
 def _() -> str:
     result = processed(person().scaled(1.5).scan, skip=["albedo"])
-    (told,) = [text for text in result.messages if "of the model's size" in text]
+    (told,) = [text for text in result.notes if "of the model's size" in text]
     return Measured(told)
 
 
@@ -112,7 +112,7 @@ def _() -> str:
     turned = compose(rotation_from_vector([0.0, 0, np.pi]), np.zeros(3)) @ person().model_from_scan
     scan = person().moved(turned).scan
     result = processed(scan, skip=["register", "albedo"])
-    (told,) = [text for text in result.messages if "stretched the model's edges" in text]
+    (told,) = [text for text in result.notes if "stretched the model's edges" in text]
     return Measured(told)
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.recognition import (
     Identification,
-    SimilarityOptions,
     TemplateOptions,
     Templates,
     albedo_templates,
@@ -278,10 +277,10 @@ for _wrong in (
 
     @CASES.extreme(STAGE, "similarity " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
     def _odd(wrong: dict[str, Any] = _wrong) -> str:
-        return str(cw_ssim(_albedo(), _albedo(1), similarity=SimilarityOptions(**wrong)))
+        return str(cw_ssim(_albedo(), _albedo(1), **wrong))
 
 
-for _wrong in ({"hole_radius": math.nan}, {"scales": 9}):
+for _wrong in ({"size": math.nan}, {"size": 4}):
 
     @CASES.extreme(STAGE, "templates " + ", ".join(f"{k}={v}" for k, v in _wrong.items()), "named error")
     def _odder(wrong: dict[str, Any] = _wrong) -> str:

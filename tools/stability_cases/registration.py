@@ -11,7 +11,7 @@ from scan2albedo.geometry.loop_subdivision import refine
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.registration import RegistrationOptions
-from stability_cases.case import Cases, assert_finite, naming
+from stability_cases.case import Cases, assert_finite, naming, said
 from stability_cases.scanned_person import (
     Scanned,
     model,
@@ -37,7 +37,7 @@ def found(scene: Scanned, **settings: object) -> tuple[Registration, str]:
     degrees, millimetres = scene.pose_error(registration.model_from_scan)
     assert degrees < MOST_DEG, f"{degrees:.2f} degrees off"
     assert millimetres < MOST_MM, f"{millimetres:.2f} mm off"
-    return registration, f"{degrees:.1f} degrees, {millimetres:.1f} mm off"
+    return registration, said(f"{degrees:.1f} degrees, {millimetres:.1f} mm off", registration.plan)
 
 
 @CASES.extreme(STAGE, "offset 1e6, 1e7 and 1e9 mm")
@@ -65,7 +65,7 @@ def _() -> str:
 @CASES.extreme(STAGE, "300 vertices thrown some 2 m away")
 def _() -> str:
     registration, figure = found(stray(person(), 300, 2e3))
-    assert "triangles that reach far away left out" in registration.notes[0][3]
+    assert "triangles that reach far away left out" in registration.plan[0].evidence
     return figure
 
 
@@ -142,14 +142,15 @@ def _() -> str:
         )
     ]
     assert min(errors) < MOST_MM
-    return f"{min(errors):.1f} mm off one of them, confidence {registration.confidence:.2f}"
+    figure = f"{min(errors):.1f} mm off one of them, confidence {registration.confidence:.2f}"
+    return said(figure, registration.plan)
 
 
 @CASES.extreme(STAGE, "1.5 times too large", "measured warning", slow=True)
 def _() -> str:
     registration = register(person().scaled(1.5).scan, model())
     assert abs(registration.face_scale - 1.5) < 0.05
-    return f"face found at {100 * registration.face_scale:.0f} % of the model's size"
+    return said(f"face found at {100 * registration.face_scale:.0f} % of its size", registration.plan)
 
 
 @CASES.extreme(STAGE, "1.5 times too small", "named error", slow=True)
@@ -261,8 +262,8 @@ def _() -> str:
 
 @CASES.extreme(STAGE, "options without a spacing", "named error")
 def _() -> str:
-    with naming("scan_spacing_mm must be finite and above 0"):
-        return found(person(), options=RegistrationOptions(scan_spacing_mm=0.0))[1]
+    with naming("anchor_spacing_mm must be finite and above 0"):
+        return found(person(), options=RegistrationOptions(anchor_spacing_mm=0.0))[1]
 
 
 @CASES.extreme(STAGE, "a model of 4 control vertices", "named error")

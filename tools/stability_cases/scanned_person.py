@@ -13,7 +13,7 @@ from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import without_unreferenced
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
-from scan2albedo.synthetic import RawScanOptions, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 
 SEED = 0
 
@@ -87,7 +87,7 @@ def model() -> AnnotatedFaceModel:
 @cache
 def person(seed: int = SEED) -> Scanned:
     """Return a raw scan of 17,000 vertices in a random pose: noise, holes, spikes, loose patches."""
-    scan, truth = raw_scan(seed, options=RawScanOptions(spacing_mm=3.0, picture_size=300, size=64))
+    scan, truth = raw_scan(seed, scanner=Scanner(spacing_mm=3.0, picture_size=300, size=64))
     return Scanned(scan, truth.model_from_scan, truth.landmarks, truth.image.position[truth.image.mask])
 
 

@@ -15,7 +15,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
-from stability_cases.case import Cases, assert_finite, naming
+from stability_cases.case import Cases, assert_finite, naming, said
 
 CASES = Cases()
 STAGE = "albedo"
@@ -141,7 +141,7 @@ def _lamp_only() -> str:
     lit = scene.image.mask & (scene.shading - 1 > 0.3)
     error = albedo_error(estimate.albedo_linear, scene.albedo_linear, lit).mse_percent
     assert error < 0.05
-    assert estimate.plan.ran("albedo.limits")
+    assert len(estimate.plan.of_stage("albedo.limits").doubts()) == 1
     return f"where it is lit off by {error:.3f} %; the plan says that the light is at an end of its range"
 
 
@@ -153,20 +153,11 @@ def _two_texels() -> str:
     return str(_estimate(replace(_lit("hemisphere", (LAMP,)).image, mask=mask)).residual)
 
 
-@CASES.extreme(STAGE, "two texels, two asked for")
-def _two_suffice() -> str:
-    scene = _lit("hemisphere", (LAMP,))
-    mask = np.zeros((SIZE, SIZE), bool)
-    mask[32, 32:34] = True
-    estimate = _estimate(replace(scene.image, mask=mask), EstimateOptions(minimal_texels=2))
-    return _told(estimate, scene.albedo_linear, 0.5)
-
-
 @CASES.extreme(STAGE, "normals inverted, under a dome", "measured warning")
 def _inverted() -> str:
     scene = _lit("face", _many(_dome, 3.0))
     estimate = _estimate(replace(scene.image, normal=-scene.image.normal))
-    return _told(estimate, scene.albedo_linear, 0.3)
+    return said(_told(estimate, scene.albedo_linear, 0.3), estimate.plan.of_stage("albedo.view"))
 
 
 @CASES.extreme(STAGE, "occluder inside the surface")

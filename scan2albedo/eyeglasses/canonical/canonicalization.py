@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -12,34 +13,29 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.frame_weights import WeightedFrame, frames_of, weigh_frames
 from scan2albedo.eyeglasses.canonical.mean_keypoints import (
+    BEHIND,
+    WIDTHS_MM,
     MeanKeyPoints,
     align_key_points,
+    front_width,
+    fullest,
     in_own_axes,
     mean_key_points,
-    require_posable,
-)
-from scan2albedo.eyeglasses.canonical.sizes import (
-    WIDTHS_MM,
     outliers,
+    require_posable,
     single_bridges,
     unit_exponent,
     unit_factors,
 )
-from scan2albedo.eyeglasses.canonical.unbending import (
-    FrontHalves,
-    front_halves,
-    symmetric_key_points,
-    unbent_transforms,
-)
-from scan2albedo.eyeglasses.checks import checked_keypoints
+from scan2albedo.eyeglasses.canonical.unbending import front_halves, symmetric_key_points, unbent_transforms
+from scan2albedo.eyeglasses.checks import checked_keypoints, checked_weights
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
-from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
+from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.geometry.rigid import transform_points
 
 CanonicalMode = Literal["unbend", "mean"]
-_CARRIERS = {"turned": turned_translations, "translated": translations}
 
 
 @dataclass(frozen=True)
@@ -52,10 +48,6 @@ class CanonicalizationOptions:
     handles: Literal["turned", "translated"] = "turned"
     """In "mean": whether key points turn their surroundings as the skeleton turns, or only shift them (the
     paper's)."""
-    spacing: str | float = "auto"
-    """Of the weights' lattice, in the meshes' unit."""
-    weights: WeightOptions = WeightOptions()
-    """How weights are solved, where none are given."""
     widths_mm: tuple[float, float] = WIDTHS_MM
     """Least and greatest width of a front; a frame that no decimal unit brings between them is refused."""
     skip_failed: bool = False
@@ -144,6 +136,7 @@ def canonicalize(
     *,
     weights: Sequence[ArrayLike] | None = None,
     mean_keypoints: ArrayLike | None = None,
+    spacing: str | float = "auto",
     budget: Budget | float | None = None,
     options: CanonicalizationOptions = CanonicalizationOptions(),
     on_progress: ProgressCallback | None = None,
@@ -172,6 +165,8 @@ def canonicalize(
     mean_keypoints : (20, 3) array_like, optional
         Of an earlier set, for this one's: where frames are placed and, in mode "mean", what they are
         brought to.
+    spacing : "auto" or float
+        Of the weights' lattice, in the meshes' unit.
     budget : Budget or float, optional
         Seconds, or evaluations: Newton steps of the weights and rounds of the mean. Frames share it evenly;
         when it ends, weights and mean so far are used, with `converged` False. Key points meet all the same.
@@ -201,196 +196,257 @@ def canonicalize(
     --------
     >>> from scan2albedo.synthetic import GlassesBend, eyeglasses
     >>> bent = eyeglasses(bend=GlassesBend(temple_spread_mm=8.0))
-    >>> options = CanonicalizationOptions(mode="mean", spacing=2.5)
-    >>> found = canonicalize([bent], [bent.keypoints], mean_keypoints=bent.rest_keypoints, options=options)
+    >>> found = canonicalize([bent], [bent.keypoints], mean_keypoints=bent.rest_keypoints, spacing=2.5,
+    ...                      options=CanonicalizationOptions(mode="mean"))
     >>> bool(np.abs(found.frames[0].vertices - bent.rest_vertices).max() < 0.6)
     True
     """
     if options.mode == "unbend" and options.handles != "turned":
         raise ValueError('handles="translated" is for mode="mean": shifts alone would bend the rims')
     meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
-    frames = frames_of(meshes, keypoints, weights)
-    reference = None if mean_keypoints is None else _reference(mean_keypoints)
-    common = None if reference is None else _unit_of_mean(reference, options)
-    weighted, failures = weigh_frames(
-        frames,
-        reference,
-        spacing=options.spacing,
-        widths_mm=options.widths_mm,
-        options=options.weights,
-        skip_failed=options.skip_failed,
-        meter=meter,
-    )
-    scales = unit_factors([w.unit_exponent for w in weighted], common)
-    points = [scale * w.frame.points for scale, w in zip(scales, weighted, strict=True)]
-    widths = scales * [w.width for w in weighted]
-    unusual = {weighted[i].frame.number: reason for i, reason in outliers(points, widths).items()}
+    frames = _frames_of(meshes, keypoints, weights)
+    reference, common = None, None
+    if mean_keypoints is not None:
+        reference = checked_keypoints("mean_keypoints", mean_keypoints)
+        require_posable(reference, "mean_keypoints")
+        try:
+            common = unit_exponent(reference, options.widths_mm)
+        except EyeglassesError as error:
+            raise EyeglassesError(f"mean_keypoints: {error}") from error
+    frames, failures = _weighted(frames, reference, spacing, options, meter)
+    scales = unit_factors([f.unit_exponent for f in frames], common)
+    points = [scale * f.points for scale, f in zip(scales, frames, strict=True)]
+    widths = scales * [f.width for f in frames]
+    if reference is not None:
+        mean = MeanKeyPoints(reference, True, 0)
+    else:
+        own = meter.sub_meter("eyeglasses.mean", "bones")
+        mean = mean_key_points(points, own)
+        meter.merge(own)
+    if options.mode == "mean":
+        done = [
+            _brought_to_mean(f, mean.points, float(s), options) for f, s in zip(frames, scales, strict=True)
+        ]
+    else:
+        symmetric = symmetric_key_points(mean.points)
+        place = in_own_axes(symmetric) if reference is None else symmetric
+        done = [_unbent(f, place, float(s)) for f, s in zip(frames, scales, strict=True)]
+
+    # The plan: steps of each frame, then what was decided on the set.
+    steps = {f.number: frame.plan for f, frame in zip(frames, done, strict=True)}
+    steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
+    rows = [replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part]
+    wide = "fronts " + ", ".join(f"{width:.4g}" for width in widths) + " wide"
+    if (scales == 1).all():
+        rows.append(PlanStep("eyeglasses.units", False, "widths agree: one unit", wide))
+    else:
+        factors = ", ".join(f"{s:.6g}" for s in scales)
+        reason = "widths are those of different units"
+        rows.append(PlanStep("eyeglasses.units", True, reason, f"factors {factors}; then {wide}"))
+    unusual = {frames[i].number: reason for i, reason in outliers(points, widths).items()}
+    count, names = _counted(len(done), "frame"), {f.number: f.name or f"frame {f.number}" for f in frames}
+    if not unusual:
+        rows.append(PlanStep("eyeglasses.outliers", False, f"none among {count}"))
+    for i, why in unusual.items():
+        rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
     one_bridge = single_bridges(points, widths, reference) if options.mode == "mean" else ()
-    single = tuple(weighted[i].frame.number for i in one_bridge)
-    mean = _mean(points, reference, meter)
-    done = _canonical_frames(weighted, scales, mean.points, reference is not None, options)
+    single = tuple(frames[i].number for i in one_bridge)
+    if single:
+        reason = (
+            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the mean given have "
+            "two: bridge_top of the mean lies between both kinds and draws the single bridge out into a "
+            "spike; leave bridge_top out of the key points of frames with one bridge, or bring the two kinds "
+            "to means of their own"
+        )
+        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
+    if bare := [names[f.number] for f in frames if np.isnan(f.points[BEHIND]).any(1).all()]:
+        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
+        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
+    if reference is not None:
+        rows.append(PlanStep("eyeglasses.mean", False, "given"))
+    else:
+        how = "settled" if mean.converged else "not settled"
+        evidence = f"{how} after {_counted(mean.iterations, 'round')}"
+        rows.append(PlanStep("eyeglasses.mean", True, f"mean of {count}", evidence))
     return CanonicalSet(
-        frames=done,
+        frames=tuple(done),
         mean_keypoints=mean.points,
         converged=mean.converged and all(frame.converged for frame in done),
         iterations=mean.iterations,
         units_differed=bool((scales != 1).any()),
-        numbers=tuple(w.frame.number for w in weighted),
+        numbers=tuple(f.number for f in frames),
         failures=failures,
         outliers=unusual,
         single_bridges=single,
-        plan=_plan(weighted, done, failures)
-        + Plan(
-            (
-                _unit_step(widths, scales),
-                _outlier_step(unusual, len(done)),
-                *_bridge_steps(single),
-                _mean_step(mean, reference is not None, len(done)),
-            )
-        ),
+        plan=Plan(tuple(rows)),
         trace=meter.trace,
     )
-
-
-def _reference(mean_keypoints: ArrayLike) -> FloatArray:
-    points = checked_keypoints("mean_keypoints", mean_keypoints)
-    require_posable(points, "mean_keypoints")
-    return points
-
-
-def _mean(points: list[FloatArray], reference: FloatArray | None, meter: Meter) -> MeanKeyPoints:
-    if reference is not None:
-        return MeanKeyPoints(reference, True, 0)
-    own = meter.sub_meter("eyeglasses.mean", "bones")
-    found = mean_key_points(points, own)
-    meter.merge(own)
-    return found
-
-
-def _unit_of_mean(reference: FloatArray, options: CanonicalizationOptions) -> int:
-    try:
-        return unit_exponent(reference, options.widths_mm)
-    except EyeglassesError as error:
-        raise EyeglassesError(f"mean_keypoints: {error}") from error
-
-
-def _plan(
-    weighted: list[WeightedFrame], done: tuple[CanonicalEyeglasses, ...], failures: Mapping[int, str]
-) -> Plan:
-    steps = {w.frame.number: frame.plan for w, frame in zip(weighted, done, strict=True)}
-    steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
-    return Plan(
-        tuple(replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part)
-    )
-
-
-def _unit_step(widths: FloatArray, scales: FloatArray) -> PlanStep:
-    wide = "fronts " + ", ".join(f"{width:.4g}" for width in widths) + " wide"
-    if (scales == 1).all():
-        return PlanStep("eyeglasses.units", False, "widths agree: one unit", wide)
-    factors = ", ".join(f"{s:.6g}" for s in scales)
-    reason = "widths are those of different units"
-    return PlanStep("eyeglasses.units", True, reason, f"factors {factors}; then {wide}")
-
-
-def _outlier_step(unusual: Mapping[int, str], count: int) -> PlanStep:
-    if not unusual:
-        return PlanStep("eyeglasses.outliers", False, f"none among {_counted(count, 'frame')}")
-    reason = "; ".join(f"frame {i}: {why}" for i, why in unusual.items())
-    return PlanStep("eyeglasses.outliers", True, reason, f"{len(unusual)} of {_counted(count, 'frame')}")
-
-
-def _bridge_steps(single: tuple[int, ...]) -> tuple[PlanStep, ...]:
-    if not single:
-        return ()
-    which = f"frame{'s' * (len(single) > 1)} {', '.join(map(str, single))}"
-    reason = f"one bridge on {which}, two on others: the mean's bridge_top belongs to neither"
-    return (PlanStep("eyeglasses.bridges", False, reason),)
 
 
 def _counted(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _mean_step(mean: MeanKeyPoints, given: bool, count: int) -> PlanStep:
-    if given:
-        return PlanStep("eyeglasses.mean", False, "given")
-    how = "settled" if mean.converged else "not settled"
-    rounds = _counted(mean.iterations, "round")
-    return PlanStep("eyeglasses.mean", True, f"mean of {_counted(count, 'frame')}", f"{how} after {rounds}")
+@dataclass(frozen=True)
+class _Frame:
+    """A mesh with its key points (20, 3), NaN for missing ones, in the mesh's unit."""
+
+    number: int
+    name: str | None
+    vertices: FloatArray
+    faces: IntArray
+    points: FloatArray
+    weights: FloatArray | None
+    """(V, 20), zero columns for missing key points; None until they are solved."""
+    converged: bool = True
+    plan: Plan = Plan((PlanStep("eyeglasses.weights", False, "given"),))
+    unit_exponent: int = 0
+    """Its coordinates times ten to this are in mm."""
+    width: float = math.nan
+    """Of the mesh's front, see `front_width`."""
 
 
-def _canonical_frames(
-    weighted: list[WeightedFrame],
-    scales: FloatArray,
-    mean: FloatArray,
-    given: bool,
+def _frames_of(
+    meshes: Sequence[Any], keypoints: Sequence[ArrayLike], weights: Sequence[ArrayLike] | None
+) -> list[_Frame]:
+    if len(meshes) == 0:
+        raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
+    for name, given in (("keypoints", keypoints), ("weights", weights)):
+        if given is not None and len(given) != len(meshes):
+            raise ValueError(f"{name} must have one entry for each of {len(meshes)} meshes, got {len(given)}")
+    frames = []
+    for i, (mesh, points) in enumerate(zip(meshes, keypoints, strict=True)):
+        vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
+        xyz = np.asarray(vertices, np.float64)
+        shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
+        for name, array in (("vertices", xyz), ("weights", shares)):
+            if array is not None and not np.isfinite(array).all():
+                raise ValueError(f"frame {i}: {name} hold NaN or infinity; repair the frame or leave it out")
+        index, marks = np.asarray(faces, np.int64), checked_keypoints(f"keypoints {i}", points)
+        frames.append(_Frame(i, getattr(mesh, "name", None), xyz, index, marks, shares))
+    return frames
+
+
+def _weighted(
+    frames: list[_Frame],
+    reference: FloatArray | None,
+    spacing: str | float,
     options: CanonicalizationOptions,
-) -> tuple[CanonicalEyeglasses, ...]:
-    if options.mode == "mean":
-        return tuple(
-            _brought_to_mean(w, mean, float(scale), options)
-            for w, scale in zip(weighted, scales, strict=True)
+    meter: Meter,
+) -> tuple[list[_Frame], dict[int, str]]:
+    """Return the frames with their weights and, with `skip_failed`, why others are left out.
+
+    Key points that `reference` (20, 3) lacks do not count. Frames share the meter's budget evenly.
+    """
+    anchor = fullest([frame.points for frame in frames]) if reference is None else reference
+    done: list[_Frame] = []
+    failures: dict[int, str] = {}
+    for i, frame in enumerate(frames):
+        called = f"frame {frame.number}{f', {frame.name}' if frame.name else ''}"
+        try:
+            shared = np.where(np.isfinite(anchor), frame.points, np.nan)
+            require_posable(shared)
+            width = front_width(frame.points, frame.vertices)
+            exponent = unit_exponent(frame.points, options.widths_mm, width)
+            used = frame if reference is None else replace(frame, points=shared)
+            if used.weights is None:
+                used = _with_solved_weights(used, spacing, meter, len(frames) - i)
+            done.append(replace(used, unit_exponent=exponent, width=width))
+        except EyeglassesError as error:
+            if not options.skip_failed:
+                raise EyeglassesError(f"{called}: {error}") from error
+            failures[frame.number] = str(error)
+    if not done:
+        names = [f"frame {f.number}{f', {f.name}' if f.name else ''}" for f in frames]
+        raise EyeglassesError(
+            "; ".join(f"{n}: {failures[f.number]}" for n, f in zip(names, frames, strict=True))
         )
-    symmetric = symmetric_key_points(mean)
-    place = symmetric if given else in_own_axes(symmetric)
-    return tuple(_unbent(w, place, float(scale)) for w, scale in zip(weighted, scales, strict=True))
+    return done, failures
+
+
+def _with_solved_weights(frame: _Frame, spacing: str | float, meter: Meter, frames_left: int) -> _Frame:
+    """Solve the weights in an even share of the budget left."""
+    seen = np.flatnonzero(np.isfinite(frame.points).all(1))
+    own = meter.sub_meter(f"eyeglasses.weights.{frame.number}", "scaled KKT residual")
+    seconds, evaluations = own.budget.seconds, own.budget.evaluations
+    own.budget = Budget(
+        None if seconds is None else seconds / frames_left,
+        None if evaluations is None else max(evaluations // frames_left, 1),
+    )
+    names = [KEY_POINT_NAMES[k] for k in seen]
+    try:
+        found = solve_weights(
+            frame.vertices, frame.faces, frame.points[seen], spacing, names=names, meter=own
+        )
+    finally:
+        meter.merge(own)
+    weights = np.zeros((len(frame.vertices), KEY_POINT_COUNT))
+    weights[:, seen] = found.weights
+    how = "solved" if found.converged else "cut short by the budget" if own.exhausted else "did not settle"
+    evidence = (
+        f"residual {found.residual.max():.1e} after {own.evaluations} steps on {found.node_count} nodes"
+    )
+    plan = Plan((PlanStep("eyeglasses.weights", True, how, evidence),)) + found.plan
+    return replace(frame, weights=weights, converged=found.converged, plan=plan)
 
 
 def _brought_to_mean(
-    weighted: WeightedFrame, mean: FloatArray, scale: float, options: CanonicalizationOptions
+    frame: _Frame, mean: FloatArray, scale: float, options: CanonicalizationOptions
 ) -> CanonicalEyeglasses:
-    points = scale * weighted.frame.points
+    points = scale * frame.points
     rigid = align_key_points(points, mean)
     aligned = transform_points(rigid, points)
     seen = np.isfinite((aligned + mean).sum(1))
-    carriers = _CARRIERS[options.handles](aligned, mean)
+    move = turned_translations if options.handles == "turned" else translations
+    carriers = move(aligned, mean)
     # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
     carriers[~seen] = np.eye(4)
     targets = np.where(seen[:, None], mean, np.nan)
     step = PlanStep("eyeglasses.to_mean", True, "all key points on the mean's")
-    return _moved(weighted, carriers @ rigid, targets, scale, step)
+    return _moved(frame, carriers @ rigid, targets, scale, step)
 
 
-def _unbent(weighted: WeightedFrame, place: FloatArray, scale: float) -> CanonicalEyeglasses:
+def _unbent(frame: _Frame, place: FloatArray, scale: float) -> CanonicalEyeglasses:
     """Return a frame without its bend, with its plane of symmetry that of the key points `place` (20, 3)."""
-    frame, points = weighted.frame, scale * weighted.frame.points
-    halves = front_halves(scale * frame.vertices, frame.faces, weighted.weights, points)
+    assert frame.weights is not None
+    points = scale * frame.points
+    halves = front_halves(scale * frame.vertices, frame.faces, frame.weights, points)
     own = unbent_transforms(points, halves)
     straight = np.einsum("kij,kj->ki", own[:, :3, :3], points) + own[:, :3, 3]
-    pose = align_key_points(straight if halves is None else halves.symmetric(straight), place)
-    return _moved(weighted, pose @ own, transform_points(pose, straight), scale, _unbend_step(halves))
-
-
-def _unbend_step(halves: FrontHalves | None) -> PlanStep:
+    even = straight if halves is None else symmetric_key_points(straight, halves.reflection)
+    pose = align_key_points(even, place)
+    ran, evidence = True, ""
     if halves is None:
+        ran = False
         reason = "too few key points are known on both sides to compare them: only the pose is taken away"
-        return PlanStep("eyeglasses.unbend", False, reason)
-    turn = f"halves turned against each other by {halves.bend_deg:.2f} degrees"
-    if np.isnan(halves.apart):
-        return PlanStep("eyeglasses.unbend", True, "own shape kept, halves compared by key points", turn)
-    reason = "own shape kept, halves compared by their surfaces"
-    return PlanStep("eyeglasses.unbend", True, reason, f"{turn}; rims then {halves.apart:.3g} apart, rms")
+    else:
+        surfaces = not np.isnan(halves.apart)
+        reason = f"own shape kept, halves compared by {'their surfaces' if surfaces else 'key points'}"
+        evidence = f"halves turned against each other by {halves.bend_deg:.2f} degrees"
+        evidence += f"; rims then {halves.apart:.3g} apart, rms" if surfaces else ""
+    step = PlanStep("eyeglasses.unbend", ran, reason, evidence)
+    return _moved(frame, pose @ own, transform_points(pose, straight), scale, step)
 
 
 def _moved(
-    weighted: WeightedFrame, carriers: FloatArray, targets: FloatArray, scale: float, step: PlanStep
+    frame: _Frame, carriers: FloatArray, targets: FloatArray, scale: float, step: PlanStep
 ) -> CanonicalEyeglasses:
     """Return a frame moved by carriers (20, 4, 4) of its scaled key points to their `targets` (20, 3)."""
-    frame, points = weighted.frame, scale * weighted.frame.points
+    assert frame.weights is not None
+    points = scale * frame.points
     rigid = align_key_points(points, targets)
     transforms = carriers @ np.diag([scale, scale, scale, 1.0])
     off = transform_points(rigid, points) - targets
     return CanonicalEyeglasses(
-        vertices=skin(frame.vertices, weighted.weights, transforms),
+        vertices=skin(frame.vertices, frame.weights, transforms),
         faces=frame.faces,
-        weights=weighted.weights,
+        weights=frame.weights,
         keypoints=targets,
         canonical_from_frame=rigid,
         scale=scale,
         handle_transforms=transforms,
         residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
         unbent=step.stage == "eyeglasses.unbend",
-        converged=weighted.converged,
-        plan=weighted.plan + Plan((step,)),
+        converged=frame.converged,
+        plan=frame.plan + Plan((step,)),
     )

@@ -65,7 +65,9 @@ class FrontHalves:
     @property
     def sides(self) -> tuple[FloatArray, FloatArray]:
         """(4, 4) rigid transforms of the left and the right half after which they mirror each other."""
-        half = _half(self.left_from_mirrored)
+        # The rigid H with H H = left_from_mirrored, which turns by less than half a turn.
+        turn = _nearest_rotation(np.eye(3) + self.left_from_mirrored[:3, :3])
+        half = compose(turn, np.linalg.solve(np.eye(3) + turn, self.left_from_mirrored[:3, 3]))
         return invert_rigid(half), self.reflection @ half @ np.linalg.inv(self.reflection)
 
     @property
@@ -73,10 +75,6 @@ class FrontHalves:
         """By how much one half is turned against the other."""
         left, right = self.sides
         return float(np.rad2deg(rotation_angle_rad(left[:3, :3] @ right[:3, :3].T)))
-
-    def symmetric(self, points: FloatArray) -> FloatArray:
-        """Return the mean of key points (20, 3) and their mirror image, themselves where one is missing."""
-        return _symmetric(points, self.reflection)
 
 
 def front_halves(
@@ -114,7 +112,11 @@ def _lay_on(
     start: FloatArray,
 ) -> tuple[FloatArray, float]:
     """Return the rigid (4, 4) that lays points (P, 3) on a surface, and their rms distance from it then."""
-    query, normals, size = ClosestPointQuery(vertices, faces), face_normals(vertices, faces), _size(marks[1])
+    query, normals, size = (
+        ClosestPointQuery(vertices, faces),
+        face_normals(vertices, faces),
+        float(np.linalg.norm(np.ptp(marks[1], axis=0))),
+    )
     pose = start
     for _ in range(_ROUNDS):
         placed = transform_points(pose, moving)
@@ -142,10 +144,6 @@ def _lay_on(
     return (start, np.nan) if far else (pose, float(np.sqrt((distance**2).mean())))
 
 
-def _size(points: FloatArray) -> float:
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
-
-
 def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatArray:
     """Return (20, 4, 4) rigid transforms of key points (20, 3), NaN for missing ones, that take the bend
     away.
@@ -162,7 +160,14 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
         for part in (rim, temple):
             targets[part] = transform_points(side, points[part])
     targets[_BRIDGE] = np.mean([transform_points(side, points[_BRIDGE]) for side in sides], axis=0)
-    targets = _with_equal_temples(targets, halves.reflection[:3, :3])
+    # Temples run in the mean direction of both sides; one whose counterpart is not known stays.
+    reflect, bent = halves.reflection[:3, :3], targets.copy()
+    for temple in _TEMPLES:
+        for a, b in itertools.pairwise(temple[np.isfinite(bent[temple]).all(1)]):
+            bone, other = bent[b] - bent[a], reflect @ (bent[_MIRROR[b]] - bent[_MIRROR[a]])
+            if np.isfinite(other).all():
+                bone = np.linalg.norm(bone) * normalized(normalized(bone) + normalized(other))
+            targets[b] = targets[a] + bone
     rigid = align_key_points(points, targets)
     result = turned_translations(transform_points(rigid, points), targets) @ rigid
     turn = _nearest_rotation(sides[0][:3, :3] + sides[1][:3, :3])
@@ -175,44 +180,19 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     return result
 
 
-def _with_equal_temples(targets: FloatArray, reflect: FloatArray) -> FloatArray:
-    """Return key points (20, 3) whose temples run in the mean direction of both sides, as long as they were.
-
-    `reflect` (3, 3) mirrors directions. A temple whose counterpart is not known stays.
-    """
-    result = targets.copy()
-    for temple in _TEMPLES:
-        known = temple[np.isfinite(targets[temple]).all(1)]
-        for a, b in itertools.pairwise(known):
-            bone, other = targets[b] - targets[a], reflect @ (targets[_MIRROR[b]] - targets[_MIRROR[a]])
-            if np.isfinite(other).all():
-                direction = normalized(normalized(bone) + normalized(other))
-                result[b] = result[a] + np.linalg.norm(bone) * direction
-            else:
-                result[b] = result[a] + bone
-    return result
-
-
-def _half(rigid: FloatArray) -> FloatArray:
-    """Return the rigid H (4, 4) with H H = `rigid`, which turns by less than half a turn."""
-    turn = _nearest_rotation(np.eye(3) + rigid[:3, :3])
-    return compose(turn, np.linalg.solve(np.eye(3) + turn, rigid[:3, 3]))
-
-
 def _nearest_rotation(matrix: FloatArray) -> FloatArray:
     u, _, vt = np.linalg.svd(matrix)
     return np.asarray((u * [1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt)
 
 
-def symmetric_key_points(points: FloatArray) -> FloatArray:
-    """Return the mean of key points (20, 3) and their mirror image, themselves where that fixes no plane."""
-    reflection = _reflection(points)
+def symmetric_key_points(points: FloatArray, reflection: FloatArray | None = None) -> FloatArray:
+    """Return the mean of key points (20, 3) and their mirror image, themselves where one is missing.
+
+    The `reflection` (4, 4) is their own when omitted; where they fix none, they are returned.
+    """
+    reflection = _reflection(points) if reflection is None else reflection
     if reflection is None:
         return points
-    return _symmetric(points, reflection)
-
-
-def _symmetric(points: FloatArray, reflection: FloatArray) -> FloatArray:
     image = transform_points(reflection, points[_MIRROR])
     return np.where(np.isfinite(image), (points + image) / 2, points)
 

@@ -17,7 +17,6 @@ from scan2albedo.eyeglasses.lenses.lens_paths import trace_lenses
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.scene_colors import LitScene, PhotographedScene, SceneColors
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
-from scan2albedo.geometry.blocks import blocks
 from scan2albedo.geometry.pinhole import (
     camera_centers,
     normalized_cameras,
@@ -25,6 +24,7 @@ from scan2albedo.geometry.pinhole import (
     pixel_grid,
     project,
 )
+from scan2albedo.geometry.rays import blocks
 from scan2albedo.lighting.environment import DistantLights
 
 Lenses = LensMaterial | tuple[LensMaterial | None, LensMaterial | None]
@@ -322,8 +322,8 @@ class _View:
         """Return one ray through each of the pixels (N, 2)."""
         parts = [self._band(pixels[part]) for part in blocks(len(pixels), _BAND) or [slice(0)]]
         names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
-        joined = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
-        return _SeenRays(*joined, glancing=sum(part.glancing for part in parts))
+        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
 
     def _band(self, pixels: FloatArray) -> _SeenRays:
         scene, center = self.scene, camera_centers(self.camera[None])[0]

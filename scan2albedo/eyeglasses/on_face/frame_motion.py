@@ -1,4 +1,4 @@
-"""How a frame moves and bends: a rigid motion, shifts of its key points, and their derivatives."""
+"""How a frame moves and bends: a rigid motion, shifts of its key points, their derivatives and prior."""
 
 from __future__ import annotations
 
@@ -9,14 +9,25 @@ import numpy as np
 from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, turned_translations
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 
-_NEGLIGIBLE = 1e-9
-"""Weights below this, which most are, do not count in derivatives; they do in positions."""
 RIGID = 6
 """First parameters of a step: a turn about the key points' centroid (rad), a translation."""
+_NEGLIGIBLE = 1e-9
+"""Weights below this, which most are, do not count in derivatives; they do in positions."""
+_STRETCH, _SCALE = 0.001, 0.01
+"""Part of its length by which a bone is usually stretched, and by which the whole frame is usually too large
+or too small, as a mesh that somebody measured."""
+_RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
+"""How much neighbouring key points are usually turned against each other: of a rim, across the bridge, of
+hinges and temples."""
+_RIGID_MM = 1e-3
+"""Deviation of the rigid part of the shifts, which the frame's own motion stands for."""
+_BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
+_TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POINT_NAMES])
 
 
 @dataclass(frozen=True)
@@ -82,7 +93,8 @@ class FrameMotion:
 
     def positions(self, points: SkinnedPoints) -> FloatArray:
         """Return (N, 3) in the world."""
-        return np.asarray(_blend_positions(points.rest, points.weights, self.transforms))
+        blended = (points.weights @ self.transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+        return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3])
 
     def covariances(self, points: SkinnedPoints, root: FloatArray) -> FloatArray:
         """Return covariances (N, 3, 3) of points in the world that follow from root root^T, a step's own.
@@ -161,11 +173,12 @@ class FrameMotion:
         system[own, own] = _spin(total)
         np.add.at(system, (k, j), -prior[:, None, None] * _spin(relative))
         across = (np.eye(3) - np.einsum("bi,bj->bij", after, after)) / length[:, :, None]
-        lever = _cross_matrices(carried) @ across
+        lever = np.cross(carried[:, None, :], np.eye(3)).transpose(0, 2, 1) @ across
         drive = np.zeros((count, count, 3, 3))
         np.add.at(drive, (k, j), lever)
         np.add.at(drive, (k, k), -lever)
-        return np.asarray(np.linalg.solve(_flat(system), _flat(drive)), np.float64)
+        flat = (blocks.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count) for blocks in (system, drive))
+        return np.asarray(np.linalg.solve(*flat), np.float64)
 
 
 def _spin(matrices: FloatArray) -> FloatArray:
@@ -173,35 +186,49 @@ def _spin(matrices: FloatArray) -> FloatArray:
     return np.trace(matrices, axis1=1, axis2=2)[:, None, None] * np.eye(3) - matrices
 
 
-def _cross_matrices(vectors: FloatArray) -> FloatArray:
-    """Return (N, 3, 3) matrices of v x."""
-    return np.cross(vectors[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
+def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (N,) in standard deviations and their derivatives (N, 6 + 3 K).
 
-
-def _flat(blocks: FloatArray) -> FloatArray:
-    count = len(blocks)
-    return blocks.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
-
-
-@njit(cache=True, nogil=True)
-def _blend_positions(rest, weights, transforms):  # type: ignore[no-untyped-def]
-    """Return (N, 3) points of rest (N, 3) under the weighted mean of transforms (K, 4, 4)."""
-    count, handles = weights.shape
-    result = np.empty((count, 3))
-    mean = np.empty((3, 4))
-    for n in range(count):
-        mean[:] = 0.0
-        for k in range(handles):
-            w = weights[n, k]
-            if w != 0.0:
-                for i in range(3):
-                    for j in range(4):
-                        mean[i, j] += w * transforms[k, i, j]
-        for i in range(3):
-            result[n, i] = (
-                mean[i, 0] * rest[n, 0] + mean[i, 1] * rest[n, 1] + mean[i, 2] * rest[n, 2] + mean[i, 3]
-            )
-    return result
+    Of each bone: its stretch, beside one that all have in common, and the turn of its two ends against each
+    other; then the six rigid motions within the shifts, which must be 0.
+    """
+    bones = known_bones(motion.keypoints)
+    bones = bones[bones[:, 0] < bones[:, 1]]
+    k, j = bones.T
+    # Stretches, whitened for the part that all share: of their mean only so much is left.
+    bent = motion.keypoints + motion.state.shifts
+    length = np.linalg.norm(motion.keypoints[j] - motion.keypoints[k], axis=1)
+    along, sigma = bent[j] - bent[k], _STRETCH * length
+    heading, number = normalized(along) / sigma[:, None], np.arange(len(bones))
+    by_ends = np.zeros((len(bones), len(bent), 3))
+    by_ends[number, j], by_ends[number, k] = heading, -heading
+    stretch, stretch_rows = (np.linalg.norm(along, axis=1) - length) / sigma, by_ends.reshape(len(bones), -1)
+    shared = 1 - _STRETCH / np.hypot(_STRETCH, np.sqrt(len(bones)) * _SCALE)
+    stretch, stretch_rows = stretch - shared * stretch.mean(), stretch_rows - shared * stretch_rows.mean(0)
+    # Relative turns R_j R_k^T as axes times angles; derivatives to first order in them.
+    turn_rad = np.select(
+        [_TEMPLE[bones].any(1), _BRIDGE[bones].all(1)], [_TEMPLE_TURN_RAD, _BRIDGE_TURN_RAD], _RIM_TURN_RAD
+    )[:, None]
+    rotations = motion.handles[:, :3, :3]
+    relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])
+    skew = (relative - relative.transpose(0, 2, 1)) / 2
+    axis = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], 1)
+    sine = np.linalg.norm(axis, axis=1)
+    angle = np.arctan2(sine, (np.trace(relative, axis1=1, axis2=2) - 1) / 2)
+    turn = axis * np.where(sine > 1e-12, angle / np.where(sine > 0, sine, 1), 1.0)[:, None] / turn_rad
+    turns = motion.turns.reshape(len(rotations), 3, -1)
+    turn_rows = ((turns[j] - turns[k]) / turn_rad[:, None]).reshape(3 * len(bones), -1)
+    # Rigid motions of the shifts; key points that the frame lacks stay where they are.
+    arm = np.where(motion.known[:, None], motion.keypoints - motion.center, 0.0)
+    moves = np.tile(np.eye(3), (len(arm), 1, 1))
+    about = np.cross(arm[:, None], np.eye(3)) / np.linalg.norm(arm, axis=1).mean()
+    rigid_rows = np.concatenate([moves, about], 2) * motion.known[:, None, None]
+    rigid_rows = rigid_rows.transpose(2, 0, 1).reshape(6, -1) / _RIGID_MM / motion.known.sum()
+    still = np.eye(rigid_rows.shape[1])[np.repeat(~motion.known, 3)]
+    rigid_rows = np.concatenate([rigid_rows, still])
+    rigid = rigid_rows @ motion.state.shifts.ravel()
+    rows = np.concatenate([stretch_rows, turn_rows, rigid_rows])
+    return np.concatenate([stretch, turn.ravel(), rigid]), np.pad(rows, ((0, 0), (RIGID, 0)))
 
 
 @njit(cache=True, nogil=True)

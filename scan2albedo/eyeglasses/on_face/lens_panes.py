@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, InsertedLens, insert_lens
+from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, insert_lens
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.rims import LensPlane, fit_normal, is_covered, pane_faces
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, hidden_by
+from scan2albedo.eyeglasses.on_face.outline import FrameMesh, hidden_by
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 
@@ -71,7 +72,13 @@ def covered_shares(
 ) -> FloatArray:
     """Return (C,) shares of an opening's middle that the masks (H, W) cover, NaN where they cannot say."""
     marks = SkinnedPoints(np.nan_to_num(motion.keypoints), np.eye(len(motion.keypoints)))
-    places = _places(motion.positions(marks)[opening.rim])
+    # Points spread over the middle of the polygon of the rim's key points.
+    rim = motion.positions(marks)[opening.rim]
+    corners = np.vstack([rim, rim[:1]])
+    way = np.linspace(0, len(rim), _SIDES_A_RIM, endpoint=False)
+    edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
+    middle = rim.mean(0)
+    places = (middle + _INNER[:, None, None] * (edge - middle)).reshape(-1, 3)
     shares = np.full(len(cameras), np.nan)
     for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
         if mask is None:
@@ -83,15 +90,6 @@ def covered_shares(
         if inside.sum() >= _FEWEST:
             shares[number] = mask[row[inside], column[inside]].mean()
     return shares
-
-
-def _places(rim: FloatArray) -> FloatArray:
-    """Return (P, 3) points spread over the middle of a polygon (5, 3)."""
-    corners = np.vstack([rim, rim[:1]])
-    way = np.linspace(0, len(rim), _SIDES_A_RIM, endpoint=False)
-    edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
-    middle = rim.mean(0)
-    return np.asarray((middle + _INNER[:, None, None] * (edge - middle)).reshape(-1, 3))
 
 
 @dataclass(frozen=True)
@@ -138,15 +136,22 @@ def as_masks_show(
                 f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim, which stays; "
                 "cut it out of the mesh"
             )
-            steps.append(PlanStep("glasses.lenses", False, reason, evidence))
+            steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
         elif shown.any() and not opening.sealed and not len(opening.panes):
-            lens = _fitted(mesh, motion.keypoints, opening.side)
             reason = f"{_views(shown)} a {name} that the mesh does not have"
-            if lens is None:
+            given = mesh.points.rest, mesh.faces, motion.keypoints, opening.side
+            try:
+                lens = insert_lens(*given, LensMaterial(), seat_mm=_SEAT_MM)
+            except EyeglassesError:
                 reason += ", and none fits into the rim: label the mesh's key points anew, or leave out masks"
-                steps.append(PlanStep("glasses.lenses", False, reason, evidence))
+                steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
                 continue
-            added, faces = _with_lens(mesh, added, lens)
+            # The lens lies behind the mesh so far and follows the rim.
+            rim = mesh.points.weights[cKDTree(mesh.points.rest).query(lens.vertices[1:])[1]]
+            weights = np.vstack([added.points.weights, rim.mean(0, keepdims=True), rim])
+            faces = lens.faces + len(added.points.rest)
+            points = SkinnedPoints(np.vstack([added.points.rest, lens.vertices]), weights)
+            added = FrameMesh(points, np.concatenate([added.faces, faces]))
             for number in np.flatnonzero(shown):
                 extra[number].append(faces)
             steps.append(PlanStep("glasses.lenses", True, f"{reason}: a flat one is put in", evidence))
@@ -161,23 +166,3 @@ def _views(which: BoolArray) -> str:
         return "the masks show"
     numbers = ", ".join(str(number) for number in np.flatnonzero(which))
     return f"the masks of views {numbers} show" if which.sum() > 1 else f"the mask of view {numbers} shows"
-
-
-def _fitted(mesh: FrameMesh, keypoints: FloatArray, side: int) -> InsertedLens | None:
-    """Return the lens that fills a rim; None where none does."""
-    try:
-        return insert_lens(mesh.points.rest, mesh.faces, keypoints, side, LensMaterial(), seat_mm=_SEAT_MM)
-    except EyeglassesError:
-        return None
-
-
-def _with_lens(mesh: FrameMesh, added: FrameMesh, lens: InsertedLens) -> tuple[FrameMesh, IntArray]:
-    """Return the mesh so far with a lens behind it that follows the rim, and the lens's faces (R, 3)."""
-    from scipy.spatial import cKDTree
-
-    nearest = cKDTree(mesh.points.rest).query(lens.vertices[1:])[1]
-    rim = mesh.points.weights[nearest]
-    weights = np.vstack([added.points.weights, rim.mean(0, keepdims=True), rim])
-    faces = lens.faces + len(added.points.rest)
-    points = SkinnedPoints(np.vstack([added.points.rest, lens.vertices]), weights)
-    return FrameMesh(points, np.concatenate([added.faces, faces])), faces

@@ -9,61 +9,39 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
-from scan2albedo.eyeglasses.on_face.mask_distance import MaskDistance
-from scan2albedo.eyeglasses.on_face.priors import HeadContact, bend_prior
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.on_face.frame_motion import (
+    RIGID,
+    FrameMotion,
+    FrameState,
+    SkinnedPoints,
+    bend_prior,
+)
+from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
+from scan2albedo.eyeglasses.on_face.outline import REACH_PX, ObservedView, OutlineSamples
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
 _CONTACT_MM = 1.0
 """Usual distance between nose and frame."""
 _BEHIND = 1e6
 """Squared error in standard deviations of a point behind a camera."""
-_CAUCHY = 2.0
-"""Standard deviations from which a label's error counts less and less."""
-_OFFSET_MM = 0.5
-"""How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
-_BIAS_PX = 1.0
-"""How far a mask usually reaches beyond the frame, or falls short of it, all around."""
+_ROBUST = 2.0
+"""Standard deviations from which the error of a label counts less and less (Cauchy), and that of an outline
+by its size alone (Huber)."""
+_OFFSET_MM, _BIAS_PX = 0.5, 1.0
+"""How far what is labelled usually is from the mesh's key point, along each axis and alike in all views; how
+far a mask usually reaches beyond the frame, or falls short of it, all around."""
+_VOTE = 1 / 20
+"""Of a pixel of the outline: a mask's errors are alike over 20 pixels, which share one vote."""
 _REWEIGHTINGS = 3
 """Times that offsets and biases are found with the weights of robust errors."""
 _TINY = 1e-9
 """Root of an information, of labels in standard deviations a mm, that is none."""
-_HUBER = 2.0
-"""Standard deviations from which an outline's error counts by its size alone."""
-_DAMPING = Damping(largest=1e6)
-_STEPS = 40
-"""Most steps of a descent on labels."""
-
-
-@dataclass(frozen=True)
-class ObservedView:
-    """One camera's picture."""
-
-    camera: FloatArray
-    """(3, 4) normalised."""
-    labels: FloatArray
-    """(K, 2), NaN for missing ones."""
-    distance: MaskDistance | None
-    """None without a usable mask."""
-    shape: tuple[int, int] | None
-    """(H, W) of the picture; None where neither a mask nor the caller says."""
-
-
-@dataclass(frozen=True)
-class OutlineSamples:
-    """Points of the frame that make its outlines."""
-
-    view: IntArray
-    """(N,)"""
-    points: SkinnedPoints
-    edges: FloatArray
-    """(N, 2) pixels where the mask ends beside the sample; NaN where its distance to the mask counts."""
-    outward: FloatArray
-    """(N, 2) unit vectors in the picture, away from the frame."""
-
-    def __len__(self) -> int:
-        return len(self.view)
+_CANDIDATES = 200
+"""Front vertices nearest to the head that are looked at until they are chosen anew."""
+_FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
 
 
 @dataclass(frozen=True)
@@ -89,6 +67,50 @@ def mean_outline_px(at: Linearization) -> float:
     """Return the mean distance of the outline from the mask's: a median of whole pixels would stand still."""
     errors = np.abs(at.outline_px[np.isfinite(at.outline_px)])
     return float(np.mean(errors)) if len(errors) else float("nan")
+
+
+class HeadContact:
+    """The least signed distance of a frame's front from a head in the world, (H, 3) and (G, 3)."""
+
+    def __init__(self, points: SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
+        self._query = ClosestPointQuery(vertices, faces)
+        self._normals = face_normals(vertices, faces)
+        front = np.flatnonzero(_FRONT[points.weights.argmax(1)])
+        self._front = SkinnedPoints(points.rest[front], points.weights[front])
+        self._candidates = self._front
+
+    def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
+        """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
+        place = motion.positions(self._front)
+        hits = self._query.query(place)
+        toward = viewers.mean(0) - hits.points
+        if np.einsum("ni,ni->n", self._normals[hits.face], toward).sum() < 0:
+            self._normals = -self._normals
+
+    def select_candidates(self, motion: FrameMotion) -> None:
+        """Choose the vertices that may touch next."""
+        if len(self._front.rest) > _CANDIDATES:
+            distance = self._query.query(motion.positions(self._front)).distance
+            nearest = np.argpartition(distance, _CANDIDATES)[:_CANDIDATES]
+            self._candidates = SkinnedPoints(self._front.rest[nearest], self._front.weights[nearest])
+
+    def __bool__(self) -> bool:
+        return len(self._front.rest) > 0
+
+    def nearest_point(self, motion: FrameMotion) -> tuple[SkinnedPoints, FloatArray, float, FloatArray]:
+        """Return the point that is nearest or deepest, its place (1, 3), signed distance, slope (1, 3)."""
+        place = motion.positions(self._candidates)
+        hits = self._query.query(place)
+        normals = self._normals[hits.face]
+        height = np.einsum("ni,ni->n", place - hits.points, normals)
+        signed = np.where(height < 0, -hits.distance, hits.distance)
+        first = int(np.argmin(signed))
+        away = place[first] - hits.points[first]
+        length = float(np.linalg.norm(away))
+        slope = normals[first] if length < 1e-9 else np.sign(signed[first]) * away / length
+        one = slice(first, first + 1)
+        point = SkinnedPoints(self._candidates.rest[one], self._candidates.weights[one])
+        return point, place[one], float(signed[first]), slope[None]
 
 
 class RegistrationObjective:
@@ -140,7 +162,10 @@ class RegistrationObjective:
         labels_px = self._add_labels(sums)
         outline_px = np.zeros(0) if samples is None else self._add_outlines(samples, sums)
         if self.contact is not None:
-            self._add_contact(self.contact, sums)
+            point, place, distance, slope = self.contact.nearest_point(motion)
+            value = np.array([distance / _CONTACT_MM])
+            sums.add(point, place, slope / _CONTACT_MM, value, np.ones(1))
+            sums.cost += float(value[0] ** 2)
         if rigid:
             part = slice(RIGID)
             return Linearization(
@@ -159,15 +184,23 @@ class RegistrationObjective:
     def _add_labels(self, sums: _Sums) -> FloatArray:
         place, noise = sums.motion.positions(self._marks), self.options.label_noise_px
         view, mark = np.nonzero(self._labelled)
-        pixels, slopes, front = _projected(self._cameras[view], place[mark])
+        pixels, slopes, front = projected(self._cameras[view], place[mark])
         errors = np.full(self._labelled.shape, np.nan)
         difference = pixels - self._labels[view, mark]
         errors[view, mark] = np.where(front, np.linalg.norm(difference, axis=1), np.inf)
         slopes = np.where(front[:, None, None], slopes, 0.0) / noise
         residual = np.where(front[:, None], difference, 0.0) / noise
-        found = _label_offsets(slopes, residual, front, mark, len(place))
-        offset, matrix = found.offset, found.matrix
-        inverse = np.linalg.inv(matrix + np.eye(3) / _OFFSET_MM**2)
+        # Where labels are off alike in all views: offsets that leave the least errors, their own included.
+        offset, prior = np.zeros((len(place), 3)), np.eye(3) / _OFFSET_MM**2
+        for _ in range(_REWEIGHTINGS):
+            moved = residual + np.einsum("nij,nj->ni", slopes, offset[mark])
+            square = np.where(front, (moved**2).sum(1), _BEHIND)
+            weight = 1 / (1 + square / _ROBUST**2)
+            matrix, pull = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
+            np.add.at(matrix, mark, np.einsum("n,nki,nkj->nij", weight, slopes, slopes))
+            np.add.at(pull, mark, np.einsum("n,nki,nk->ni", weight, slopes, residual))
+            offset = -np.asarray(np.linalg.solve(matrix + prior, pull[:, :, None])[:, :, 0], np.float64)
+        inverse = np.linalg.inv(matrix + prior)
         # What is left of each key point's sums without its offset, as three values along the matrix's axes.
         values, axes = np.linalg.eigh(matrix - matrix @ inverse @ matrix)
         size = np.sqrt(np.maximum(values, 0.0))
@@ -180,19 +213,13 @@ class RegistrationObjective:
             (along / np.maximum(size, _TINY)).ravel(),
             (size > _TINY).astype(np.float64).ravel(),
         )
-        sums.cost += float(_CAUCHY**2 * np.log1p(found.square / _CAUCHY**2).sum())
+        sums.cost += float(_ROBUST**2 * np.log1p(square / _ROBUST**2).sum())
         sums.cost += float((offset**2).sum() / _OFFSET_MM**2)
         return errors
 
-    def _add_contact(self, contact: HeadContact, sums: _Sums) -> None:
-        point, place, distance, slope = contact.nearest_point(sums.motion)
-        value = np.array([distance / _CONTACT_MM])
-        sums.add(point, place, slope / _CONTACT_MM, value, np.ones(1))
-        sums.cost += float(value[0] ** 2)
-
     def _add_outlines(self, samples: OutlineSamples, sums: _Sums) -> FloatArray:
         place, noise = sums.motion.positions(samples.points), self.options.outline_noise_px
-        pixels, slopes, _ = _projected(self._cameras[samples.view], place)
+        pixels, slopes, _ = projected(self._cameras[samples.view], place)
         error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
         for number, view in enumerate(self.views):
             mine = samples.view == number
@@ -205,73 +232,33 @@ class RegistrationObjective:
         slope[sought] = np.einsum("ni,nij->nj", outward, slopes[sought])
         lost = ~np.isfinite(error)
         residual, slope[lost] = np.where(lost, 0.0, error) / noise, 0
-        vote = min(1.0, self.options.outline_stride / max(1.0, self.options.outline_correlation_px))
         tight = (noise / _BIAS_PX) ** 2
         for number in range(len(self.views)):
             mine = np.flatnonzero((samples.view == number) & ~lost)
             if not len(mine):
                 continue
-            bias = _mask_bias(residual[mine], vote, tight)
+            bias = 0.0
+            for _ in range(_REWEIGHTINGS):
+                weight = _VOTE * _huber_weights(residual[mine] - bias)
+                bias = float(weight @ residual[mine] / (weight.sum() + tight))
             residual[mine] -= bias
-            weight = vote * _huber_weights(residual[mine])
+            weight = _VOTE * _huber_weights(residual[mine])
             error[mine] -= noise * bias
             sums.cost += tight * bias**2
             part = SkinnedPoints(samples.points.rest[mine], samples.points.weights[mine])
             sums.take_common(part, place[mine], slope[mine] / noise, weight, tight)
         size = np.abs(residual)
-        cost = np.where(size > _HUBER, _HUBER * (2 * size - _HUBER), size**2)
+        cost = np.where(size > _ROBUST, _ROBUST * (2 * size - _ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
-        cost[lost] = _HUBER * 2 * self.options.outline_reach_px / noise
-        sums.add(samples.points, place, slope / noise, residual, vote * _huber_weights(residual))
-        sums.cost += float(vote * cost.sum())
+        cost[lost] = _ROBUST * 2 * REACH_PX / noise
+        sums.add(samples.points, place, slope / noise, residual, _VOTE * _huber_weights(residual))
+        sums.cost += float(_VOTE * cost.sum())
         return error
-
-
-@dataclass(frozen=True)
-class _LabelOffsets:
-    """Where labels are off alike in all views."""
-
-    offset: FloatArray
-    """(K, 3) mm in the world."""
-    matrix: FloatArray
-    """(K, 3, 3) what a key point's labels say about its place, with the weights of robust errors."""
-    square: FloatArray
-    """(N,) squared errors of the labels that are left, in standard deviations."""
-
-
-def _label_offsets(
-    slopes: FloatArray, residual: FloatArray, front: BoolArray, mark: IntArray, count: int
-) -> _LabelOffsets:
-    """Return the offsets of K key points that leave the least errors of N labels and of their own.
-
-    Of labels with derivatives (N, 2, 3) by the place of their key point `mark` (N,), errors (N, 2) without
-    offsets, and `front` (N,), False behind a camera.
-    """
-    offset = np.zeros((count, 3))
-    for _ in range(_REWEIGHTINGS):
-        moved = residual + np.einsum("nij,nj->ni", slopes, offset[mark])
-        square = np.where(front, (moved**2).sum(1), _BEHIND)
-        weight = 1 / (1 + square / _CAUCHY**2)
-        matrix, pull = np.zeros((count, 3, 3)), np.zeros((count, 3))
-        np.add.at(matrix, mark, np.einsum("n,nki,nkj->nij", weight, slopes, slopes))
-        np.add.at(pull, mark, np.einsum("n,nki,nk->ni", weight, slopes, residual))
-        moved_by = np.linalg.solve(matrix + np.eye(3) / _OFFSET_MM**2, pull[:, :, None])
-        offset = -np.asarray(moved_by[:, :, 0], np.float64)
-    return _LabelOffsets(offset, matrix, square)
-
-
-def _mask_bias(residual: FloatArray, vote: float, tight: float) -> float:
-    """Return by how much all of an outline is off, in standard deviations; `tight` is its prior precision."""
-    bias = 0.0
-    for _ in range(_REWEIGHTINGS):
-        weight = vote * _huber_weights(residual - bias)
-        bias = float(weight @ residual / (weight.sum() + tight))
-    return bias
 
 
 def _huber_weights(residual: FloatArray) -> FloatArray:
     size = np.abs(residual)
-    return np.where(size > _HUBER, _HUBER / np.maximum(size, _HUBER), 1.0)
+    return np.where(size > _ROBUST, _ROBUST / np.maximum(size, _ROBUST), 1.0)
 
 
 class _Sums:
@@ -298,7 +285,7 @@ class _Sums:
             self.matrix -= np.outer(common, common) / (votes.sum() + tight)
 
 
-def _projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return pixels (N, 2), NaN behind the camera, and their derivatives; which points lie in front (N,).
 
     Each point is seen by its own camera; the derivatives are (N, 2, 3).
@@ -328,11 +315,8 @@ class _Point:
     ) -> None:
         self._linearize, self._meter = linearize, meter
         self.state, self.at = state, linearize(state)
+        self.cost = self.at.cost
         meter.count()
-
-    @property
-    def cost(self) -> float:
-        return self.at.cost
 
     def normal_equations(self) -> NormalEquations:
         return NormalEquations(self.at.matrix, self.at.gradient)
@@ -346,7 +330,7 @@ def descend(
     state: FrameState,
     meter: Meter,
     *,
-    steps: int = _STEPS,
+    steps: int = 40,
     error: Callable[[Linearization], float],
     tolerance: float = 1e-5,
 ) -> FrameEstimate:
@@ -359,7 +343,7 @@ def descend(
         _Point(linearize, state, meter),
         trials=steps,
         tolerance=tolerance,
-        damping=_DAMPING,
+        damping=Damping(largest=1e6),
         meter=meter,
         on_better=lambda point: meter.record(error(point.at)),
     )

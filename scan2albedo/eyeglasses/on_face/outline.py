@@ -1,4 +1,4 @@
-"""The outline of a mesh in a picture: which surface points make the border of its mask."""
+"""Outlines of a frame in the pictures: the surface points that make them, and how far masks are from them."""
 
 from __future__ import annotations
 
@@ -8,24 +8,145 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rasterization import nearest_faces
+from scan2albedo.geometry.rays import RayCaster
 
+REACH_PX = 40.0
+"""Pixels of the outline farther from the observed one than this are left out."""
+_NEAR_PX, _REACH = 5.0, 3.0
+"""Nearer ones are left out where the frame's place is known better: beyond these pixels for noise and what
+weights cannot bend, and these standard deviations."""
+_MARGIN_PX = 96
+"""How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
 """Pixels each way whose uncovered ones show where outside is."""
-_SPREAD = np.array([0.63131, 0.52854])
-"""Numbers whose sums, differences and multiples have fractional parts that are spread evenly; found by trying
-thousands for ten ways that an outline may run."""
+_FACING = 0.3
+"""Least cosine between where outside is for the frame's outline and for the observed one."""
+_ABOVE_SKIN_MM = 1.0
+"""The head hides points more than this behind its surface: frames rest on the skin."""
+_HEAD_MARGIN_PX = 4.0
+"""Pixels of the outline this near to where the head hides the frame are left out."""
 
 
 @dataclass(frozen=True)
-class Coverage:
-    """What a mesh covers of a picture, inside a window around it."""
+class MaskDistance:
+    """Distance in pixels from a mask's outermost covered pixels: 0 there, positive outside."""
 
-    face: NDArray[np.int32]
-    """(h, w) foremost face at each pixel's centre, -1 for none."""
+    field: NDArray[np.float32]
+    """(h, w) of a window around the mask."""
     corner: tuple[int, int]
-    """Row and column of the window's first pixel in the picture."""
+    """Column and row of the window's first pixel."""
+
+    @classmethod
+    def of(cls, mask: BoolArray) -> MaskDistance:
+        """Return the distances of a mask (H, W) that has both covered and uncovered pixels."""
+        from scipy.ndimage import distance_transform_edt
+
+        rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
+        top, left = max(0, rows[0] - _MARGIN_PX), max(0, columns[0] - _MARGIN_PX)
+        window = mask[top : rows[-1] + _MARGIN_PX + 1, left : columns[-1] + _MARGIN_PX + 1]
+        # Outside, a border pixel's neighbour is 1 away; inside, border pixels are 1 from the outside.
+        field = np.where(window, 1 - distance_transform_edt(window), distance_transform_edt(~window))
+        return cls(np.ascontiguousarray(field, np.float32), (int(left), int(top)))
+
+    def sample(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return distances (N,) and slopes (N, 2) by column and row, bilinear; NaN outside the window."""
+        height, width = self.field.shape
+        place = pixels - np.array(self.corner)
+        with np.errstate(invalid="ignore"):
+            inside = ((place >= 0) & (place <= [width - 1, height - 1])).all(1)
+        where = np.where(inside[:, None], place, 0.0)
+        first = np.minimum(np.floor(where), [width - 2, height - 2]).astype(np.int64)
+        x, y = (where - first).T
+        column, row = first.T
+        a, b = self.field[row, column], self.field[row, column + 1]
+        c, d = self.field[row + 1, column], self.field[row + 1, column + 1]
+        value = (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
+        slope = np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 1)
+        value, slope = value.astype(np.float64), slope.astype(np.float64)
+        value[~inside], slope[~inside] = np.nan, np.nan
+        return value, slope
+
+
+def search_edges(
+    distance: MaskDistance, pixels: FloatArray, outward: FloatArray, reach_px: FloatArray
+) -> FloatArray:
+    """Return (N,) signed distances along `outward` (N, 2) from `pixels` to the mask's edge; NaN for none.
+
+    The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask, at
+    a cosine of 0.3 or more to the mask's own outward direction. Distances to the mask's nearest border
+    would find the sides of a bar, never its end.
+    """
+    result = np.full(len(pixels), np.nan)
+    if not len(pixels):
+        return result
+    edge = 0.5  # from the mask's outermost pixels
+    farthest = int(np.ceil(reach_px.max()))
+    ways = np.arange(-farthest, farthest + 1.0)
+    places = pixels[:, None] + ways[:, None] * outward[:, None]
+    value, slope = distance.sample(places.reshape(-1, 2))
+    value = value.reshape(len(pixels), -1)
+    along = np.einsum("nki,ni->nk", slope.reshape(*value.shape, 2), outward)
+    steep = along >= _FACING * np.linalg.norm(slope.reshape(*value.shape, 2), axis=2)
+    with np.errstate(invalid="ignore"):
+        leaves = (value[:, :-1] <= edge) & (value[:, 1:] > edge) & (steep[:, :-1] | steep[:, 1:])
+    share = (edge - value[:, :-1]) / np.where(leaves, value[:, 1:] - value[:, :-1], 1.0)
+    way = np.where(leaves, ways[:-1] + share - edge, np.inf)
+    nearest = np.abs(way).argmin(1)
+    found = way[np.arange(len(way)), nearest]
+    within = np.abs(found) <= reach_px
+    result[within] = found[within]
+    return result
+
+
+@dataclass(frozen=True)
+class ObservedView:
+    """One camera's picture."""
+
+    camera: FloatArray
+    """(3, 4) normalised."""
+    labels: FloatArray
+    """(K, 2), NaN for missing ones."""
+    distance: MaskDistance | None
+    """None without a usable mask."""
+    shape: tuple[int, int] | None
+    """(H, W) of the picture; None where neither a mask nor the caller says."""
+
+
+@dataclass(frozen=True)
+class OutlineSamples:
+    """Points of the frame that make its outlines."""
+
+    view: IntArray
+    """(N,)"""
+    points: SkinnedPoints
+    edges: FloatArray
+    """(N, 2) pixels where the mask ends beside the sample; NaN where its distance to the mask counts."""
+    outward: FloatArray
+    """(N, 2) unit vectors in the picture, away from the frame."""
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+
+@dataclass(frozen=True)
+class FrameMesh:
+    """A frame at rest; weights (V, K)."""
+
+    points: SkinnedPoints
+    faces: IntArray
+
+
+def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) -> BoolArray:
+    """Return (N,) True for points that the head hides from a camera."""
+    if head is None:
+        return np.zeros(len(points), bool)
+    toward = camera_centers(camera[None])[0] - points
+    return head.occluded(points + _ABOVE_SKIN_MM * normalized(toward), toward)
 
 
 @dataclass(frozen=True)
@@ -41,79 +162,56 @@ class Outline:
     outward: FloatArray
     """(N, 2) unit vectors in the picture, away from the mask."""
 
-    def thinned(self, stride: int) -> Outline:
-        """Return one in `stride` of the pixels, spread evenly by a low-discrepancy sum of column and row."""
-        if stride == 1:
-            return self
-        kept = self.pixels @ _SPREAD % 1.0 < 1.0 / stride
-        return Outline(self.pixels[kept], self.face[kept], self.barycentric[kept], self.outward[kept])
 
-
-def cover(pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]) -> Coverage:
-    """Return the pixels that a mesh covers of a picture (H, W), by a perspective z-buffer.
+def cover(
+    pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
+) -> NDArray[np.int32]:
+    """Return (H, W) the foremost face at each pixel's centre, -1 for none.
 
     `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane; faces with vertices
     behind the camera (NaN) are left out.
     """
-    seen = pixels[np.isfinite(pixels).all(1)]
-    limits = np.array([shape[1], shape[0]])
-    if len(seen) == 0:
-        return Coverage(np.full((0, 0), -1, np.int32), (0, 0))
-    # A pixel more on each side: borders need the uncovered neighbour.
-    low = np.clip(np.floor(seen.min(0)) - 1, 0, limits).astype(np.int64)
-    high = np.clip(np.ceil(seen.max(0)) + 2, 0, limits).astype(np.int64)
-    size = np.maximum(high - low, 0)
-    nearness = 1 / np.where(depth > 0, depth, np.nan)
-    face = nearest_faces(pixels - low, nearness, faces, (int(size[1]), int(size[0])))
-    return Coverage(face, (int(low[1]), int(low[0])))
+    return nearest_faces(pixels, 1 / np.where(depth > 0, depth, np.nan), faces, shape)
 
 
 def trace_outline(
-    coverage: Coverage, pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
+    covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
 ) -> Outline:
     """Return the covered pixels with an uncovered 4-neighbour; the picture's border is no outline."""
-    row, column, outward = _border(coverage.face, coverage.corner[0], coverage.corner[1], *shape)
+    row, column, outward = _border(covered)
     length = np.linalg.norm(outward, axis=1)
     kept = length > 0
-    place, face, share = _points_at(row[kept], column[kept], coverage, pixels, depth, faces)
-    return Outline(place, face, share, outward[kept] / length[kept, None])
+    at = np.stack([column[kept], row[kept]], 1)
+    return Outline(at, *_points_at(at, covered, pixels, depth, faces), outward[kept] / length[kept, None])
 
 
 def covered_points(
-    coverage: Coverage, pixels: FloatArray, depth: FloatArray, faces: IntArray
+    covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
 ) -> tuple[IntArray, IntArray, FloatArray]:
     """Return all covered pixels (N, 2), their faces (N,) and the surface points' barycentric (N, 3)."""
-    row, column = np.nonzero(coverage.face >= 0)
-    return _points_at(row, column, coverage, pixels, depth, faces)
+    row, column = np.nonzero(covered >= 0)
+    at = np.stack([column, row], 1)
+    return at, *_points_at(at, covered, pixels, depth, faces)
 
 
 def _points_at(
-    row: IntArray,
-    column: IntArray,
-    coverage: Coverage,
-    pixels: FloatArray,
-    depth: FloatArray,
-    faces: IntArray,
-) -> tuple[IntArray, IntArray, FloatArray]:
-    face = coverage.face[row, column].astype(np.int64)
-    place = np.stack([column + coverage.corner[1], row + coverage.corner[0]], 1)
+    at: IntArray, covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
+) -> tuple[IntArray, FloatArray]:
+    face = covered[at[:, 1], at[:, 0]].astype(np.int64)
     corners = faces[face]
-    a, b, c = (pixels[corners[:, i]] - place for i in range(3))
-    flat = np.stack([_area(b, c), _area(c, a), _area(a, b)], 1) / depth[corners]
-    return place, face, flat / flat.sum(1, keepdims=True)
-
-
-def _area(a: FloatArray, b: FloatArray) -> FloatArray:
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    a, b, c = (pixels[corners[:, i]] - at for i in range(3))
+    areas = [u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((b, c), (c, a), (a, b))]
+    flat = np.stack(areas, 1) / depth[corners]
+    return face, flat / flat.sum(1, keepdims=True)
 
 
 @njit(cache=True, nogil=True)
-def _border(face, first_row, first_column, height, width):  # type: ignore[no-untyped-def]
-    """Return rows, columns (N,) in the window, and sums of directions to uncovered pixels (N, 2)."""
+def _border(face):  # type: ignore[no-untyped-def]
+    """Return rows, columns (N,) of border pixels, and sums of directions to uncovered pixels (N, 2)."""
     rows, columns = face.shape
-    found = 0
-    place = np.empty((rows * columns, 2), np.int64)
+    found = np.empty((rows * columns, 2), np.int64)
     outward = np.empty((rows * columns, 2))
+    count = 0
     for row in range(rows):
         for column in range(columns):
             if face[row, column] < 0:
@@ -121,20 +219,120 @@ def _border(face, first_row, first_column, height, width):  # type: ignore[no-un
             open_side = False
             for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
                 r, c = row + dr, column + dc
-                inside = 0 <= r + first_row < height and 0 <= c + first_column < width
-                if inside and (not (0 <= r < rows and 0 <= c < columns) or face[r, c] < 0):
+                if 0 <= r < rows and 0 <= c < columns and face[r, c] < 0:
                     open_side = True
             if not open_side:
                 continue
             x, y = 0.0, 0.0
-            for dr in range(-_AROUND, _AROUND + 1):
-                for dc in range(-_AROUND, _AROUND + 1):
-                    r, c = row + dr, column + dc
-                    inside = 0 <= r + first_row < height and 0 <= c + first_column < width
-                    if inside and (not (0 <= r < rows and 0 <= c < columns) or face[r, c] < 0):
-                        x += dc
-                        y += dr
-            place[found, 0], place[found, 1] = row, column
-            outward[found, 0], outward[found, 1] = x, y
-            found += 1
-    return place[:found, 0], place[:found, 1], outward[:found]
+            for r in range(max(0, row - _AROUND), min(rows, row + _AROUND + 1)):
+                for c in range(max(0, column - _AROUND), min(columns, column + _AROUND + 1)):
+                    if face[r, c] < 0:
+                        x += c - column
+                        y += r - row
+            found[count, 0], found[count, 1] = row, column
+            outward[count, 0], outward[count, 1] = x, y
+            count += 1
+    return found[:count, 0], found[:count, 1], outward[:count]
+
+
+class OutlineSampler:
+    """Traces the outlines of a moving frame, with the head, if any, in front of it."""
+
+    def __init__(
+        self,
+        mesh: FrameMesh,
+        views: tuple[ObservedView, ...],
+        head: RayCaster | None,
+        shown: tuple[IntArray, ...] | None = None,
+    ) -> None:
+        """`shown` are the faces that each view's mask shows, all of them when omitted."""
+        self.mesh, self.views, self.head = mesh, views, head
+        self.shown = (mesh.faces,) * len(views) if shown is None else shown
+
+    def sample(self, motion: FrameMotion, deviation_mm: FloatArray) -> OutlineSamples:
+        """Return outline points that the head does not hide and whose observed outline is within reach.
+
+        `deviation_mm` (K,) says how well the key points are known so far: an uncertain one reaches far.
+        """
+        vertices = motion.positions(self.mesh.points)
+        nowhere = np.zeros((0, 2))
+        none = SkinnedPoints(np.zeros((0, 3)), np.zeros((0, self.mesh.points.weights.shape[1])))
+        parts = [OutlineSamples(np.zeros(0, np.int64), none, nowhere, nowhere)]
+        for number, view in enumerate(self.views):
+            if view.distance is not None and view.shape is not None:
+                parts.append(self._of_view(number, view.distance, view.shape, vertices, deviation_mm))
+        return OutlineSamples(
+            np.concatenate([p.view for p in parts]),
+            SkinnedPoints(
+                np.concatenate([p.points.rest for p in parts]),
+                np.concatenate([p.points.weights for p in parts]),
+            ),
+            np.concatenate([p.edges for p in parts]),
+            np.concatenate([p.outward for p in parts]),
+        )
+
+    def mask(self, motion: FrameMotion, number: int) -> tuple[BoolArray, IntArray]:
+        """Return (H, W) True where a view should show the frame, the head in front, and its `shown` faces."""
+        view, faces = self.views[number], self.shown[number]
+        assert view.shape is not None
+        vertices = motion.positions(self.mesh.points)
+        pixels, depth = project(view.camera, vertices)
+        covered = cover(pixels, depth, faces, view.shape)
+        at, face, share = covered_points(covered, pixels, depth, faces)
+        place = np.einsum("nk,nki->ni", share, vertices[faces[face]])
+        seen = ~hidden_by(self.head, view.camera, place)
+        owner = np.full(view.shape, -1, np.int64)
+        owner[at[seen, 1], at[seen, 0]] = face[seen]
+        return owner >= 0, owner
+
+    def _of_view(
+        self,
+        number: int,
+        mask: MaskDistance,
+        shape: tuple[int, int],
+        vertices: FloatArray,
+        deviation_mm: FloatArray,
+    ) -> OutlineSamples:
+        mesh, faces, camera = self.mesh, self.shown[number], self.views[number].camera
+        pixels, depth = project(camera, vertices)
+        covered = cover(pixels, depth, faces, shape)
+        outline = trace_outline(covered, pixels, depth, faces)
+        foremost = faces[outline.face, 0]
+        px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
+        reach = _REACH * mesh.points.weights[foremost] @ deviation_mm * px_per_mm
+        reach = np.minimum(_NEAR_PX + reach, REACH_PX)
+        # Where the nearest border of the mask has its outside on the same side, its distance counts;
+        # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
+        place = outline.pixels.astype(np.float64)
+        distance, slope = mask.sample(place)
+        facing = np.einsum("ni,ni->n", slope, outline.outward)
+        # Points nearer to the picture's border than to the observed outline may have it outside.
+        border = np.minimum(place, [shape[1] - 1, shape[0] - 1] - place).min(1)
+        limit = np.minimum(reach, border + 0.5)
+        with np.errstate(invalid="ignore"):
+            near = np.abs(distance) <= limit
+            near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
+        edges, lost = np.full((len(place), 2), np.nan), np.flatnonzero(~near)
+        way = search_edges(mask, place[lost], outline.outward[lost], limit[lost])
+        edges[lost] = place[lost] + way[:, None] * outline.outward[lost]
+        kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
+        # Points that the head hides, or a ray some pixels beside them.
+        corners, share = faces[outline.face[kept]], outline.barycentric[kept]
+        world = np.einsum("nk,nki->ni", share, vertices[corners])
+        if self.head is not None and len(kept):
+            hidden = hidden_by(self.head, camera, world)
+            center = camera_centers(camera[None])[0]
+            far = np.linalg.norm(world - center, axis=1)[:, None]
+            for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
+                hidden |= hidden_by(self.head, camera, center + far * ray)
+            corners, share, kept = corners[~hidden], share[~hidden], kept[~hidden]
+        return OutlineSamples(
+            np.full(len(kept), number),
+            SkinnedPoints(
+                np.einsum("nk,nki->ni", share, mesh.points.rest[corners]),
+                np.einsum("nk,nki->ni", share, mesh.points.weights[corners]),
+            ),
+            edges[kept],
+            outline.outward[kept],
+        )

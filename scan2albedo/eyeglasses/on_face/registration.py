@@ -15,22 +15,23 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.interface import (
+from scan2albedo.eyeglasses.on_face.inputs import (
     FaceRegistrationOptions,
     RegisteredEyeglasses,
+    RegistrationInputs,
+    checked_inputs,
 )
 from scan2albedo.eyeglasses.on_face.lens_panes import as_masks_show
 from scan2albedo.eyeglasses.on_face.objective import (
     FrameEstimate,
+    HeadContact,
     RegistrationObjective,
     descend,
     mean_outline_px,
     median_label_px,
 )
-from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
-from scan2albedo.eyeglasses.on_face.priors import HeadContact
-from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs, checked_inputs
-from scan2albedo.eyeglasses.on_face.registration_report import depth_open, mark_deviations, report
+from scan2albedo.eyeglasses.on_face.outline import REACH_PX, FrameMesh, OutlineSampler
+from scan2albedo.eyeglasses.on_face.report import depth_open, mark_deviations, report
 from scan2albedo.eyeglasses.on_face.start_poses import require_unmirrored, starting_poses
 from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.geometry.pinhole import camera_centers
@@ -38,18 +39,16 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
-_STEPS_A_TRACE, _TOLERANCE_A_TRACE = 6, 1e-3
-"""Most steps on one tracing of the outlines, and the part of the cost below which a gain ends them."""
-_TRACINGS = 10
-"""Most times that the outline is traced anew."""
+_TRACINGS, _STEPS, _LEAST_GAIN = 10, 6, 1e-3
+"""Most times that the outline is traced anew, most steps on one tracing, and the part of the cost below which
+a gain ends them."""
 _DISAGREE = 2.0
 """Times by which outlines may raise the labels' error before they are taken for another picture's."""
 _NEAR_MM = 40.0
 """Distance up to which a frame whose depth is not known may be drawn onto the nose."""
-_SEEN_DEPTH_MM = 2.0
-"""Deviation of depth up to which a frame need not rest on the nose: one view leaves far more open."""
-_OCCLUDER_MM = 2.0
-"""Cells in which the head's vertices are joined: finer ones hide the same and cost more."""
+_RESOLUTION_MM = 2.0
+"""Deviation of depth up to which a frame need not rest on the nose (one view leaves far more open), and cells
+in which the head's vertices are joined: finer ones hide the same and cost more."""
 _STILL, _MOST_INCREASES = 0.5, 2
 """Movement of the key points between two tracings at which the outlines have settled, in their standard
 deviations; and how often it may grow: tracing jumps from pixel to pixel."""
@@ -153,7 +152,13 @@ class _Registration:
         self.bend_found = True
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         mesh = FrameMesh(SkinnedPoints(given.vertices, self._weights()), given.faces)
-        self.sampler = OutlineSampler(mesh, given.views, _occluder(given), options)
+        occluder = None
+        if given.head is not None:
+            coarse = thinned(*given.head, _RESOLUTION_MM)
+            occluder = (
+                RayCaster(coarse.vertices, coarse.faces) if len(coarse.faces) else RayCaster(*given.head)
+            )
+        self.sampler = OutlineSampler(mesh, given.views, occluder)
 
     def run(self) -> RegisteredEyeglasses:
         """Run the stages that the input asks for.
@@ -185,13 +190,7 @@ class _Registration:
         seconds = self.meter.budget.seconds
         left = None if seconds is None else Budget(seconds=max(seconds - self.meter.elapsed_s, 1e-3))
         try:
-            solved = solve_weights(
-                given.vertices,
-                given.faces,
-                given.keypoints[given.known],
-                budget=left,
-                options=self.options.weights,
-            )
+            solved = solve_weights(given.vertices, given.faces, given.keypoints[given.known], budget=left)
         except EyeglassesError as error:
             raise EyeglassesError(f"the glasses' weights: {error}") from error
         evidence = f"{solved.node_count} nodes, {self.meter.elapsed_s:.2f} s"
@@ -241,11 +240,11 @@ class _Registration:
         motion = self.objective.motion(before.state)
         depth = depth_open(self.given, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"
-        if depth <= _SEEN_DEPTH_MM:
+        if depth <= _RESOLUTION_MM:
             self._note("contact", False, "the views see depth", evidence)
             return before
-        if self.given.head is None or not self.options.contact:
-            self._note("contact", False, "there is no head to rest on, or options.contact is off", evidence)
+        if self.given.head is None:
+            self._note("contact", False, "there is no head to rest on", evidence)
             return before
         contact = HeadContact(self.sampler.mesh.points, *self.given.head)
         if not contact or self.meter.exhausted:
@@ -281,9 +280,22 @@ class _Registration:
         if self.meter.exhausted:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
-        self._fit_lenses_to_masks(before)
+        # Lenses are taken out of the outline, or put in, as each view's mask shows them.
+        frame = as_masks_show(
+            self.sampler.mesh,
+            self.objective.motion(before.state),
+            [view.camera for view in self.given.views],
+            [
+                m if v.distance is not None else None
+                for v, m in zip(self.given.views, self.given.masks, strict=True)
+            ],
+            self.sampler.head,
+        )
+        self.steps += frame.steps
+        self.sampler = OutlineSampler(frame.mesh, self.given.views, self.sampler.head, frame.shown)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
+        known = self.given.known
         # What labels leave open: outlines that have found a wrong place would call it certain.
         deviation_mm = mark_deviations(self.given, self.objective.motion(before.state), before.at)
         # One clock for all tracings: the rows of a stage count from its start.
@@ -292,7 +304,7 @@ class _Registration:
             samples = self.sampler.sample(self.objective.motion(found.state), deviation_mm)
             if len(samples) == 0:
                 self.meter.merge(meter)
-                reach = f"{self.options.outline_reach_px:g} px"
+                reach = f"{REACH_PX:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
                 return found
             start = found.state
@@ -300,68 +312,33 @@ class _Registration:
                 partial(self.objective.linearize, samples=samples, rigid=not self.options.bend),
                 start,
                 meter,
-                steps=_STEPS_A_TRACE,
-                tolerance=_TOLERANCE_A_TRACE,
+                steps=_STEPS,
+                tolerance=_LEAST_GAIN,
                 error=mean_outline_px,
             )
             first = mean_outline_px(found.at) if not moves else first
-            moves.append(self._movement(start, found))
-            settled = moves[-1] < _STILL or _increases(moves) >= _MOST_INCREASES
+            # The longest way of a key point, in its standard deviations.
+            places = []
+            for state in (start, found.state):
+                world = self.objective.motion(state).world_from_frame
+                places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
+            deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
+            moves.append(float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max()))
+            # Movements that were longer than the shortest before them.
+            increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
+            settled = moves[-1] < _STILL or increases >= _MOST_INCREASES
             found = replace(found, converged=settled)
         self.meter.merge(meter)
         evidence = f"{first:.2f} -> {mean_outline_px(found.at):.2f} px"
         self._note("outlines", True, f"traced {len(moves)} times", evidence)
         labels = median_label_px(before.at), median_label_px(found.at)
         if labels[1] > max(_DISAGREE * labels[0], self.options.label_noise_px):
-            self._leave_masks(f"labels {labels[0]:.1f} -> {labels[1]:.1f} px")
+            evidence = f"labels {labels[0]:.1f} -> {labels[1]:.1f} px"
+            self._note("masks", False, "they disagree with the labels and are left aside", evidence)
+            views = tuple(replace(view, distance=None) for view in self.given.views)
+            self.given = replace(self.given, views=views)
+            contact, sampler = self.objective.contact, self.sampler
+            self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)
+            self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
             return before
         return found
-
-    def _fit_lenses_to_masks(self, found: FrameEstimate) -> None:
-        """Take lenses out of the outline, or put them in, as each view's mask shows them."""
-        views = self.given.views
-        masks = [
-            mask if view.distance is not None else None
-            for view, mask in zip(views, self.given.masks, strict=True)
-        ]
-        frame = as_masks_show(
-            self.sampler.mesh,
-            self.objective.motion(found.state),
-            [view.camera for view in views],
-            masks,
-            self.sampler.head,
-        )
-        self.steps += frame.steps
-        self.sampler = OutlineSampler(frame.mesh, views, self.sampler.head, self.options, frame.shown)
-
-    def _leave_masks(self, evidence: str) -> None:
-        self._note("masks", False, "they disagree with the labels and are left aside", evidence)
-        views = tuple(replace(view, distance=None) for view in self.given.views)
-        self.given = replace(self.given, views=views)
-        contact = self.objective.contact
-        self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)
-        sampler = self.sampler
-        self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, self.options, sampler.shown)
-
-    def _movement(self, before: FrameState, found: FrameEstimate) -> float:
-        """Return the longest way of a key point between two states, in its standard deviations."""
-        known = self.given.known
-        places = []
-        for state in (before, found.state):
-            world = self.objective.motion(state).world_from_frame
-            places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
-        deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
-        return float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max())
-
-
-def _increases(moves: list[float]) -> int:
-    """Return how many movements were longer than the shortest before them."""
-    return sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
-
-
-def _occluder(given: RegistrationInputs) -> RayCaster | None:
-    """Return the head as what may hide the frame; None without a head."""
-    if given.head is None:
-        return None
-    coarse = thinned(*given.head, _OCCLUDER_MM)
-    return RayCaster(coarse.vertices, coarse.faces) if len(coarse.faces) else RayCaster(*given.head)

@@ -1,27 +1,31 @@
-"""First poses of a frame, and whether left and right are exchanged."""
+"""First poses of a frame, key points triangulated from labels, and whether left and right are exchanged."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import itertools
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.errors import EyeglassesError
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.errors import EyeglassesError, needs_extra
+from scan2albedo.eyeglasses.canonical.mean_keypoints import is_posable
 from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
-from scan2albedo.eyeglasses.on_face.interface import FaceRegistrationOptions
+from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.objective import (
-    ObservedView,
     RegistrationObjective,
     descend,
     median_label_px,
+    projected,
 )
-from scan2albedo.eyeglasses.on_face.registration_inputs import RegistrationInputs
-from scan2albedo.eyeglasses.on_face.triangulation import triangulate
+from scan2albedo.eyeglasses.on_face.outline import ObservedView
+from scan2albedo.geometry.pinhole import normalized_cameras
 from scan2albedo.geometry.rigid import compose, procrustes
+from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
 _FEWEST = 4
 """Labels of one view that fix a pose."""
@@ -29,9 +33,8 @@ _OTHER_UNIT = 3.0
 """Ratio of sizes from which the frame and the cameras cannot be in the same unit."""
 _INLIER_PX = 8.0
 """Distance up to which a label agrees with a view's pose."""
-_DRAWS = 300
-_MIRRORED = 0.5
-"""Part of the labels' error below which exchanging left and right explains them."""
+_DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12)
+"""It begins low, for the linear start is nearly right, and stays above what rounding leaves of the matrix."""
 
 
 def starting_poses(
@@ -70,30 +73,34 @@ def _triangulated(
     if good.sum() < 3:
         return []
     world, rest = found.points[good], keypoints[good]
-    ratio = _spread(world) / _spread(rest)
-    if not 1 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+    large, small = (
+        float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+        for points in (world, rest)
+    )
+    if not 1 / _OTHER_UNIT < large / small < _OTHER_UNIT:
         raise EyeglassesError(
-            f"the labels make a frame {ratio:.3g} times as large as the one given: bring glasses and cameras "
-            "to the same unit"
+            f"the labels make a frame {large / small:.3g} times as large as the one given: bring glasses and "
+            "cameras to the same unit"
         )
     # A line of key points leaves a turn open.
-    if np.linalg.svd(rest - rest.mean(0), compute_uv=False)[1] < 1e-3 * _spread(rest):
+    if not is_posable(rest):
         return []
     return [procrustes(rest, world)]
 
 
-def _spread(points: FloatArray) -> float:
-    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
-
-
 def _from_one_view(keypoints: FloatArray, view: ObservedView) -> FloatArray | None:
     """Return the pose that most labels of one view agree with, by RANSAC over perspective-n-point."""
-    import cv2
-
     seen = np.isfinite(view.labels).all(1) & np.isfinite(keypoints).all(1)
     if seen.sum() < _FEWEST:
         return None
-    intrinsic, rotation = _factors(view.camera[:, :3])
+    with needs_extra("opencv"):
+        import cv2
+    from scipy.linalg import rq
+
+    # Upper triangular intrinsic matrix, last entry 1, and rotation.
+    intrinsic, rotation = rq(view.camera[:, :3])
+    signs = np.sign(np.diag(intrinsic))
+    intrinsic, rotation = intrinsic * signs, signs[:, None] * rotation
     plane = np.linalg.solve(intrinsic, np.column_stack([view.labels[seen], np.ones(seen.sum())]).T).T
     cv2.setRNGSeed(0)
     try:
@@ -102,7 +109,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView) -> FloatArray | No
             np.ascontiguousarray(plane[:, :2] / plane[:, 2:]),
             np.eye(3),
             None,
-            iterationsCount=_DRAWS,
+            iterationsCount=300,
             reprojectionError=float(_INLIER_PX / np.sqrt(abs(np.linalg.det(intrinsic[:2, :2])))),
             flags=cv2.SOLVEPNP_SQPNP,
         )
@@ -115,15 +122,6 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView) -> FloatArray | No
     offset = np.linalg.solve(intrinsic, view.camera[:, 3])
     world_from_camera = compose(rotation.T, -rotation.T @ offset)
     return world_from_camera @ camera_from_frame
-
-
-def _factors(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the upper triangular intrinsic matrix (3, 3), last entry 1, and the rotation (3, 3)."""
-    from scipy.linalg import rq
-
-    intrinsic, rotation = rq(matrix)
-    signs = np.sign(np.diag(intrinsic))
-    return intrinsic * signs, signs[:, None] * rotation
 
 
 def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptions, error_px: float) -> None:
@@ -141,8 +139,142 @@ def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptio
     first = min(starts, key=lambda state: rigid(state).cost)
     found = descend(rigid, first, Meter("mirrored", "px"), error=median_label_px)
     mirrored_px = median_label_px(found.at)
-    if mirrored_px < _MIRRORED * error_px:
+    if mirrored_px < error_px / 2:
         raise EyeglassesError(
             "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "
             f"fits to {mirrored_px:.1f} px with them swapped, to {error_px:.1f} px as they are"
         )
+
+
+@dataclass(frozen=True)
+class TriangulatedPoints:
+    """K points from C views; see `triangulate`."""
+
+    points: FloatArray
+    """(K, 3) in the unit of the cameras; NaN rows where fewer than two views see a point."""
+    errors_px: FloatArray
+    """(C, K) distances of labels from the reprojected points; NaN where a label or a point is missing,
+    infinite where a point lies behind the camera."""
+    inliers: BoolArray
+    """(C, K) labels within three times the noise of their point."""
+
+
+def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2.0) -> TriangulatedPoints:
+    """Return key points placed where labels in two views or more agree.
+
+    Each point minimises, over its labels l_c,
+
+        sum over c of rho(|project(P_c, x) - l_c|),  rho(r) = log(1 + (r / 2 s)^2),
+
+    the Cauchy loss, under which labels many s off hardly pull. Starts are the linear solutions of all pairs
+    of views that lie in front of both cameras (Hartley, Zisserman, "Multiple View Geometry", section 12.2);
+    the one of least loss is refined by damped Gauss-Newton steps on the reweighted reprojection errors.
+
+    Parameters
+    ----------
+    labels_2d : (C, K, 2) array_like of float
+        Pixels; NaN for a missing label.
+    cameras : (C, 3, 4) array_like of float
+        Projection matrices, pixels from points, of any scale and sign.
+    noise_px : float
+        s, how far labels are usually off.
+
+    Raises
+    ------
+    ValueError
+        When shapes do not fit together, or `noise_px` is not positive.
+
+    Notes
+    -----
+    Two views that contradict each other have no majority: the point still minimises the loss, its errors
+    show it. A third view outvotes one outlier. Views from one centre see no depth: their points are NaN.
+
+    Cost: C (C - 1) / 2 linear systems a point.
+
+    Examples
+    --------
+    >>> cameras = [[[1, 0, 0, x], [0, 1, 0, 0], [0, 0, 1, 0]] for x in (0.0, -1.0)]
+    >>> found = triangulate([[[0.1, 0.2]], [[0.0, 0.2]]], cameras, noise_px=0.01)
+    >>> found.points.round(6).tolist()
+    [[1.0, 2.0, 10.0]]
+    """
+    labels, matrices = np.asarray(labels_2d, np.float64), normalized_cameras(cameras)
+    if labels.ndim != 3 or labels.shape[2] != 2:
+        raise ValueError(f"labels_2d must have shape (C, K, 2), got {labels.shape}")
+    if len(matrices) != len(labels):
+        raise ValueError(f"cameras must have shape ({len(labels)}, 3, 4), got {matrices.shape}")
+    if not noise_px > 0:
+        raise ValueError(f"noise_px must be > 0, got {noise_px}")
+    count = labels.shape[1]
+    points = np.full((count, 3), np.nan)
+    errors = np.full(labels.shape[:2], np.nan)
+    for k in range(count):
+        seen = np.flatnonzero(np.isfinite(labels[:, k]).all(1))
+        if len(seen) < 2:
+            continue
+        points[k] = _place(labels[seen, k], matrices[seen], noise_px)
+        if np.isfinite(points[k]).all():
+            residual = _errors(points[k], labels[seen, k], matrices[seen])[0]
+            errors[seen, k] = np.linalg.norm(residual, axis=-1)
+    with np.errstate(invalid="ignore"):
+        inliers = errors <= 3 * noise_px
+    return TriangulatedPoints(points, errors, inliers)
+
+
+def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:
+    """Return the point (3,) of labels (C, 2), NaN where no pair of views gives one."""
+    starts = []
+    for pair in itertools.combinations(range(len(labels)), 2):
+        # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
+        own, seen = cameras[list(pair)], labels[list(pair)]
+        rows = (seen[:, :, None] * own[:, 2:] - own[:, :2]).reshape(-1, 4)
+        rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
+        place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
+        if rank == 3 and (own[:, 2, :3] @ place + own[:, 2, 3] > 0).all():
+            starts.append(place)
+    if not starts:
+        return np.full(3, np.nan)
+    nearest = min(starts, key=lambda place: _loss(_errors(place, labels, cameras)[0], noise_px))
+    found = minimize(
+        _Point(nearest, labels, cameras, noise_px),
+        trials=50,
+        step_tolerance=1e-12 * (1 + float(np.linalg.norm(nearest))),
+        damping=_DAMPING,
+    )
+    return found.best.place
+
+
+class _Point:
+    """A place (3,) with the Cauchy loss of its labels, for `minimize`."""
+
+    def __init__(self, place: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float) -> None:
+        self.place, self._given = place, (labels, cameras, noise_px)
+        errors, self._slopes, front = _errors(place, labels, cameras)
+        self._errors = errors[front]
+        self._slopes = self._slopes[front]
+        self._weights = 1 / (1 + (self._errors**2).sum(1) / (2 * noise_px) ** 2)
+        self.cost = _loss(errors, noise_px)
+
+    def normal_equations(self) -> NormalEquations:
+        """Return those of the reweighted squares, without cameras that have the point behind them."""
+        weighted = self._weights[:, None, None] * self._slopes
+        return NormalEquations(
+            np.einsum("cik,cim->km", weighted, self._slopes), np.einsum("cik,ci->k", weighted, self._errors)
+        )
+
+    def moved(self, step: FloatArray) -> _Point:
+        """Return the place a step (3,) away."""
+        return _Point(self.place + step, *self._given)
+
+
+def _errors(
+    place: FloatArray, labels: FloatArray, cameras: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return a reprojected place minus labels (C, 2), infinite behind a camera; slopes; what is in front."""
+    pixels, slopes, front = projected(cameras, np.tile(place, (len(cameras), 1)))
+    return np.where(front[:, None], pixels - labels, np.inf), slopes, front
+
+
+def _loss(errors: FloatArray, noise_px: float) -> float:
+    square = (errors**2).sum(-1) / (2 * noise_px) ** 2
+    return float(np.log1p(np.minimum(square, 1e300)).sum())

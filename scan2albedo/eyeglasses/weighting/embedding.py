@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -15,12 +14,22 @@ from scipy.spatial.distance import pdist, squareform
 from scan2albedo.core import Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.weighting.lattice import Lattice, join_parts
-from scan2albedo.eyeglasses.weighting.voxelization import enclosed_cells, surface_cells, unique_cells
+from scan2albedo.eyeglasses.weighting.lattice import (
+    Lattice,
+    enclosed_cells,
+    join_parts,
+    surface_cells,
+    unique_cells,
+)
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_components
 from scan2albedo.geometry.rays import RayCaster
 
+MAX_NODES = 10_000
+"""Lattice nodes that the automatic spacing may use."""
+_FINEST, _COARSEST = 1 / 150, 1 / 40
+"""Limits of the automatic spacing as parts of the size (the diagonal of the key points' box, or the mesh's
+for a single one): a finer lattice changes deformations less than a scan's noise."""
 _REACH = 0.05
 """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
 _COINCIDENT = 1e-6
@@ -32,29 +41,8 @@ _SKIN = 1e-5
 _OFFSET = 0.3819660112501051
 """Cells between the mesh's lowest corner and a lattice plane (2 - golden ratio): flat sides and regular grids
 do not lie on the planes, where rounding would decide which cell they touch."""
-_COARSER = 0.92
-"""Factor on the number of parts when a lattice is too large."""
 _FARTHEST = 2.0**20
 """Cells along an axis: three such numbers still fit in one integer."""
-_GIVEN = 10
-"""A spacing given by the caller may use this many times `max_nodes`."""
-
-
-@dataclass(frozen=True)
-class WeightOptions:
-    """Settings of `solve_weights`."""
-
-    max_nodes: int = 10_000
-    """Lattice nodes that the automatic spacing may use; time and memory grow a little faster than they do.
-    A given spacing may use ten times as many."""
-    finest: float = 1 / 150
-    """Least automatic spacing as a part of the size (the diagonal of the key points' box, or the mesh's for a
-    single one): a finer lattice changes deformations less than a scan's noise. Key points closer together
-    than twice that share a handle."""
-    coarsest: float = 1 / 40
-    """Greatest automatic spacing as a part of the size."""
-    tolerance: float = 1e-7
-    """Scaled residual of the optimality conditions at which a handle's weights are done."""
 
 
 @dataclass(frozen=True)
@@ -78,61 +66,66 @@ class Embedding:
     plan: Plan
 
 
-@dataclass(frozen=True)
-class _MarkedMesh:
-    """A mesh (V, 3), (F, 3) with named key points (K, 3)."""
-
-    vertices: FloatArray
-    faces: IntArray
-    handles: FloatArray
-    names: Sequence[str]
-
-    @cached_property
-    def size(self) -> float:
-        """The diagonal of the key points' box, or of the mesh's where there is one key point alone.
-
-        The key points say how large the glasses are; a stray fragment far away does not change it.
-        """
-        corners = self.vertices[self.faces.ravel()]
-        for points in (self.handles, corners):
-            size = float(np.linalg.norm(np.ptp(points, axis=0)))
-            if size > 0:
-                return size
-        raise EyeglassesError(f"all {len(corners)} corners of the mesh lie in one point: there is no surface")
-
-    def origin(self, spacing: float) -> FloatArray:
-        """Return (3,) where the lattice begins."""
-        low = np.minimum(self.vertices[self.faces.ravel()].min(0), self.handles.min(0))
-        return np.asarray(low - _OFFSET * spacing)
-
-    def pair(self, a: int, b: int) -> str:
-        """Return the names of two key points."""
-        return f"{self.names[min(a, b)]} and {self.names[max(a, b)]}"
-
-
 def embed(
     vertices: FloatArray,
     faces: IntArray,
     handles: FloatArray,
     spacing: str | float,
-    options: WeightOptions,
+    *,
+    max_nodes: int = MAX_NODES,
+    finest: float = _FINEST,
     names: Sequence[str] | None = None,
 ) -> Embedding:
-    """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`."""
+    """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`.
+
+    `finest` is the least automatic spacing as a part of the size.
+    """
     called = names if names is not None else [str(k) for k in range(len(handles))]
-    mesh = _MarkedMesh(vertices, faces, handles, called)
-    closest = _closest_spacing(mesh)
-    _require_near(mesh)
+    corners = vertices[faces.ravel()]
+    # Of the key points: a stray fragment far away does not change how large the glasses are.
+    size = float(np.linalg.norm(np.ptp(handles, axis=0))) or float(np.linalg.norm(np.ptp(corners, axis=0)))
+    if not size > 0:
+        raise EyeglassesError(f"all {len(corners)} corners of the mesh lie in one point: there is no surface")
+    apart = _distances(handles, "chebyshev")
+    a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
+    if not apart[a, b] > _COINCIDENT * size:
+        raise EyeglassesError(
+            f"key points {called[a]} and {called[b]} coincide at {np.round(handles[a], 6).tolist()}; each "
+            "needs a place of its own: leave one of them out (null)"
+        )
+    distance = ClosestPointQuery(vertices, faces).query(handles).distance
+    far = int(np.argmax(distance))
+    if not distance[far] <= _REACH * size:
+        raise EyeglassesError(
+            f"key point {called[far]} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off the "
+            f"mesh; at most {_REACH * size:.4g} can be bridged: check its place and unit"
+        )
+    low = np.minimum(corners.min(0), handles.min(0))
     if isinstance(spacing, str):
         if spacing != "auto":
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
-        cells, used, step = _automatic(mesh, closest, options)
+        # Places two spacings apart along one axis lie in cells with another cell between them.
+        closest = float(apart[a, b]) / 2
+        used, cells, step = _automatic(vertices, faces, low, size, closest, max_nodes, finest)
     else:
-        cells, used, step = _given(mesh, float(spacing), options)
-    owners, handle, merged = _shared_handles(mesh, used)
-    cells = join_parts(unique_cells(np.concatenate([cells, owners])), _REACH * mesh.size / used + 2)
-    lattice = Lattice.of_cells(_with_handles(cells, owners))
-    local = (vertices - mesh.origin(used)) / used
+        used = float(spacing)
+        if not (used > 0 and np.isfinite(used)):
+            raise ValueError(f"spacing must be > 0, got {used}")
+        limit = 10 * max_nodes
+        touched = _cells(vertices, faces, low, used, limit)
+        if touched is None:
+            raise EyeglassesError(
+                f"a spacing of {used:.4g} makes more than {limit} lattice nodes; give a larger one, or raise "
+                "max_nodes"
+            )
+        cells, step = touched, PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
+    origin = low - _OFFSET * used
+    owners, handle, merged = _shared_handles((handles - origin) / used, called)
+    cells = join_parts(unique_cells(np.concatenate([cells, owners])), _REACH * size / used + 2)
+    whole = Lattice.of_cells(cells)
+    parts = whole.cell_components
+    lattice = Lattice.of_cells(cells[np.isin(parts, parts[whole.find(owners)])])
+    local = (vertices - origin) / used
     follower, leader, left_out = _parts_out_of_reach(lattice, local, faces)
     return Embedding(
         lattice=lattice,
@@ -147,47 +140,96 @@ def embed(
     )
 
 
-def _nearest_pair(places: FloatArray) -> tuple[int, int, float]:
-    """Return the two places of (K, 3) that are nearest to each other along the axes, and how far."""
-    apart = squareform(pdist(places, "chebyshev")) if len(places) > 1 else np.zeros((1, 1))
+def _distances(places: FloatArray, metric: str) -> FloatArray:
+    """Return (K, K) distances of places (K, 3), infinite from each to itself."""
+    apart = squareform(pdist(places, metric)) if len(places) > 1 else np.zeros((1, 1))
     np.fill_diagonal(apart, np.inf)
-    a, b = (int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
-    return a, b, float(apart[a, b])
+    return np.asarray(apart)
 
 
-def _closest_spacing(mesh: _MarkedMesh) -> float:
-    """Return the greatest spacing at which no two key points share a node; raises when two coincide."""
-    a, b, apart = _nearest_pair(mesh.handles)
-    if not apart > _COINCIDENT * mesh.size:
-        raise EyeglassesError(
-            f"key points {mesh.pair(a, b)} coincide at {np.round(mesh.handles[a], 6).tolist()}; each "
-            "needs a place of its own: leave one of them out (null)"
-        )
-    # Places two spacings apart along one axis lie in cells with another cell between them.
-    return apart / 2
+def _automatic(
+    vertices: FloatArray,
+    faces: IntArray,
+    low: FloatArray,
+    size: float,
+    closest: float,
+    max_nodes: int,
+    finest: float,
+) -> tuple[float, IntArray, PlanStep]:
+    """Return a spacing, its cells (C, 3) and the step of the plan: as fine as thin parts and key points ask
+    for, as coarse as the nodes allow.
+
+    The size is divided into a whole number of parts: rounding in another unit does not change the lattice.
+    """
+    # The thickness that a tenth of the surface's area stays below, measured across the faces at places spread
+    # evenly over the area, on the side where the mesh is met first: winding does not matter, and a narrow gap
+    # counts like a thin part. Infinite where nothing is met.
+    thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
+    if area[-1] > 0:
+        chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
+        caster = RayCaster(vertices, faces)
+        center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
+        skin = _SKIN * caster.size
+        sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
+        thin = float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
+    spacing = float(np.clip(thin, finest * size, _COARSEST * size))
+    reason = f"the mesh's thin parts measure {thin:.4g}"
+    if closest < spacing:
+        spacing, reason = max(closest, finest * size), "two key points are close together"
+    parts = math.ceil(size / spacing * (1 - 1e-9))
+    while (cells := _cells(vertices, faces, low, size / parts, max_nodes)) is None:
+        if parts <= 2:
+            raise EyeglassesError(
+                f"no lattice of {max_nodes} nodes holds the mesh: it is far larger than the box of its key "
+                f"points ({size:.4g}); remove what lies far away, or raise max_nodes"
+            )
+        # About a twelfth coarser each time.
+        parts, reason = max(23 * parts // 25, 2), f"finer ones have more than {max_nodes} nodes"
+    return size / parts, cells, PlanStep("eyeglasses.weights.spacing", True, reason, f"{size / parts:.6g}")
 
 
-def _shared_handles(mesh: _MarkedMesh, spacing: float) -> tuple[IntArray, IntArray, PlanStep]:
+def _cells(
+    vertices: FloatArray, faces: IntArray, low: FloatArray, spacing: float, limit: int
+) -> IntArray | None:
+    """Return the cells the mesh touches or encloses, None where they have more than about `limit` nodes."""
+    local = (vertices - (low - _OFFSET * spacing)) / spacing
+    longest = local[faces.ravel()].max()
+    if longest > _FARTHEST:
+        raise EyeglassesError(f"the mesh is {longest:.3g} lattice spacings long: remove what lies far away")
+    cells = surface_cells(local[faces], limit)
+    if cells is None:
+        return None
+    parts = Lattice.of_cells(cells).cell_components
+    order = np.argsort(parts, kind="stable")
+    pieces = np.split(cells[order], np.flatnonzero(np.diff(parts[order])) + 1)
+    # Fewer than 26 cells enclose none.
+    inside = [enclosed_cells(piece) for piece in pieces if len(piece) >= 26]
+    cells = unique_cells(np.concatenate([cells, *inside]))
+    return cells if len(Lattice.of_cells(cells).nodes) <= limit else None
+
+
+def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray, IntArray, PlanStep]:
     """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan.
 
-    A handle lies in the middle of its key points. Those whose cells touch become one, the nearest first.
+    Of key points (K, 3) in spacings. A handle lies in the middle of its key points. Those whose cells touch
+    become one, the nearest first.
     """
-    groups = [[k] for k in range(len(mesh.handles))]
+    groups = [[k] for k in range(len(handles))]
     while True:
-        middles = np.array([mesh.handles[group].mean(0) for group in groups])
-        cells = np.floor((middles - mesh.origin(spacing)) / spacing).astype(np.int64)
-        steps = squareform(pdist(cells.astype(float), "chebyshev")) if len(groups) > 1 else np.zeros((1, 1))
-        apart = squareform(pdist(middles)) if len(groups) > 1 else np.zeros((1, 1))
-        apart[(steps >= 2) | np.eye(len(groups), dtype=bool)] = np.inf
+        middles = np.array([handles[group].mean(0) for group in groups])
+        cells = np.floor(middles).astype(np.int64)
+        apart = np.where(
+            _distances(cells.astype(float), "chebyshev") < 2, _distances(middles, "euclidean"), np.inf
+        )
         a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
         if np.isinf(apart[a, b]):
             break
         groups[a] += groups.pop(b)
-    handle = np.zeros(len(mesh.handles), np.int64)
+    handle = np.zeros(len(handles), np.int64)
     for number, group in enumerate(groups):
         handle[group] = number
     stage = "eyeglasses.weights.shared_handles"
-    shared = [" and ".join(mesh.names[k] for k in sorted(group)) for group in groups if len(group) > 1]
+    shared = [" and ".join(names[k] for k in sorted(group)) for group in groups if len(group) > 1]
     if not shared:
         return cells, handle, PlanStep(stage, False, "every key point has cells of its own")
     reason = f"closer together than two spacings, one handle divided by distance: {'; '.join(shared)}"
@@ -208,92 +250,6 @@ def _shares(vertices: FloatArray, points: FloatArray, handle: IntArray) -> Float
         nearness[square == 0] = 1.0
         shares[:, group] = nearness / nearness.sum(1, keepdims=True)
     return shares
-
-
-def _require_near(mesh: _MarkedMesh) -> None:
-    distance = ClosestPointQuery(mesh.vertices, mesh.faces).query(mesh.handles).distance
-    far, reach = int(np.argmax(distance)), _REACH * mesh.size
-    if not distance[far] <= reach:
-        raise EyeglassesError(
-            f"key point {mesh.names[far]} at {np.round(mesh.handles[far], 4).tolist()} is "
-            f"{distance[far]:.4g} off the mesh; at most {reach:.4g} can be bridged: check its place and unit"
-        )
-
-
-def _thickness(vertices: FloatArray, faces: IntArray) -> float:
-    """Return the thickness, in the mesh's unit, that a tenth of the surface's area stays below.
-
-    Measured across the faces at places spread evenly over the area, on the side where the mesh is met
-    first: winding does not matter, and a narrow gap counts like a thin part. Infinite where nothing is met.
-    """
-    area = np.cumsum(face_areas(vertices, faces))
-    if not area[-1] > 0:
-        return math.inf
-    chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
-    caster = RayCaster(vertices, faces)
-    center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
-    skin = _SKIN * caster.size
-    sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
-    return float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
-
-
-def _cells(mesh: _MarkedMesh, spacing: float, limit: int) -> IntArray | None:
-    """Return the cells the mesh touches or encloses, None where they have more than about `limit` nodes."""
-    local = (mesh.vertices - mesh.origin(spacing)) / spacing
-    longest = local[mesh.faces.ravel()].max()
-    if longest > _FARTHEST:
-        raise EyeglassesError(f"the mesh is {longest:.3g} lattice spacings long: remove what lies far away")
-    cells = surface_cells(local[mesh.faces], limit)
-    if cells is None:
-        return None
-    parts = Lattice.of_cells(cells).cell_components
-    order = np.argsort(parts, kind="stable")
-    pieces = np.split(cells[order], np.flatnonzero(np.diff(parts[order])) + 1)
-    inside = [enclosed_cells(piece) for piece in pieces if len(piece) >= 26]
-    cells = unique_cells(np.concatenate([cells, *inside]))
-    return cells if len(Lattice.of_cells(cells).nodes) <= limit else None
-
-
-def _given(mesh: _MarkedMesh, spacing: float, options: WeightOptions) -> tuple[IntArray, float, PlanStep]:
-    if not (spacing > 0 and np.isfinite(spacing)):
-        raise ValueError(f"spacing must be > 0, got {spacing}")
-    limit = _GIVEN * options.max_nodes
-    cells = _cells(mesh, spacing, limit)
-    if cells is None:
-        raise EyeglassesError(
-            f"a spacing of {spacing:.4g} makes more than {limit} lattice nodes; give a larger one, or raise "
-            "options.max_nodes"
-        )
-    return cells, spacing, PlanStep("eyeglasses.weights.spacing", False, "given", f"{spacing:.6g}")
-
-
-def _automatic(mesh: _MarkedMesh, closest: float, options: WeightOptions) -> tuple[IntArray, float, PlanStep]:
-    """Return cells as fine as thin parts and key points ask for, as coarse as the nodes allow.
-
-    The size is divided into a whole number of parts: rounding in another unit does not change the lattice.
-    """
-    thin = _thickness(mesh.vertices, mesh.faces)
-    spacing = float(np.clip(thin, options.finest * mesh.size, options.coarsest * mesh.size))
-    reason = f"the mesh's thin parts measure {thin:.4g}"
-    if closest < spacing:
-        spacing, reason = max(closest, options.finest * mesh.size), "two key points are close together"
-    parts = math.ceil(mesh.size / spacing * (1 - 1e-9))
-    while (cells := _cells(mesh, mesh.size / parts, options.max_nodes)) is None:
-        if parts <= 2:
-            raise EyeglassesError(
-                f"no lattice of {options.max_nodes} nodes holds the mesh: it is far larger than the box of "
-                f"its key points ({mesh.size:.4g}); remove what lies far away, or raise options.max_nodes"
-            )
-        parts, reason = max(int(_COARSER * parts), 2), f"finer ones have more than {options.max_nodes} nodes"
-    spacing = mesh.size / parts
-    return cells, spacing, PlanStep("eyeglasses.weights.spacing", True, reason, f"{spacing:.6g}")
-
-
-def _with_handles(cells: IntArray, owners: IntArray) -> IntArray:
-    """Return the cells of the parts that hold a key point."""
-    lattice = Lattice.of_cells(cells)
-    parts = lattice.cell_components
-    return cells[np.isin(parts, parts[lattice.find(owners)])]
 
 
 def _parts_out_of_reach(

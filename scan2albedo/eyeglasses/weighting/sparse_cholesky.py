@@ -228,9 +228,7 @@ def _eliminate(work, width, size):  # type: ignore[no-untyped-def]
     """Factor the first `width` columns of a front in place (row j of `work` is column j of the front)."""
     begin = 0
     while begin < width:
-        end = begin + (
-            8 if width - begin >= 8 else 4 if width - begin >= 4 else 2 if width - begin >= 2 else 1
-        )
+        end = begin + (8 if width - begin >= 8 else 1)
         for k in range(begin, end):
             here = work[k]
             for q in range(begin, k):
@@ -245,10 +243,6 @@ def _eliminate(work, width, size):  # type: ignore[no-untyped-def]
                 here[i] *= scale
         if end - begin == 8:
             _subtract_eight(work, begin, size)
-        elif end - begin == 4:
-            _subtract_four(work, begin, size)
-        elif end - begin == 2:
-            _subtract_two(work, begin, size)
         else:
             _subtract_one(work, begin, size)
         begin = end
@@ -265,26 +259,6 @@ def _subtract_eight(work, begin, size):  # type: ignore[no-untyped-def]
         for i in range(j, size):
             first = s * a[i] + t * b[i] + u * c[i] + v * d[i]
             here[i] -= first + w * e[i] + x * f[i] + y * g[i] + z * h[i]
-
-
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _subtract_four(work, begin, size):  # type: ignore[no-untyped-def]
-    a, b, c, d = work[begin], work[begin + 1], work[begin + 2], work[begin + 3]
-    for j in range(begin + 4, size):
-        here = work[j]
-        s, t, u, v = a[j], b[j], c[j], d[j]
-        for i in range(j, size):
-            here[i] -= s * a[i] + t * b[i] + u * c[i] + v * d[i]
-
-
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _subtract_two(work, begin, size):  # type: ignore[no-untyped-def]
-    a, b = work[begin], work[begin + 1]
-    for j in range(begin + 2, size):
-        here = work[j]
-        s, t = a[j], b[j]
-        for i in range(j, size):
-            here[i] -= s * a[i] + t * b[i]
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,104 +14,35 @@ from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
-from scan2albedo.eyeglasses.weighting.bounded_quadratic import minimize_bounded
-from scan2albedo.eyeglasses.weighting.embedding import Embedding, WeightOptions, embed
-from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy
+from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES, embed
+from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy, unique_cells
 from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
-from scan2albedo.eyeglasses.weighting.voxelization import unique_cells
 
+TOLERANCE = 1e-7
+"""Scaled residual of the optimality conditions at which a handle's weights are done."""
+_ROUGH = 1e-4
+"""The same on a lattice that only gives the next finer one its start."""
 _COARSE_NODES = 1500
 """Lattices of more nodes start from the weights of a lattice of twice the spacing."""
 _MAX_STEPS = 60
 """Newton steps a handle on one lattice."""
-_ROUGH = 1e-4
-"""Scaled residual at which a coarser lattice's weights are good enough to start from."""
-STAGE, UNIT = "eyeglasses.weights", "scaled KKT residual"
-_VANISHED = 1e-6
-"""Sum of the weights below which no key point holds a node: dividing by it would amplify rounding."""
+_SUFFICIENT, _SHORTEST = 1e-4, 1e-10
+"""Part of the decrease predicted by the gradient that a step has to bring (Armijo), and the step length below
+which rounding, not the direction, is what stops a column."""
+_ROUNDING = 1e-13
+"""Scaled gradients below this have no sign."""
 
 
 @dataclass(frozen=True)
-class LatticeWeights:
-    """`weights` (N, K) in [0, 1], not normalised; `residual`, `energy`, `steps` (K,) of each handle."""
+class BoundedMinimum:
+    """Minima of `minimize_bounded` for K columns: `x` (N, K) in [0, 1], after `steps` (K,) Newton steps.
 
-    weights: FloatArray
-    residual: FloatArray
-    energy: FloatArray
-    steps: IntArray
-
-
-def solve_lattice(
-    lattice: Lattice, handle_cells: IntArray, options: WeightOptions, meter: Meter
-) -> LatticeWeights:
-    """Return the weights of the handles that hold the cells `handle_cells` (K, 3) of `lattice`.
-
-    The start comes from the lattice of twice the spacing: it carries the set of nodes at 0 or 1, which
-    Newton steps from the unbounded solution move by a few nodes at a time only.
+    `residual` (K,) is that of `optimality_residual`.
     """
-    if len(lattice.nodes) > _COARSE_NODES:
-        coarse = Lattice.of_cells(unique_cells(lattice.cells // 2))
-        if len(coarse.nodes) < len(lattice.nodes):
-            rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
-            above = meter.sub_meter(meter.stage, meter.unit)
-            solved = solve_lattice(coarse, handle_cells // 2, rough, above)
-            meter.merge(above)
-            return _solve(
-                lattice,
-                handle_cells,
-                coarse.interpolation(lattice.nodes / 2) @ solved.weights,
-                options,
-                meter,
-            )
-    return _solve(lattice, handle_cells, None, options, meter)
 
-
-def _solve(
-    lattice: Lattice, handle_cells: IntArray, start: FloatArray | None, options: WeightOptions, meter: Meter
-) -> LatticeWeights:
-    energy = biharmonic_energy(lattice)
-    fixed, values = _fixed_nodes(lattice, handle_cells)
-    weights = np.zeros((len(lattice.nodes), len(handle_cells)))
-    weights[fixed] = values
-    unknown = np.setdiff1d(np.arange(len(lattice.nodes)), fixed)
-    if len(unknown) == 0:
-        none = np.zeros(len(handle_cells))
-        return LatticeWeights(weights, none, _energies(energy, weights), none.astype(np.int64))
-    matrix, right = energy[unknown][:, unknown].tocsr(), -(energy[unknown][:, fixed] @ values)
-    first = _unbounded(matrix, right) if start is None else start[unknown]
-    found = minimize_bounded(
-        matrix,
-        right,
-        np.clip(first, 0.0, 1.0),
-        tolerance=options.tolerance,
-        max_steps=_MAX_STEPS,
-        meter=meter,
-    )
-    weights[unknown] = found.x
-    return LatticeWeights(weights, found.residual, _energies(energy, weights), found.steps)
-
-
-def _fixed_nodes(lattice: Lattice, handle_cells: IntArray) -> tuple[IntArray, FloatArray]:
-    """Return the handles' nodes (B,) and their weights (B, K): shared where coarse cells share nodes."""
-    corners = lattice.corners[lattice.find(handle_cells)]
-    fixed, place = np.unique(corners, return_inverse=True)
-    values = np.zeros((len(fixed), len(handle_cells)))
-    values[place.ravel(), np.repeat(np.arange(len(handle_cells)), 8)] = 1.0
-    return fixed, values / values.sum(1, keepdims=True)
-
-
-def _unbounded(matrix: sparse.csr_matrix, right: FloatArray) -> FloatArray:
-    """Return A^-1 b for all columns: biharmonic weights without bounds, which sum to 1."""
-    system = SparseCholesky(matrix)
-    system.refill(np.zeros(matrix.shape[0], bool))
-    result = np.empty_like(right)
-    for k in range(right.shape[1]):
-        result[system.order, k] = system.solve(right[system.order, k])
-    return result
-
-
-def _energies(energy: sparse.csr_matrix, weights: FloatArray) -> FloatArray:
-    return 0.5 * np.einsum("nk,nk->k", weights, energy @ weights)
+    x: FloatArray
+    residual: FloatArray
+    steps: IntArray
 
 
 @dataclass(frozen=True)
@@ -143,14 +75,12 @@ def bounded_biharmonic_weights(
     handles: ArrayLike,
     spacing: str | float = "auto",
     budget: Budget | float | None = None,
-    *,
-    options: WeightOptions = WeightOptions(),
 ) -> FloatArray:
     """Return the weights (V, K) of `solve_weights` alone.
 
     Parameters
     ----------
-    vertices, faces, handles, spacing, budget, options
+    vertices, faces, handles, spacing, budget
         As in `solve_weights`, with its errors.
 
     Examples
@@ -162,7 +92,7 @@ def bounded_biharmonic_weights(
     >>> weights.shape, bool((weights[:4, 0] > 0.9).all()), bool((weights[4:, 1] > 0.9).all())
     ((8, 2), True, True)
     """
-    return solve_weights(vertices, faces, handles, spacing, budget, options=options).weights
+    return solve_weights(vertices, faces, handles, spacing, budget).weights
 
 
 def solve_weights(
@@ -172,7 +102,10 @@ def solve_weights(
     spacing: str | float = "auto",
     budget: Budget | float | None = None,
     *,
-    options: WeightOptions = WeightOptions(),
+    max_nodes: int = MAX_NODES,
+    tolerance: float = TOLERANCE,
+    names: Sequence[str] | None = None,
+    meter: Meter | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> BoundedBiharmonicWeights:
     """Return smooth weights of key points over a mesh of any kind.
@@ -198,7 +131,15 @@ def solve_weights(
     budget : Budget or float, optional
         Seconds, or evaluations: Newton steps. When it ends the weights so far are returned, smooth and
         within their bounds, with `converged` False.
-    options : WeightOptions
+    max_nodes : int
+        Lattice nodes that the automatic spacing may use; time and memory grow a little faster than they do.
+        A given spacing may use ten times as many.
+    tolerance : float
+        Scaled residual of the optimality conditions at which a handle's weights are done.
+    names : sequence of K str, optional
+        What messages call the key points; their numbers when omitted.
+    meter : Meter, optional
+        One that runs already, instead of `budget` and `on_progress`.
     on_progress : callable, optional
         Called with each row of the trace.
 
@@ -224,38 +165,30 @@ def solve_weights(
 
     Cost: a factorisation of the lattice's matrix a step, 5 to 10 steps a handle.
     """
-    meter = Meter(STAGE, UNIT, Budget.of(budget), on_progress)
-    return metered_weights(vertices, faces, handles, spacing, options=options, meter=meter)
-
-
-def metered_weights(
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    handles: ArrayLike,
-    spacing: str | float = "auto",
-    *,
-    options: WeightOptions,
-    meter: Meter,
-    names: Sequence[str] | None = None,
-) -> BoundedBiharmonicWeights:
-    """Return what `solve_weights` does, on a meter that runs already; messages call key points by `names`."""
+    if meter is None:
+        meter = Meter("eyeglasses.weights", "scaled KKT residual", Budget.of(budget), on_progress)
     xyz, index = checked_mesh(vertices, faces)
-    points = checked_points("handles", handles)
-    embedding = embed(xyz, index, points, spacing, options, names)
-    solution = solve_lattice(embedding.lattice, embedding.handle_cells, options, meter)
-    total = solution.weights.sum(1)
-    if not total.min() > _VANISHED:
+    embedding = embed(
+        xyz, index, checked_points("handles", handles), spacing, max_nodes=max_nodes, names=names
+    )
+    solution = solve_lattice(embedding.lattice, embedding.handle_cells, tolerance=tolerance, meter=meter)
+    raw, total = solution.x, solution.x.sum(1)
+    # Dividing by less would amplify rounding.
+    if not total.min() > TOLERANCE:
         raise EyeglassesError(
-            f"no key point holds {int((total <= _VANISHED).sum())} of {len(total)} lattice nodes"
+            f"no key point holds {int((total <= TOLERANCE).sum())} of {len(total)} lattice nodes"
         )
-    weights = np.clip(embedding.interpolation @ (solution.weights / total[:, None]), 0.0, 1.0)
+    weights = np.clip(embedding.interpolation @ (raw / total[:, None]), 0.0, 1.0)
     weights = embedding.shares * weights[:, embedding.handle]
+    weights /= weights.sum(1, keepdims=True)
+    weights[embedding.follower] = weights[embedding.leader]
+    energy = 0.5 * np.einsum("nk,nk->k", raw, biharmonic_energy(embedding.lattice) @ raw)
     return BoundedBiharmonicWeights(
-        weights=_with_followers(weights, embedding),
-        converged=bool((solution.residual <= options.tolerance).all()),
+        weights=weights,
+        converged=bool((solution.residual <= tolerance).all()),
         iterations=solution.steps[embedding.handle],
         residual=solution.residual[embedding.handle],
-        energy=solution.energy[embedding.handle],
+        energy=energy[embedding.handle],
         spacing=embedding.spacing,
         node_count=len(embedding.lattice.nodes),
         plan=embedding.plan,
@@ -263,8 +196,127 @@ def metered_weights(
     )
 
 
-def _with_followers(weights: FloatArray, embedding: Embedding) -> FloatArray:
-    """Return the weights with each part left out of the lattice given those of its vertex nearest to it."""
-    weights = weights / weights.sum(1, keepdims=True)
-    weights[embedding.follower] = weights[embedding.leader]
-    return weights
+def solve_lattice(
+    lattice: Lattice, handle_cells: IntArray, *, tolerance: float = TOLERANCE, meter: Meter
+) -> BoundedMinimum:
+    """Return the weights (N, K) of the handles that hold the cells `handle_cells` (K, 3) of `lattice`.
+
+    They are not normalised. Each lattice starts from the one of twice the spacing: its weights bring the set
+    of nodes at 0 or 1, which Newton steps from the unbounded solution move by a few nodes at a time only.
+    """
+    levels = [lattice]
+    while len(levels[0].nodes) > _COARSE_NODES:
+        coarse = Lattice.of_cells(unique_cells(levels[0].cells // 2))
+        if len(coarse.nodes) >= len(levels[0].nodes):
+            break
+        levels.insert(0, coarse)
+    count = len(handle_cells)
+    found: BoundedMinimum | None = None
+    for number, level in enumerate(levels):
+        finer = len(levels) - 1 - number
+        # The handles' nodes hold 1 and 0, shared where coarse cells share nodes.
+        corners = level.corners[level.find(handle_cells // 2**finer)]
+        fixed, place = np.unique(corners, return_inverse=True)
+        values = np.zeros((len(fixed), count))
+        values[place.ravel(), np.repeat(np.arange(count), 8)] = 1.0
+        values /= values.sum(1, keepdims=True)
+        weights = np.zeros((len(level.nodes), count))
+        weights[fixed] = values
+        free = np.setdiff1d(np.arange(len(level.nodes)), fixed)
+        if len(free) == 0:
+            found = BoundedMinimum(weights, np.zeros(count), np.zeros(count, np.int64))
+            continue
+        energy = biharmonic_energy(level)
+        matrix, right = energy[free][:, free].tocsr(), -(energy[free][:, fixed] @ values)
+        start = None
+        if found is not None:
+            start = np.clip((levels[number - 1].interpolation(level.nodes / 2) @ found.x)[free], 0.0, 1.0)
+        found = minimize_bounded(
+            matrix,
+            right,
+            start,
+            tolerance=max(tolerance, _ROUGH) if finer else tolerance,
+            max_steps=_MAX_STEPS,
+            meter=meter,
+        )
+        weights[free] = found.x
+        found = BoundedMinimum(weights, found.residual, found.steps)
+    assert found is not None
+    return found
+
+
+def minimize_bounded(
+    matrix: sparse.csr_matrix,
+    right: FloatArray,
+    start: FloatArray | None,
+    *,
+    tolerance: float,
+    max_steps: int,
+    meter: Meter,
+) -> BoundedMinimum:
+    """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
+
+    Projected Newton [1]_: entries at a bound that are pushed outward stay, the others take the Newton step
+    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. It falls in
+    every step, so a budget that ends early keeps the best so far. A column is done when its scaled residual
+    is at most `tolerance`, or after `max_steps`; the meter counts the steps of all columns. Entries of
+    `start` (N, K), in [0, 1], at a bound stay there in the first step, so that a start from a coarser
+    lattice, whose gradient is rough, hands on its active set. Without one it is A^-1 b, clipped.
+
+    .. [1] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints",
+       SIAM J. Control and Optimization 20(2), 1982, section 2.
+    """
+    system = SparseCholesky(matrix)
+    # Columns one after another in memory: the loop below takes them one by one.
+    b = np.asfortranarray(right[system.order])
+    if start is None:
+        system.refill(np.zeros(matrix.shape[0], bool))
+        x = np.asfortranarray(np.clip(np.stack([system.solve(column) for column in b.T], 1), 0.0, 1.0))
+    else:
+        x = np.asfortranarray(start[system.order])
+    product, diagonal = np.asfortranarray(system.matrix @ x), system.matrix.diagonal()
+    residual = optimality_residual(x, product - b, diagonal)
+    steps = np.zeros(b.shape[1], np.int64)
+    for k in range(b.shape[1]):
+        held = (x[:, k] <= 0) | (x[:, k] >= 1)
+        while not meter.exhausted and residual[k] > tolerance and steps[k] < max_steps:
+            moved = _newton_step(system, b[:, k], x[:, k], product[:, k], held)
+            meter.count()
+            steps[k] += 1
+            if moved is None and steps[k] > 1:
+                break
+            if moved is not None:
+                x[:, k], product[:, k] = moved
+            gradient, least = product[:, k] - b[:, k], _ROUNDING * diagonal
+            held = ((x[:, k] <= 0) & (gradient > least)) | ((x[:, k] >= 1) & (gradient < -least))
+            residual[k] = optimality_residual(x[:, k], gradient, diagonal)
+            meter.record(residual.max())
+    result = np.empty_like(right)
+    result[system.order] = x
+    return BoundedMinimum(result, residual, steps)
+
+
+def optimality_residual(x: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> Any:
+    """Return each column's max |x - clip(x - g / diag(A), 0, 1)|, a length in x; 0 only at the minimum."""
+    scaled = gradient / (diagonal if x.ndim == 1 else diagonal[:, None])
+    return np.abs(x - np.clip(x - scaled, 0.0, 1.0)).max(0, initial=0.0)
+
+
+def _newton_step(
+    system: SparseCholesky, b: FloatArray, x: FloatArray, product: FloatArray, held: Any
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return (x, A x) after a projected Newton step of the entries not `held`; None if no energy falls."""
+    gradient = product - b
+    system.refill(held)
+    direction = system.solve(np.where(held, 0.0, -gradient))
+    length = 1.0
+    while length > _SHORTEST:
+        trial = np.clip(x + length * direction, 0.0, 1.0)
+        change = trial - x
+        after = system.matrix @ trial
+        # Differences of the energy itself would drown in rounding near the minimum.
+        predicted = float(gradient @ change)
+        if predicted + 0.5 * float(change @ (after - product)) <= _SUFFICIENT * predicted < 0:
+            return trial, after
+        length /= 2
+    return None

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scan2albedo.applications.processed_face import FaceMesh
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage, wound_like
+from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.color import encode_srgb_bytes
 
@@ -110,28 +111,18 @@ def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
     for down in range(step + 1):
         for right in range(step + 1):
             whole &= image.mask[np.ix_(rows + down, columns + right)]
-    faces = np.concatenate([_coarse(index, rows, columns, step, whole), _fine(full, image, step, whole)])
-    agreed = wound_like(full.vertices, faces, full.normals)
-    used = np.unique(agreed)
-    place = np.zeros(len(full.vertices), np.int64)
-    place[used] = np.arange(len(used))
-    return ViewMesh(full.vertices[used], place[agreed], full.uv[used], full.normals[used])
-
-
-def _coarse(index: IntArray, rows: IntArray, columns: IntArray, step: int, whole: BoolArray) -> IntArray:
-    corner = [index[np.ix_(rows + down, columns + right)][whole] for down in (0, step) for right in (0, step)]
-    a, b, c, d = corner
-    return np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
-
-
-def _fine(full: FaceMesh, image: GeometryImage, step: int, whole: BoolArray) -> IntArray:
-    """Return the triangles of the texel grid that no whole block covers."""
-    row, column = np.nonzero(image.mask)
-    first_row, first_column = row[full.faces].min(1) // step, column[full.faces].min(1) // step
-    inside = (first_row < whole.shape[0]) & (first_column < whole.shape[1])
+    a, b, c, d = (
+        index[np.ix_(rows + down, columns + right)][whole] for down in (0, step) for right in (0, step)
+    )
+    coarse = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
+    # Triangles of the texel grid that no whole block covers stay.
+    row, column = (texels[full.faces].min(1) // step for texels in np.nonzero(image.mask))
+    inside = (row < whole.shape[0]) & (column < whole.shape[1])
     covered = np.zeros(len(full.faces), bool)
-    covered[inside] = whole[first_row[inside], first_column[inside]]
-    return full.faces[~covered]
+    covered[inside] = whole[row[inside], column[inside]]
+    agreed = wound_like(full.vertices, np.concatenate([coarse, full.faces[~covered]]), full.normals)
+    used, place = np.unique(agreed, return_inverse=True)
+    return ViewMesh(full.vertices[used], place.reshape(-1, 3), full.uv[used], full.normals[used])
 
 
 @dataclass(frozen=True)
@@ -218,10 +209,7 @@ def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | 
 def _fitted(values: FloatArray, size: int) -> FloatArray:
     """Return an image (H, W, C) at most `size` texels wide and high, each the mean of what it covers."""
     height, width = values.shape[:2]
-    if max(height, width) <= size:
-        return values
-    import cv2
-
     part = size / max(height, width)
-    to = (max(1, round(width * part)), max(1, round(height * part)))
-    return np.asarray(cv2.resize(values, to, interpolation=cv2.INTER_AREA), np.float64)
+    if part >= 1:
+        return values
+    return area_mean(values, (max(1, round(height * part)), max(1, round(width * part))))

@@ -12,7 +12,6 @@ import numpy as np
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.records import read_record
@@ -63,7 +62,8 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Re
     try:
         if not file.is_file():
             return Residual(None, f"{file} is no longer there to be measured")
-        if input_sha256(file, _textures(record)) != record.input.sha256:
+        textures = record.options.get("textures")
+        if input_sha256(file, None if textures is None else str(textures)) != record.input.sha256:
             return Residual(None, f"{file} is no longer the scan that was processed")
         pose = read_record(folder / "registration.json", RegistrationRecord).fitted_from_scan
         if pose is None:
@@ -73,11 +73,6 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Re
         return Residual(None, one_line(error))
     mean = float(np.nanmean(distance)) if np.isfinite(distance).any() else float("nan")
     return Residual(distance, f"measured again against {file.name}: {mean:.3f} mm in the mean")
-
-
-def _textures(record: ResultRecord) -> str | None:
-    textures = record.options.get("textures")
-    return str(textures) if textures is not None else None
 
 
 def _distances(file: Path, unit: str, model_from_scan: FloatArray, mesh: FaceMesh) -> FloatArray:
@@ -113,6 +108,7 @@ def viewer_entry(
     mesh = thinned_chart(image) if face.mesh.from_chart else ViewMesh.of(face.mesh)
     lit, assumed = as_lit(face, RelightOptions()) if face.has_albedo else (face, ())
     skin = lit.reflectance
+    middle, radius, depth = portrait_frame(face.mesh.vertices)
     entry = {
         **mesh_entry(mesh, topologies),
         "hasAlbedo": face.has_albedo,
@@ -127,14 +123,30 @@ def viewer_entry(
         },
         "assumed": list(assumed),
         "assumedGloss": skin.specular_strength > face.reflectance.specular_strength,
-        "lights": [_light(light) for light in record.lights],
+        "lights": [
+            {
+                "azimuth": math.degrees(light.azimuth_rad),
+                "elevation": math.degrees(light.elevation_rad),
+                "distance": light.distance_mm if math.isfinite(light.distance_mm) else None,
+                "intensity": light.intensity,
+                "color": list(light.color_linear),
+            }
+            for light in record.lights
+        ],
         "harmonics": _harmonics(record),
         "castsShadows": face.casts_shadows,
         "shadowOffset": shadow_offset_mm(
             float(np.ptp(face.mesh.vertices, axis=0).max()), face.shadow_offset_mm
         ),
         "reach": float(np.linalg.norm(face.mesh.vertices, axis=1).max()),
-        "frame": _frame(face),
+        # The portrait's camera, as `applications.default_camera` has it.
+        "frame": {
+            "middle": middle.tolist(),
+            "radius": radius,
+            "margin": PORTRAIT_MARGIN,
+            "depth": depth,
+            "distance": max(DISTANCE_MM, 4 * radius),
+        },
     }
     if image.texture_linear is not None:
         entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
@@ -145,32 +157,18 @@ def viewer_entry(
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
         entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, style)
     if soft_shadows and face.environment is not None and face.environment.occluded:
-        entry["soft"] = _soft_light(face, face.environment, mesh)
+        # Red, green, blue of the soft light on each vertex as 16-bit parts of a scale.
+        caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows else None
+        shadows = ShadowMap(caster, mesh.vertices, mesh.normals, face.shadow_offset_mm)
+        light = environment_light_on(face.environment, shadows)
+        scale = float(light.max()) or 1.0
+        parts = quantized(light, np.zeros(3), np.full(3, scale))
+        entry["soft"] = {"scale": scale, "data": encoded(parts.tobytes())}
     if residual_mm is not None:
-        parts = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
-        stored = np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(parts)).astype(np.uint8)
+        shown = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
+        stored = np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(shown)).astype(np.uint8)
         entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": encoded(stored.tobytes())}
     return entry
-
-
-def _soft_light(face: ProcessedFace, environment: EnvironmentLight, mesh: ViewMesh) -> dict[str, Any]:
-    """Return the soft light on each vertex, red, green, blue as 16-bit parts of `scale`."""
-    caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
-    shadows = ShadowMap(caster, mesh.vertices, mesh.normals, face.shadow_offset_mm)
-    light = environment_light_on(environment, shadows)
-    scale = float(light.max()) or 1.0
-    data = quantized(light, np.zeros(3), np.full(3, scale))
-    return {"scale": scale, "data": encoded(data.tobytes())}
-
-
-def _light(light: Any) -> dict[str, Any]:
-    return {
-        "azimuth": math.degrees(light.azimuth_rad),
-        "elevation": math.degrees(light.elevation_rad),
-        "distance": light.distance_mm if math.isfinite(light.distance_mm) else None,
-        "intensity": light.intensity,
-        "color": list(light.color_linear),
-    }
 
 
 def _harmonics(record: ResultRecord) -> list[float] | None:
@@ -183,15 +181,3 @@ def _harmonics(record: ResultRecord) -> list[float] | None:
         return None
     flat = np.asarray(rows, np.float64)
     return flat.ravel().tolist() if flat.shape == (9, 3) and np.isfinite(flat).all() else None
-
-
-def _frame(face: ProcessedFace) -> dict[str, Any]:
-    """Return the parameters of the portrait's camera, as `applications.default_camera` has it."""
-    middle, radius, depth = portrait_frame(face.mesh.vertices)
-    return {
-        "middle": middle.tolist(),
-        "radius": radius,
-        "margin": PORTRAIT_MARGIN,
-        "depth": depth,
-        "distance": max(DISTANCE_MM, 4 * radius),
-    }

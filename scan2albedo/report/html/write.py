@@ -1,49 +1,59 @@
-"""`write_report`: one HTML file that shows what happened to a scan, or to a batch."""
+"""`write_report`: one HTML file that shows what happened to a scan, or to a batch, and loads nothing."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from scan2albedo.errors import OutputError, Scan2AlbedoError, one_line
+from scan2albedo.core.version import VERSION
+from scan2albedo.errors import OutputError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord
-from scan2albedo.report.html.batch_section import batch_section
-from scan2albedo.report.html.encoding import Topologies
-from scan2albedo.report.html.page import Page, page_html
-from scan2albedo.report.html.rows import (
+from scan2albedo.report.html.batch_section import (
     CATALOGUE_FILE,
     DONE,
     FAILED,
     RESULT_FILE,
     ScanRow,
+    batch_section,
     result_folders,
     rows_of_catalogue,
     rows_of_folders,
     selected_rows,
 )
-from scan2albedo.report.html.scan_section import ONE_OF_MANY, SINGLE, ScanSection, scan_section
+from scan2albedo.report.html.encoding import Topologies
+from scan2albedo.report.html.scan_section import ONE_OF_MANY, SINGLE, scan_section
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
 
 REPORT_FILE = "report.html"
 MOST_ROWS = 10_000
 """Scans in the table of a batch at most: browsers become slow beyond."""
-
-
-@dataclass(frozen=True)
-class ReportOptions:
-    """Settings of `write_report`; ValueError for a number out of range."""
-
-    scans: int = 40
-    """How many scans of a batch get a section of their own."""
-
-    def __post_init__(self) -> None:
-        if self.scans < 0:
-            raise ValueError(f"scans is {self.scans}, expected 0 or more")
+_SCRIPTS = (
+    "elements",
+    "viewer_math",
+    "viewer_shaders",
+    "viewer_gl",
+    "viewer_lights",
+    "viewer_pointer",
+    "viewer",
+    "tables",
+    "charts",
+    "report",
+)
+"""In the order in which they build on each other."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +65,8 @@ class WrittenReport:
     scans: int
     """In the table, or 1."""
     done: int
-    """Of them."""
     failed: int
-    """Of them."""
+    """`done`, `failed`: of them."""
     sections: int
     """Scans that have a section of their own."""
     size_bytes: int
@@ -68,7 +77,7 @@ def write_report(
     out: str | Path,
     path: str | Path | None = None,
     *,
-    options: ReportOptions = ReportOptions(),
+    scans: int = 40,
     on_progress: Callable[[str], None] | None = None,
 ) -> WrittenReport:
     """Return what a self-contained HTML report of processed scans holds, which is written atomically.
@@ -80,17 +89,22 @@ def write_report(
         catalogue.parquet).
     path : path, optional
         The page; ``out/report.html`` when omitted. Links to files are relative to it.
-    options : ReportOptions
+    scans : int
+        How many scans of a batch get a section of their own.
     on_progress : callable, optional
         Called with a line for each scan that is put into the page.
 
     Raises
     ------
+    ValueError
+        When `scans` is negative.
     Scan2AlbedoError
         When the folder holds no result, or that of a single scan cannot be read; the message names the file.
     OutputError
         When the page cannot be written, or ``out/report.html`` is no such page.
     """
+    if scans < 0:
+        raise ValueError(f"scans is {scans}, expected 0 or more")
     folder = Path(out)
     target = folder / REPORT_FILE if path is None else Path(path)
     if not folder.is_dir():
@@ -107,59 +121,99 @@ def write_report(
             )
     say = on_progress or (lambda line: None)
     if (folder / CATALOGUE_FILE).is_file():
-        return _write_batch(folder, rows_of_catalogue(folder / CATALOGUE_FILE), target, options, say)
+        return _write_batch(folder, rows_of_catalogue(folder / CATALOGUE_FILE), target, scans, say)
     if (folder / RESULT_FILE).is_file():
-        return _write_single(folder, target)
+        record, topologies = read_record(folder / RESULT_FILE, ResultRecord), Topologies()
+        section = scan_section(folder, record, target, topologies, SINGLE, anchor="scan", name=record.name)
+        content = {"title": record.name, "scans": [section], "topologies": topologies.of_key, "batch": None}
+        return WrittenReport(target, 1, 1, 0, 1, _write_page(content, target))
     folders = result_folders(folder)
     if not folders:
         raise Scan2AlbedoError(
             f"{folder}: holds no {RESULT_FILE}, no folder with one and no {CATALOGUE_FILE}; "
             "process scans into it first"
         )
-    return _write_batch(folder, rows_of_folders(folders), target, options, say)
-
-
-def _write_single(folder: Path, target: Path) -> WrittenReport:
-    record, topologies = read_record(folder / RESULT_FILE, ResultRecord), Topologies()
-    section = scan_section(folder, record, target, topologies, SINGLE, anchor="scan", name=record.name)
-    page = Page(record.name, _now(), [section], topologies.of_key)
-    return _write_page(page, target, scans=1, done=1, failed=0)
+    return _write_batch(folder, rows_of_folders(folders), target, scans, say)
 
 
 def _write_batch(
-    folder: Path, rows: Sequence[ScanRow], target: Path, options: ReportOptions, say: Callable[[str], None]
+    folder: Path, rows: Sequence[ScanRow], target: Path, scans: int, say: Callable[[str], None]
 ) -> WrittenReport:
-    selection, topologies = selected_rows(rows, options.scans), Topologies()
-    sections: list[ScanSection] = []
+    chosen, reason = selected_rows(rows, scans)
+    topologies, sections = Topologies(), list[dict[str, Any]]()
     anchors: dict[int, str] = {}
     not_shown: list[tuple[str, str]] = []
-    for k in selection.rows:
-        where = rows[k].folder
+    for k in chosen:
+        where, name, anchor = rows[k].folder, rows[k].name, f"scan-{k + 1}"
         assert where is not None
-        say(f"{rows[k].name}: {len(sections) + 1} of {len(selection.rows)}")
-        anchor = f"scan-{k + 1}"
+        say(f"{name}: {len(sections) + 1} of {len(chosen)}")
         try:
             record = read_record(where / RESULT_FILE, ResultRecord)
-            section = scan_section(
-                where, record, target, topologies, ONE_OF_MANY, anchor=anchor, name=rows[k].name
-            )
+            section = scan_section(where, record, target, topologies, ONE_OF_MANY, anchor=anchor, name=name)
         except Scan2AlbedoError as error:
-            not_shown.append((rows[k].name, one_line(error)))
+            not_shown.append((name, one_line(error)))
             continue
         anchors[k] = anchor
         sections.append(section)
-    batch = batch_section(rows, anchors, target, MOST_ROWS)
-    title = folder.resolve().name or str(folder)
-    page = Page(title, _now(), sections, topologies.of_key, batch, selection.reason, not_shown)
+    content = {
+        "title": folder.resolve().name or str(folder),
+        "scans": sections,
+        "topologies": topologies.of_key,
+        "batch": batch_section(rows, anchors, target, MOST_ROWS),
+        "selection": reason,
+        "not_shown": not_shown,
+    }
     done, failed = (sum(row.status == status for row in rows) for status in (DONE, FAILED))
-    return _write_page(page, target, scans=len(rows), done=done, failed=failed)
+    return WrittenReport(target, len(rows), done, failed, len(sections), _write_page(content, target))
 
 
-def _write_page(page: Page, target: Path, *, scans: int, done: int, failed: int) -> WrittenReport:
-    text = page_html(page)
+def _write_page(content: dict[str, Any], target: Path) -> int:
+    """Write the page, whose policy forbids all but its own style and script, and return its size in bytes."""
+    style, scripts = _static("report.css"), "\n".join(_static(f"{name}.js") for name in _SCRIPTS)
+    script = f'\n(() => {{\n"use strict";\n{scripts}}})();\n'
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script))
+    policy = (
+        "default-src 'none'; img-src data:; style-src 'sha256-{}'; script-src 'sha256-{}'; "
+        "base-uri 'none'; form-action 'none'"
+    ).format(*hashes)
+    content["written"] = datetime.now().astimezone().isoformat(" ", "minutes")
+    template = _environment().get_template("page.html")
+    text = template.render(page=content, style=style, script=script, policy=policy, version=VERSION)
     write_text(target, text)
-    return WrittenReport(target, scans, done, failed, len(page.scans), len(text.encode()))
+    return len(text.encode())
 
 
-def _now() -> str:
-    return datetime.now().astimezone().isoformat(" ", "minutes")
+def data_json(value: Any) -> str:
+    """Return JSON that may stand inside a script element: no text in it can end the element.
+
+    >>> print(data_json({"name": "</script>"}))
+    {"name":"\\u003c/script\\u003e"}
+    """
+    text = json.dumps(value, separators=(",", ":"), allow_nan=False)
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text
+
+
+@cache
+def _environment() -> Environment:
+    with needs_extra("report"):
+        from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+        from markupsafe import Markup
+
+    environment = Environment(
+        loader=PackageLoader("scan2albedo.report.html", "templates"),
+        autoescape=select_autoescape(default=True, default_for_string=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # Data has been escaped for its place, and the package's own files need no escape.
+    environment.filters["data_json"] = lambda value: Markup(data_json(value))
+    environment.filters["raw"] = lambda text: Markup(text)
+    return environment
+
+
+@cache
+def _static(name: str) -> str:
+    return (files("scan2albedo.report.html") / "static" / name).read_text(encoding="utf-8")

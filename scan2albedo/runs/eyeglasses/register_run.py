@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
-from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.version import VERSION
+from scan2albedo.core import Budget, PlanStep, ProgressCallback
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
@@ -20,50 +20,104 @@ from scan2albedo.eyeglasses import (
     write_keypoints,
     write_registered,
 )
-from scan2albedo.eyeglasses.files.frame_files import write_frame_glb
-from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.io.atomic import result_folder
-from scan2albedo.io.records import installed_versions, plain_json, write_record
+from scan2albedo.eyeglasses.frame_files import write_frame_glb
+from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
+from scan2albedo.io.result_records import RunRecord
+from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.report.eyeglasses_views import MOST_VIEWS, SeenView, registration_panels
 from scan2albedo.report.overview import overview_figure
-from scan2albedo.runs.eyeglasses.records import FileRecord, RegisteredFrameRecord, RegisteredViewRecord
-from scan2albedo.runs.eyeglasses.registration_input import RegistrationInput
+from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
-_APART_MM = 25.0
-"""Distance of the nearest key point from the head beyond which nobody wears the frame."""
-RECORD = "result.json"
-"""Comes last: a folder that has one is whole."""
-_COLUMNS = 3
+
+class RegisteredViewRecord(Record):
+    """How well a registered frame fits one picture."""
+
+    camera: str
+    labels: int = Field(ge=0, description="Key points labelled.")
+    outliers: int = Field(ge=0, description="Labels farther off than three times their noise.")
+    label_rms_px: OptionalNumber = Field(None, description="Of the labels that are no outliers.")
+    mask: bool = Field(description="Whether there was one.")
+    outline_rms_px: OptionalNumber = Field(None, description="Where outline and mask can be compared.")
+    iou: OptionalNumber = Field(
+        None, description="Of the frame's mask and the given one; high values are no evidence in space."
+    )
+    visible_share: Number = Field(ge=0, le=1, description="Vertices in the picture and not behind the head.")
+
+
+class RegisteredFrameRecord(RunRecord):
+    """The content of a registered frame's `result.json`."""
+
+    name: str = Field(min_length=1, description="Name of the frame.")
+    options: Figures = Field(description="What the run was called with.")
+    inputs: dict[str, FileRecord] = Field(description="By what they are: mesh, cameras, labels and others.")
+    mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
+    world_from_glasses: Matrix = Field(
+        description="Row-major 4x4 acting on column vectors: the frame in mm, as it was before it was bent, "
+        "into the cameras' world; rigid."
+    )
+    converged: bool
+    iterations: int = Field(ge=0, description="Evaluations of the objective.")
+    seconds: Number = Field(ge=0)
+    depth_observed: bool
+    unobserved: tuple[str, ...] = Field(description="'depth', and key points that no picture tells.")
+    views: tuple[RegisteredViewRecord, ...]
+    plan: tuple[PlanStep, ...]
+    metrics: Figures
+    notes: tuple[str, ...] = Field(
+        (), description="What reading decided, repaired and did not find, and the plan's doubts."
+    )
+    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+
+
+FILES = OwnFiles(
+    "result.json",
+    RegisteredFrameRecord,
+    (
+        "registered.glb",
+        "registered.npz",
+        "keypoints.json",
+        "trace.csv",
+        "error_vs_time.png",
+        "overview.png",
+    ),
+    "scan2albedo glasses register",
+)
 
 
 @dataclass(frozen=True)
 class PlacedFrame:
     """What became of the files of a registration."""
 
-    given: RegistrationInput
+    given: GlassesInput
     result: RegisteredEyeglasses
     options: Mapping[str, Any]
     seconds: float
-    notes: tuple[str, ...]
-    """Those of reading, and what looks wrong about the result."""
 
-    def view_figures(self) -> list[dict[str, Any]]:
-        """Return figures of each view, as in `result.json`."""
-        return [self._of_view(number) for number in range(len(self.given.cameras))]
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What reading said, what was done about lenses, and what a person should check."""
+        doubtful = set(self.result.plan.doubts())
+        told = (s for s in self.result.plan if s in doubtful or (s.ran and s.stage == "glasses.lenses"))
+        return (*self.given.notes, *(step.text for step in told))
 
-    def _of_view(self, number: int) -> dict[str, Any]:
-        result, errors = self.result, self.result.label_errors_px[number]
-        close = result.inliers[number]
-        return {
-            "camera": self.given.cameras[number].name,
-            "labels": int((~np.isnan(errors)).sum()),
-            "outliers": int((~np.isnan(errors) & ~close).sum()),
-            "label_rms_px": float(np.sqrt(np.mean(errors[close] ** 2))) if close.any() else None,
-            "mask": self.given.masks[number] is not None,
-            "outline_rms_px": float(result.outline_rms_px[number]),
-            "iou": float(result.iou[number]),
-            "visible_share": float(result.visible[number].mean()),
-        }
+    @property
+    def views(self) -> tuple[RegisteredViewRecord, ...]:
+        """Figures of each view."""
+        result, records = self.result, []
+        for number, (camera, mask) in enumerate(zip(self.given.cameras, self.given.masks, strict=True)):
+            errors, close = result.label_errors_px[number], result.inliers[number]
+            record = RegisteredViewRecord(
+                camera=camera.name,
+                labels=int((~np.isnan(errors)).sum()),
+                outliers=int((~np.isnan(errors) & ~close).sum()),
+                label_rms_px=float(np.sqrt(np.mean(errors[close] ** 2))) if close.any() else None,
+                mask=mask is not None,
+                outline_rms_px=float(result.outline_rms_px[number]),
+                iou=float(result.iou[number]),
+                visible_share=float(result.visible[number].mean()),
+            )
+            records.append(record)
+        return tuple(records)
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the whole, as in `result.json`."""
@@ -86,16 +140,15 @@ class PlacedFrame:
         figures = self.figures()
         known = figures["observed_deviation_rms_mm"]
         sure = "nothing is observed" if known is None else f"known to {known:.2f} mm rms"
-        text = (
-            f"{self.given.name}: placed in {self.seconds:.1f} s; "
-            f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
-        )
         lost = ", ".join(self.result.unobserved)
-        return text + (f"; not observed: {lost}" if lost else "")
+        return (
+            f"{self.given.frame.name}: placed in {self.seconds:.1f} s; "
+            f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
+        ) + (f"; not observed: {lost}" if lost else "")
 
 
 def register_frame(
-    given: RegistrationInput,
+    given: GlassesInput,
     *,
     bend: bool = True,
     budget: Budget | float | None = None,
@@ -105,10 +158,11 @@ def register_frame(
 
     Raises EyeglassesError, naming mesh and labels, when the files fix no pose or do not belong together.
     """
-    begun, spend = time.perf_counter(), Budget.of(budget)
+    begun, spend, frame = time.perf_counter(), Budget.of(budget), given.frame
+    assert given.labels is not None
     try:
         result = register_on_face(
-            given.frame,
+            (frame.scan.vertices, frame.scan.faces, frame.keypoints, frame.weights),
             given.labels,
             given.masks,
             np.stack([camera.matrix for camera in given.cameras]),
@@ -120,89 +174,45 @@ def register_frame(
             on_progress=on_progress,
         )
     except EyeglassesError as error:
-        names = " with ".join(str(given.hashes[part][0]) for part in ("mesh", "labels"))
+        names = " with ".join(given.files[part].file for part in ("mesh", "labels"))
         raise EyeglassesError(f"{names}: {error}") from error
-    return PlacedFrame(
-        given=given,
-        result=result,
-        options={
-            "bend": bend,
-            "budget_s": spend.seconds,
-            "budget_evaluations": spend.evaluations,
-        },
-        seconds=time.perf_counter() - begun,
-        notes=(*given.notes, *_warnings(given, result)),
-    )
-
-
-def _warnings(given: RegistrationInput, result: RegisteredEyeglasses) -> list[str]:
-    """Return the signs that the inputs may not belong together."""
-    notes = []
-    if given.head is not None:
-        marks = result.keypoints[np.isfinite(result.keypoints).all(1)]
-        apart = float(ClosestPointQuery(given.head.vertices, given.head.faces).query(marks).distance.min())
-        if apart > _APART_MM:
-            notes.append(
-                f"the head is {apart:.0f} mm or more from the frame: are head and cameras in one frame?"
-            )
-    for step in result.plan:
-        if step.stage == "glasses.lenses" and (step.ran or step.evidence):
-            notes.append(f"{step.reason} ({step.evidence})")
-    if not result.converged:
-        notes.append("not converged: the plan says which step, and a longer budget may end it")
-    return notes
+    options = {"bend": bend, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
+    return PlacedFrame(given, result, options, time.perf_counter() - begun)
 
 
 def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
     """Write a registered frame's files; return the figures of its `result.json`, or raise OutputError."""
-    with result_folder(out, RECORD) as staging:
-        return _write_all(done, staging)
-
-
-def _write_all(done: PlacedFrame, folder: Path) -> dict[str, Any]:
-    result = done.result
-    written = write_frame_glb(folder / "registered.glb", result)
-    write_registered(folder / "registered.npz", result)
-    write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
-    result.trace.to_csv(folder / "trace.csv")
-    result.trace.plot().savefig(folder / "error_vs_time.png", dpi=110)
-    _write_overview(done, folder / "overview.png")
-    figures = {**done.figures(), "glb_weight_cut": written.cut}
-    files = sorted(path.name for path in folder.iterdir())
-    record = RegisteredFrameRecord(
-        scan2albedo_version=VERSION,
-        versions=installed_versions(),
-        name=done.given.name,
-        options=dict(done.options),
-        inputs={
-            what: FileRecord(file=str(path), sha256=sha256)
-            for what, (path, sha256) in done.given.hashes.items()
-        },
-        mm_per_unit=done.given.frame.mm_per_unit,
-        world_from_glasses=plain_json(result.world_from_glasses),
-        converged=result.converged,
-        iterations=result.iterations,
-        seconds=done.seconds,
-        depth_observed=result.depth_observed,
-        unobserved=result.unobserved,
-        views=tuple(RegisteredViewRecord(**view) for view in done.view_figures()),
-        plan=tuple(result.plan),
-        metrics=figures,
-        notes=done.notes,
-        files=(*files, RECORD),
-    )
-    write_record(folder / RECORD, record)
+    result, given = done.result, done.given
+    with RunFolder(out, FILES).publishing() as staging:
+        folder = staging.folder
+        written = write_frame_glb(folder / "registered.glb", result)
+        write_registered(folder / "registered.npz", result)
+        write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
+        result.trace.to_csv(folder / "trace.csv")
+        staging.figure("error_vs_time.png", result.trace.plot())
+        assert given.labels is not None
+        views = [SeenView(*seen) for seen in zip(given.cameras, given.masks, given.labels, strict=True)]
+        title = f"{done.summary()}\norange: its outline, blue: behind the head; dots: labels, red: outliers"
+        if len(views) > MOST_VIEWS:
+            title += f"; {MOST_VIEWS} of {len(views)} views"
+        mesh = None if given.head is None else (given.head.vertices, given.head.faces)
+        panels = registration_panels(result, views, mesh)
+        staging.figure("overview.png", overview_figure(title, panels, 3), dpi=150)
+        figures = {**done.figures(), "glb_weight_cut": written.cut}
+        staging.write_record(
+            name=given.frame.name,
+            options=dict(done.options),
+            inputs=dict(given.files),
+            mm_per_unit=given.frame.mm_per_unit,
+            world_from_glasses=plain_json(result.world_from_glasses),
+            converged=result.converged,
+            iterations=result.iterations,
+            seconds=done.seconds,
+            depth_observed=result.depth_observed,
+            unobserved=result.unobserved,
+            views=done.views,
+            plan=result.plan.steps,
+            metrics=figures,
+            notes=done.notes,
+        )
     return figures
-
-
-def _write_overview(done: PlacedFrame, path: Path) -> None:
-    given, head = done.given, done.given.head
-    views = [
-        SeenView(camera, mask, labels)
-        for camera, mask, labels in zip(given.cameras, given.masks, given.labels, strict=True)
-    ]
-    mesh = None if head is None else (head.vertices, head.faces)
-    title = f"{done.summary()}\norange: its outline, blue: behind the head; dots: labels, red: outliers"
-    if len(views) > MOST_VIEWS:
-        title += f"; {MOST_VIEWS} of {len(views)} views"
-    overview_figure(title, registration_panels(done.result, views, mesh), _COLUMNS).savefig(path, dpi=150)

@@ -82,28 +82,39 @@ FILES = OwnFiles(
 
 def identification_record(found: ResultIdentification) -> IdentificationRecord:
     """Return the record of an identification without files."""
-    return _record(found, _rates(*_curves(found)))
+    return _record(found, *_curves(found))
 
 
-def _record(
-    found: ResultIdentification, rates: RatesRecord | None, files: tuple[str, ...] = ()
-) -> IdentificationRecord:
-    templates = found.gallery.templates
-    return IdentificationRecord(
-        scan2albedo_version=VERSION,
-        gallery=str(found.gallery.source),
-        probes=str(found.probes.source),
-        use=tuple(found.by_kind),
-        gallery_images=len(found.gallery),
-        persons=found.matches.persons,
-        combine=found.combine,
-        template_options=asdict(templates.options),
-        model=None if templates.chart is None else templates.chart.model,
-        rates=rates,
-        results=_probes(found),
-        notes=found.notes,
-        files=files,
-    )
+def write_identification(found: ResultIdentification, folder: str | Path) -> IdentificationRecord:
+    """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
+
+    Return the record. The curves are those of the probes whose person is known; without such probes there are
+    none. OutputError when the folder cannot be written, or holds a file of somebody else under such a name.
+    """
+    from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
+
+    cmc, roc = _curves(found)
+    record, name = _record(found, cmc, roc), " and ".join(found.by_kind)
+    with RunFolder(folder, FILES).publishing() as staging:
+        table = StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(ProbeRecord.model_fields)
+        for probe in record.results:
+            writer.writerow("" if value is None else value for value in probe.model_dump().values())
+        write_text(staging.folder / "identification.csv", table.getvalue())
+        similarities = {
+            "similarities": found.matches.similarities,
+            **{f"{kind}_similarities": values for kind, values in found.by_kind.items()},
+            "persons": np.array(found.matches.persons),
+            "probes": np.array(found.probes.labels),
+            "probe_persons": np.array([person or "" for person in found.probes.persons]),
+        }
+        write_npz(staging.folder / "similarities.npz", similarities, what="similarities")
+        if cmc is not None:
+            staging.figure("cmc.png", cmc_figure({name: cmc}))
+        if roc is not None:
+            staging.figure("roc.png", roc_figure({name: roc}))
+        return staging.write_record(**dict(record))
 
 
 def _curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | None]:
@@ -114,96 +125,54 @@ def _curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | No
     return cmc_curve(named), roc_curve(named) if len(named.persons) > 1 else None
 
 
-def write_identification(found: ResultIdentification, folder: str | Path) -> IdentificationRecord:
-    """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
-
-    Return the record. The curves are those of the probes whose person is known; without such probes there are
-    none. OutputError when the folder cannot be written, or holds a file of somebody else under such a name.
-    """
-    cmc, roc = _curves(found)
-    with RunFolder(folder, FILES).publishing() as staging:
-        write_text(staging.folder / "identification.csv", _table(found))
-        similarities = {
-            "similarities": found.matches.similarities,
-            **{f"{kind}_similarities": values for kind, values in found.by_kind.items()},
-            "persons": np.array(found.matches.persons),
-            "probes": np.array(found.probes.labels),
-            "probe_persons": np.array([person or "" for person in found.probes.persons]),
-        }
-        write_npz(staging.folder / "similarities.npz", similarities, what="similarities")
-        _write_figures(cmc, roc, " and ".join(found.by_kind), staging.folder)
-        return staging.write_record(**dict(_record(found, _rates(cmc, roc))))
-
-
-def _rates(cmc: CmcCurve | None, roc: RocCurve | None) -> RatesRecord | None:
-    if cmc is None:
-        return None
-    return RatesRecord(
-        probes=cmc.probes,
-        confidence=cmc.confidence,
-        rank_1_rate=float(cmc.rate[0]),
-        rank_1_interval=(float(cmc.low[0]), float(cmc.high[0])),
-        equal_error_rate=None if roc is None else roc.equal_error_rate,
-        equal_error_interval=None if roc is None else roc.equal_error_interval,
-    )
-
-
-def _probes(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
-    matches = found.matches
-    several = len(matches.persons) > 1
-    nobody = (None,) * len(matches.ranks)
-    first = matches.order[:, :1]
-    alone = {kind: np.take_along_axis(v, first, 1)[:, 0].tolist() for kind, v in found.by_kind.items()}
-    columns = zip(
-        found.probes.labels,
-        found.probes.persons,
-        matches.predicted(),
-        matches.similarity().tolist(),
-        alone.get("albedo", nobody),
-        alone.get("shape", nobody),
-        matches.ranks.tolist(),
-        matches.predicted(2) if several else nobody,
-        matches.similarity(2).tolist() if several else nobody,
-        strict=True,
-    )
-    return tuple(
-        ProbeRecord(
-            probe=probe,
-            person=person,
-            predicted=predicted,
-            similarity=_rounded(similarity),
-            albedo=_known(albedo),
-            shape=_known(shape),
-            rank=rank or None,
-            next_person=next_person,
-            next_similarity=_known(next_similarity),
+def _record(found: ResultIdentification, cmc: CmcCurve | None, roc: RocCurve | None) -> IdentificationRecord:
+    templates, matches = found.gallery.templates, found.matches
+    rates = (
+        None
+        if cmc is None
+        else RatesRecord(
+            probes=cmc.probes,
+            confidence=cmc.confidence,
+            rank_1_rate=float(cmc.rate[0]),
+            rank_1_interval=(float(cmc.low[0]), float(cmc.high[0])),
+            equal_error_rate=None if roc is None else roc.equal_error_rate,
+            equal_error_interval=None if roc is None else roc.equal_error_interval,
         )
-        for probe, person, predicted, similarity, albedo, shape, rank, next_person, next_similarity in columns
     )
 
+    def rounded(similarity: float) -> float | None:
+        """Return a similarity, 0 to 1, with the digits that sums in float32 hold; None for NaN."""
+        return None if np.isnan(similarity) else round(min(float(similarity), 1.0), 6)
 
-def _known(similarity: float | None) -> float | None:
-    return None if similarity is None or np.isnan(similarity) else _rounded(similarity)
-
-
-def _rounded(similarity: float) -> float:
-    """Return a similarity, 0 to 1, with the digits that sums in float32 hold."""
-    return round(min(similarity, 1.0), 6)
-
-
-def _table(found: ResultIdentification) -> str:
-    stream = StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(ProbeRecord.model_fields)
-    for record in _probes(found):
-        writer.writerow("" if value is None else value for value in record.model_dump().values())
-    return stream.getvalue()
-
-
-def _write_figures(cmc: CmcCurve | None, roc: RocCurve | None, name: str, folder: Path) -> None:
-    from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
-
-    if cmc is not None:
-        cmc_figure({name: cmc}).savefig(folder / "cmc.png")
-    if roc is not None:
-        roc_figure({name: roc}).savefig(folder / "roc.png")
+    results = []
+    for k, (probe, person) in enumerate(zip(found.probes.labels, found.probes.persons, strict=True)):
+        first, *others = matches.order[k].tolist()
+        alone = {kind: rounded(values[k, first]) for kind, values in found.by_kind.items()}
+        results.append(
+            ProbeRecord(
+                probe=probe,
+                person=person,
+                predicted=matches.persons[first],
+                similarity=rounded(matches.similarities[k, first]) or 0.0,
+                rank=int(matches.ranks[k]) or None,
+                next_person=matches.persons[others[0]] if others else None,
+                next_similarity=rounded(matches.similarities[k, others[0]]) if others else None,
+                albedo=alone.get("albedo"),
+                shape=alone.get("shape"),
+            )
+        )
+    return IdentificationRecord(
+        scan2albedo_version=VERSION,
+        gallery=str(found.gallery.source),
+        probes=str(found.probes.source),
+        use=tuple(found.by_kind),
+        gallery_images=len(found.gallery),
+        persons=matches.persons,
+        combine=found.combine,
+        template_options=asdict(templates.options),
+        model=None if templates.chart is None else templates.chart.model,
+        rates=rates,
+        results=tuple(results),
+        notes=found.notes,
+        files=(),
+    )

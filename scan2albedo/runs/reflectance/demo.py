@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -46,16 +46,14 @@ from scan2albedo.runs.reflectance.model_run import (
 )
 from scan2albedo.synthetic import (
     FacePhotograph,
-    FacePhotographOptions,
     FlashCapture,
-    FlashCaptureOptions,
+    Portrait,
     face_photograph,
     flash_capture,
 )
 
-_CAPTURE = FlashCaptureOptions(views=5, flashes=7, picture_size=192, levels=1, hair=False)
-_PHOTOGRAPH = FacePhotographOptions(picture_size=192, lights=128, levels=1, hair=False)
-"""Without hair, whose shadows on the brow are not the mesh's: a model would learn them as skin."""
+_PORTRAIT = Portrait(picture_size=192)
+"""People have no hair: its shadows on the brow are not the mesh's, and a model would learn them as skin."""
 _LEAST_PAIRS, _NEW_PEOPLE = 3, 1000
 """Pairs that the command `fit` asks for; first seed of people that the model was not learned from."""
 _ALTERNATIONS, _RIDGE = 30, 1e-9
@@ -127,7 +125,7 @@ def run_reflectance_demo(
     fits, errors = [], []
     for number in range(people):
         say(f"person {number + 1} of {people}: taking and fitting pictures")
-        capture = flash_capture(seed + number, options=_CAPTURE)
+        capture = flash_capture(seed + number, views=5, flashes=7, hair=False, levels=1, portrait=_PORTRAIT)
         file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
         if number == 0:
             write_olat(read_capture(file), out / "olat")
@@ -194,8 +192,8 @@ def run_reflectance_demo(
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
-    options = replace(_PHOTOGRAPH, azimuth_deg=(0.0, 20.0, -20.0)[number % 3])
-    return face_photograph(seed, generated_environment(seed), options=options)
+    azimuth, environment = (0.0, 20.0, -20.0)[number % 3], generated_environment(seed)
+    return face_photograph(seed, environment, azimuth_deg=azimuth, lights=128, hair=False, portrait=_PORTRAIT)
 
 
 class SyntheticRecord(Record):
@@ -218,7 +216,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
 
     Raises `ValueError` when its pictures are not integers, `OutputError` when a file cannot be written.
     """
-    options = capture.options
+    options = capture.portrait
     if options.bits is None:
         raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
     with RunFolder(folder, _OWN_FILES).publishing() as staging:
@@ -245,7 +243,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
                 "name": f"place_{k:02d}",
                 "rotation": rotation.tolist(),
                 "translation": translation.tolist(),
-                "mask": f"skin_{k:02d}.png" if k < options.views else None,
+                "mask": f"skin_{k:02d}.png" if k <= capture.view.max() else None,
             }
             for k, (rotation, translation) in enumerate(
                 zip(capture.head_rotations, capture.head_translations, strict=True)
@@ -272,7 +270,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
 
     Raises `ValueError` when the image is not of integers, `OutputError` when a file cannot be written.
     """
-    if taken.options.bits is None:
+    if taken.portrait.bits is None:
         raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
     with RunFolder(folder, _OWN_FILES).publishing() as staging:
@@ -284,7 +282,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
             {
                 "image": _IMAGE,
                 "mask": _SKIN,
-                "gamma": taken.options.gamma,
+                "gamma": taken.portrait.gamma,
                 "saturation": OlatOptions.saturation,
                 "camera": taken.camera.tolist(),
                 "mesh": _MESH if mesh else None,

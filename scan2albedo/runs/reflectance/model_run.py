@@ -32,6 +32,7 @@ from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, results_in
+from scan2albedo.templates import AnnotatedFaceModel
 
 _RESULT_FILE = "result.json"
 DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
@@ -125,7 +126,6 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     predicts people left out best (`held_out_components`) when `components` is None. Takes 0.1 s of CPU a
     person. Raises `ReflectanceError` for fewer than two people, or than 10 without `components`.
     """
-    from scan2albedo.face_model import AnnotatedFaceModel
     from scan2albedo.synthetic import population_reflectance
     from scan2albedo.synthetic.face_shape import expression_offsets
 
@@ -153,7 +153,6 @@ def default_model() -> FaceModels:
 
     Directions are rounded: 0.5 % of the albedo, 0.04 mm. Raises `ReflectanceError` when the file is damaged.
     """
-    from scan2albedo.face_model import AnnotatedFaceModel
 
     advice = "install the package anew"
     arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     DistantLights,
@@ -15,7 +16,6 @@ from scan2albedo.eyeglasses import (
     lens_mesh,
     refract,
 )
-from scan2albedo.face_model import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import (
     camera_centers,
     look_at,

@@ -7,13 +7,12 @@ from benchmarks.eyeglasses_scenes import Errors, khronos, photographed, syntheti
 
 from scan2albedo.eyeglasses import FaceRegistrationOptions, register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import SkinnedPoints
+from scan2albedo.eyeglasses.on_face.inputs import checked_inputs
 from scan2albedo.eyeglasses.on_face.objective import RegistrationObjective
-from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh, OutlineSampler
-from scan2albedo.eyeglasses.on_face.registration_inputs import checked_inputs
+from scan2albedo.eyeglasses.on_face.outline import FrameMesh, OutlineSampler
 from scan2albedo.eyeglasses.on_face.start_poses import starting_poses
 
 SLAB = without_lenses(synthetic("slab"))
-SMALL = FaceRegistrationOptions(outline_stride=4)
 
 
 def mesh_of(frame, scale=1.0):
@@ -31,7 +30,7 @@ def seen():
 
 def register(seen, masks=None, scale=1.0):
     masks = list(seen.masks) if masks is None else masks
-    return register_on_face(mesh_of(SLAB, scale), seen.labels, masks, seen.cameras, options=SMALL)
+    return register_on_face(mesh_of(SLAB, scale), seen.labels, masks, seen.cameras)
 
 
 def test_masks_that_are_too_wide_throughout_move_nothing(seen):
@@ -61,7 +60,6 @@ def test_labels_off_alike_in_all_views_count_once(seen):
         np.tile(seen.labels, (9, 1, 1)),
         None,
         np.tile(seen.cameras, (9, 1, 1)),
-        options=SMALL,
     )
     ratio = np.median(many.keypoint_deviation / one.keypoint_deviation)
     assert 0.4 < ratio < 1
@@ -69,11 +67,11 @@ def test_labels_off_alike_in_all_views_count_once(seen):
 
 def test_slopes_are_those_of_the_sum(seen):
     given = checked_inputs(mesh_of(SLAB), seen.labels, list(seen.masks), seen.cameras, None, None)
-    objective = RegistrationObjective(given.keypoints, given.views, SMALL)
+    objective = RegistrationObjective(given.keypoints, given.views, FaceRegistrationOptions())
     rng = np.random.default_rng(0)
     state = starting_poses(given.keypoints, given.views, 2.0, None)[0]
     mesh = FrameMesh(SkinnedPoints(given.vertices, SLAB.weights()), given.faces)
-    sampler = OutlineSampler(mesh, given.views, None, SMALL)
+    sampler = OutlineSampler(mesh, given.views, None)
     samples = sampler.sample(objective.motion(state), np.full(20, 2.0))
     state = state.moved(np.r_[rng.normal(0, 1e-3, 6), rng.normal(0, 0.1, 60)])
     for some in (None, samples):

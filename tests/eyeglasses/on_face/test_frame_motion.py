@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.priors import bend_prior
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints, bend_prior
 from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, skin, turned_translations
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector

@@ -8,7 +8,7 @@ from benchmarks.eyeglasses_scenes import khronos, photographed, synthetic, witho
 from scan2albedo.eyeglasses import register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.lens_panes import as_masks_show, rim_openings
-from scan2albedo.eyeglasses.on_face.outline_samples import FrameMesh
+from scan2albedo.eyeglasses.on_face.outline import FrameMesh
 from scan2albedo.geometry.pinhole import look_at
 
 SLAB = synthetic("slab")

@@ -33,11 +33,7 @@ def test_sunglasses_of_many_parts_are_found_again(shared_data):
         position = target + 600 * np.array([np.sin(yaw), 0.13, np.cos(yaw)])
         cameras.append(look_at(position, target, focal_px=1800, shape=SHAPE))
         pixels, depth = project(cameras[-1], vertices)
-        covered = cover(pixels, depth, scan.faces, SHAPE)
-        masks.append(np.zeros(SHAPE, bool))
-        row, column = covered.corner
-        height, width = covered.face.shape
-        masks[-1][row : row + height, column : column + width] = covered.face >= 0
+        masks.append(cover(pixels, depth, scan.faces, SHAPE) >= 0)
         seen = project(cameras[-1], truth.positions(SkinnedPoints(marks, np.eye(20))))[0]
         labels.append(seen + rng.normal(0, 1, (20, 2)))
     found = register_on_face((scan.vertices, scan.faces, marks, weights), labels, masks, cameras)

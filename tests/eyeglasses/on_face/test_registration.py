@@ -15,20 +15,22 @@ from scan2albedo.eyeglasses import (
     skin,
 )
 from scan2albedo.eyeglasses.keypoints import MIRROR
+from scan2albedo.eyeglasses.on_face import objective, outline
+from scan2albedo.eyeglasses.on_face.objective import HeadContact
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
-from scan2albedo.synthetic import WearerOptions, wearer
+from scan2albedo.synthetic import wearer
 
-SMALL = WearerOptions(picture_size=512, focal_px=900, label_noise_px=0.5, mask_noise_px=0.5)
+SMALL = {"picture_size": 512, "focal_px": 900, "label_noise_px": 0.5, "mask_noise_px": 0.5}
 """Half the pixels for the tests that are not about figures."""
 
 
-def person(seed, options=WearerOptions()):
-    return _person(seed, options)
+def person(seed, pictures=None):
+    return _person(seed, tuple((pictures or {}).items()))
 
 
 @cache
-def _person(seed, options):
-    return wearer(seed, options=options)
+def _person(seed, pictures):
+    return wearer(seed, **dict(pictures))
 
 
 @cache
@@ -42,14 +44,16 @@ def glasses_of(seed):
     )
 
 
-def register(seed, pictures=WearerOptions(), /, **changes):
+def register(seed, pictures=None, /, **changes):
     """Register a person's own glasses, with some arguments in place of the person's."""
-    return _register(seed, pictures, **changes) if changes else _plainly(seed, pictures)
+    if changes:
+        return _register(seed, pictures, **changes)
+    return _plainly(seed, tuple((pictures or {}).items()))
 
 
 @cache
 def _plainly(seed, pictures):
-    return _register(seed, pictures)
+    return _register(seed, dict(pictures))
 
 
 def _register(seed, pictures, **changes):
@@ -71,12 +75,12 @@ def error_mm(found, worn, where):
 
 CASES = {
     # Labels' and masks' noise, outliers a view, missing key points; bars in mm rms of what is visible.
-    "exact": (WearerOptions(label_noise_px=0, mask_noise_px=0), 0.25),
-    "one pixel": (WearerOptions(), 0.35),
-    "four pixels": (WearerOptions(label_noise_px=4, mask_noise_px=2), 0.85),
-    "three gross outliers a view": (WearerOptions(outliers=3), 0.35),
-    "eight key points missing": (WearerOptions(missing=8), 0.35),
-    "hair over the temples": (WearerOptions(hair=True), 0.40),
+    "exact": ({"label_noise_px": 0, "mask_noise_px": 0}, 0.25),
+    "one pixel": ({}, 0.35),
+    "four pixels": ({"label_noise_px": 4, "mask_noise_px": 2}, 0.85),
+    "three gross outliers a view": ({"outliers": 3}, 0.35),
+    "eight key points missing": ({"missing": 8}, 0.35),
+    "hair over the temples": ({"hair": True}, 0.40),
 }
 
 
@@ -103,7 +107,7 @@ def test_three_views_place_a_bent_frame(name, seed):
 
 @pytest.mark.slow
 def test_labels_match_within_a_pixel_where_they_are_exact():
-    options = WearerOptions(label_noise_px=0, mask_noise_px=0)
+    options = {"label_noise_px": 0, "mask_noise_px": 0}
     found = register(1, options)
     assert np.sqrt(np.nanmean(found.label_errors_px**2)) <= 1.0
     assert np.nanmax(found.outline_rms_px) <= 0.5
@@ -112,7 +116,7 @@ def test_labels_match_within_a_pixel_where_they_are_exact():
 
 @pytest.mark.slow
 def test_outliers_are_named():
-    worn, found = person(1, WearerOptions(outliers=3)), register(1, WearerOptions(outliers=3))
+    worn, found = person(1, {"outliers": 3}), register(1, {"outliers": 3})
     off = np.linalg.norm(worn.labels - projected(worn), axis=2)
     labelled = np.isfinite(off)
     np.testing.assert_array_equal(found.inliers[labelled & (off > 12)], False)
@@ -212,10 +216,11 @@ def test_scale_and_sign_of_cameras_do_not_matter():
 
 
 @pytest.mark.parametrize(("seed", "view"), [(1, 0), (1, 1), pytest.param(3, 0, marks=pytest.mark.slow)])
-def test_one_view_says_that_it_does_not_see_depth(seed, view):
+def test_one_view_says_that_it_does_not_see_depth(seed, view, monkeypatch):
+    monkeypatch.setattr(HeadContact, "__bool__", lambda self: False)
     worn = person(seed)
     one = {"keypoints_2d": worn.labels[[view]], "masks": worn.masks[[view]], "cameras": worn.cameras[[view]]}
-    found = register(seed, **one, options=FaceRegistrationOptions(contact=False))
+    found = register(seed, **one)
     assert not found.depth_observed
     assert found.unobserved[0] == "depth"
     assert found.depth_deviation > 1
@@ -228,13 +233,14 @@ def test_one_view_says_that_it_does_not_see_depth(seed, view):
 
 
 @pytest.mark.slow
-def test_one_view_rests_the_frame_on_the_nose():
+def test_one_view_rests_the_frame_on_the_nose(monkeypatch):
     errors, deviations = np.zeros((2, 2)), np.zeros((2, 2))
     for row, seed in enumerate((1, 3)):
         worn = person(seed)
         one = {"keypoints_2d": worn.labels[[1]], "masks": worn.masks[[1]], "cameras": worn.cameras[[1]]}
         for column, contact in enumerate((True, False)):
-            found = register(seed, **one, options=FaceRegistrationOptions(contact=contact))
+            monkeypatch.setattr(HeadContact, "__bool__", lambda self, on=contact: on)
+            found = register(seed, **one)
             assert found.plan.ran("glasses.contact") == contact
             errors[row, column] = np.linalg.norm((found.keypoints - worn.keypoints).mean(0))
             deviations[row, column] = found.depth_deviation
@@ -258,13 +264,15 @@ def test_no_label_at_all_but_a_start_goes_by_the_outlines():
 
 
 @pytest.mark.slow
-def test_masks_that_show_a_temple_elsewhere_contradict_it():
+def test_masks_that_show_a_temple_elsewhere_contradict_it(monkeypatch):
     """A temple's end that nothing pulls back: no labels there, and its outline out of reach."""
     worn = person(1)
     temple = [KEY_POINT_NAMES.index(f"left_{n}") for n in ("temple_middle", "ear_bend", "temple_tip")]
     labels = worn.labels.copy()
     labels[:, temple] = np.nan
-    found = register(1, keypoints_2d=labels, options=FaceRegistrationOptions(outline_reach_px=6.0))
+    for module in (objective, outline):
+        monkeypatch.setattr(module, "REACH_PX", 6.0)
+    found = register(1, keypoints_2d=labels)
     errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
     assert errors[temple[2]] > 3
     assert "left_temple_tip" in found.unobserved
@@ -311,7 +319,7 @@ def test_without_masks_the_labels_decide():
 
 @pytest.mark.slow
 def test_temples_that_hair_hides_are_reported():
-    options = WearerOptions(hair=True)
+    options = {"hair": True}
     worn, found = person(3, options), register(3, options)
     hidden = worn.hidden.all(0)
     assert hidden.mean() > 0.05

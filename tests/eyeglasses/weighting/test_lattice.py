@@ -4,11 +4,13 @@ import pytest
 from scan2albedo.eyeglasses.weighting.lattice import (
     Lattice,
     biharmonic_energy,
+    enclosed_cells,
     join_parts,
     lattice_laplacian,
     node_volumes,
+    surface_cells,
+    unique_cells,
 )
-from scan2albedo.eyeglasses.weighting.voxelization import enclosed_cells, surface_cells, unique_cells
 
 
 def clipped(triangle, cell):

@@ -129,8 +129,6 @@ def test_the_automatic_spacing_is_said_aloud(glasses):
     found = solve_weights(glasses.vertices, glasses.faces, close)
     assert found.plan[0].reason == "two key points are close together"
     assert found.spacing <= 1.5
-    few = solve_weights(
-        glasses.vertices, glasses.faces, glasses.handles, options=s2a.eyeglasses.WeightOptions(max_nodes=600)
-    )
+    few = solve_weights(glasses.vertices, glasses.faces, glasses.handles, max_nodes=600)
     assert few.plan[0].reason == "finer ones have more than 600 nodes"
     assert few.node_count <= 600

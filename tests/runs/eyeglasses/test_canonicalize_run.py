@@ -26,7 +26,7 @@ from scan2albedo.io import load_scan
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.runs.eyeglasses import canonicalize_run as glasses_files
 from scan2albedo.runs.eyeglasses.canonicalize_run import canonicalize_frames
-from scan2albedo.runs.eyeglasses.input import keypoints_beside, read_frame
+from scan2albedo.runs.eyeglasses.inputs import keypoints_beside, read_frame
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
 pytestmark = pytest.mark.slow
@@ -189,7 +189,7 @@ def test_the_record_has_the_hashes_of_what_was_read(tmp_path):
     frame = read_frame(path)
     for file in (path, marks):
         file.write_bytes(b"changed while the frame was worked on")
-    assert (frame.mesh_sha256, frame.keypoints_sha256) == expected
+    assert tuple(frame.files[what].sha256 for what in ("mesh", "keypoints")) == expected
 
 
 @pytest.mark.parametrize("unit", MM)

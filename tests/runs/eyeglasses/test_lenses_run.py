@@ -31,12 +31,14 @@ from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
-from scan2albedo.runs.eyeglasses import lens_files as glasses_lens_files
-from scan2albedo.runs.eyeglasses.lens_input import material_pair, read_lens_input, surface_of
+from scan2albedo.runs.eyeglasses import lenses_run
+from scan2albedo.runs.eyeglasses.inputs import read_lens_scene
 from scan2albedo.runs.eyeglasses.lenses_run import (
     WHITE_SHOWN,
+    material_pair,
     render_lenses,
     soft_environment,
+    surface_of,
     white_exposure,
 )
 from scan2albedo.synthetic import eyeglasses
@@ -97,12 +99,14 @@ def test_the_input_has_the_hashes_of_what_was_read(files, tmp_path):
     frame, head, cameras, room = (
         tmp_path / "copy" / name for name in ("registered.glb", "head.ply", "cameras.json", "room.exr")
     )
-    source = read_lens_input(frame, head, cameras, environment=room)
-    expected = {path: digests[path] for path in (cameras, room)} | {head: input_sha256(head)}
+    source = read_lens_scene(frame, head, cameras, environment=room)
+    marks = tmp_path / "copy" / "keypoints.json"
+    files = {"cameras": cameras, "environment": room, "keypoints": marks}
+    expected = {what: (str(path), digests[path]) for what, path in files.items()}
+    expected |= {"head": (str(head), input_sha256(head)), "mesh": (str(frame), input_sha256(frame))}
     for path in copied:
         path.write_bytes(b"changed while pictures were drawn")
-    assert source.hashes == expected
-    assert source.frame.keypoints_sha256 == digests[source.frame.keypoints_file]
+    assert {what: (file.file, file.sha256) for what, file in source.files.items()} == expected
 
 
 def test_drawn_views_and_their_files(files, tmp_path, monkeypatch):
@@ -125,14 +129,14 @@ def test_drawn_views_and_their_files(files, tmp_path, monkeypatch):
     assert summary["status"] == "done"
     assert summary["lenses"] == record["lenses"]
     # What stands in the files is what the library makes of the same things.
-    source = read_lens_input(files / "registered.glb", files / "head.ply", files / "cameras.json")
+    source = read_lens_scene(files / "registered.glb", files / "head.ply", files / "cameras.json")
     options = LensPictureOptions(light_count=4, supersampling=2)
     pair = (LensMaterial(-4.0, beta=0.04, fresnel=True), LensMaterial(-2.5, beta=0.04, fresnel=True))
     rendered = render_lenses(
-        source.frame_surface,
+        surface_of(source.frame.scan, (0.05, 0.05, 0.06)),
         source.frame.keypoints,
         pair,
-        head=source.head_surface,
+        head=surface_of(source.head, (0.5, 0.5, 0.5), 0.3),
         cameras=source.cameras,
         options=options,
     )
@@ -239,7 +243,7 @@ def test_nothing_is_left_half_written(files, tmp_path, monkeypatch):
     def full(*arguments, **options):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(glasses_lens_files, "overview_figure", full)
+    monkeypatch.setattr(lenses_run, "overview_figure", full)
     answer = run(monkeypatch, files, "-o", out, "--dioptres", "5")
     assert answer.exit_code == 2
     assert "No space left" in answer.stderr

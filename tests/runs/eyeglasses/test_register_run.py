@@ -22,7 +22,6 @@ from scan2albedo.cli.commands import app
 from scan2albedo.core import Trace
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import (
-    CanonicalizationOptions,
     canonicalize,
     read_cameras,
     read_keypoints,
@@ -39,9 +38,9 @@ from scan2albedo.io import load_scan
 from scan2albedo.report.overview import Panel
 from scan2albedo.runs.eyeglasses import register_run as glasses_registration_files
 from scan2albedo.runs.eyeglasses.demo import write_wearer
+from scan2albedo.runs.eyeglasses.inputs import read_registration
 from scan2albedo.runs.eyeglasses.register_run import register_frame, write_registration_files
-from scan2albedo.runs.eyeglasses.registration_input import RegistrationFiles, read_registration
-from scan2albedo.synthetic import WearerOptions, wearer
+from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
 
@@ -55,12 +54,12 @@ FILES = {
     "error_vs_time.png",
     "overview.png",
 }
-SMALL = WearerOptions(picture_size=256, focal_px=450, label_noise_px=0.3, mask_noise_px=0.3)
+SMALL = {"picture_size": 256, "focal_px": 450, "label_noise_px": 0.3, "mask_noise_px": 0.3}
 
 
 @pytest.fixture(scope="module")
 def person():
-    return wearer(1, options=SMALL)
+    return wearer(1, **SMALL)
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +72,7 @@ def inputs(person, tmp_path_factory):
         [(glasses.rest_vertices, glasses.faces)],
         [glasses.rest_keypoints],
         mean_keypoints=glasses.rest_keypoints,
-        options=CanonicalizationOptions(spacing=3.0),
+        spacing=3.0,
     )
     folder = out / "input" / "round"
     folder.mkdir()
@@ -204,10 +203,9 @@ def test_pictures_end_where_cameras_say_even_without_masks(changed, person, tmp_
     pixel = np.array(tree["cameras"][1]["matrix"]) @ [*middle, 1]
     tree["cameras"][1]["width"] = int(pixel[0] / pixel[2])
     (changed / "cameras.json").write_text(json.dumps(tree))
-    files = RegistrationFiles(
+    given = read_registration(
         changed / "round" / "canonical.npz", changed / "cameras.json", changed / "labels.json"
     )
-    given = read_registration(files)
     assert any("lie outside its picture" in note for note in given.notes)
     frame = register_frame(given).result
     shown = frame.vertices @ given.cameras[1].matrix[:, :3].T + given.cameras[1].matrix[:, 3]
@@ -242,12 +240,11 @@ def test_a_start_fixes_what_labels_do_not(changed, person, tmp_path, monkeypatch
 
 def test_an_earlier_result_is_a_start_too(done, inputs):
     start = done[0] / "registered.npz"
-    files = RegistrationFiles(
+    given = read_registration(
         inputs / "frame.obj", inputs / "cameras.json", inputs / "labels.json", start=start
     )
-    given = read_registration(files)
     np.testing.assert_array_equal(given.start, read_registered(start).world_from_glasses)
-    assert given.hashes["start"] == (start, hashlib.sha256(start.read_bytes()).hexdigest())
+    assert given.files["start"].sha256 == hashlib.sha256(start.read_bytes()).hexdigest()
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -351,10 +348,9 @@ def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("undrawn")
 def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeypatch):
-    files = RegistrationFiles(
-        inputs / "round" / "canonical.npz", inputs / "cameras.json", inputs / "labels.json"
+    placed = register_frame(
+        read_registration(inputs / "round" / "canonical.npz", inputs / "cameras.json", inputs / "labels.json")
     )
-    placed = register_frame(read_registration(files))
     out = tmp_path / "out"
     write_registration_files(placed, out)
     before = {path: path.read_bytes() for path in out.iterdir()}
@@ -367,6 +363,25 @@ def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeyp
     with pytest.raises(OutputError, match="No space left"):
         write_registration_files(placed, out)
     assert {path: path.read_bytes() for path in out.iterdir()} == before
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_files_that_no_run_wrote_stay(inputs, tmp_path, monkeypatch):
+    mesh = inputs / "round" / "canonical.npz"
+    (tmp_path / "keypoints.json").write_text("mine")
+    answer = run(monkeypatch, mesh, tmp_path, inputs, masks=False, head=False)
+    assert isinstance(answer.exception, OutputError)
+    assert "holds keypoints.json, which no run of scan2albedo glasses register wrote" in str(answer.exception)
+    assert {path.name for path in tmp_path.iterdir()} == {"keypoints.json"}
+    assert (tmp_path / "keypoints.json").read_text() == "mine"
+    person = wearer(1, options=SMALL)
+    folder = tmp_path / "demo"
+    write_wearer(person, None, folder)
+    write_wearer(person, None, folder)
+    (folder / "input" / "cameras.json").write_text("mine")
+    with pytest.raises(OutputError, match=r"cameras\.json: no run of scan2albedo glasses demo wrote it"):
+        write_wearer(person, None, folder)
+    assert (folder / "input" / "cameras.json").read_text() == "mine"
 
 
 def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_path):
@@ -382,15 +397,16 @@ def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_
         "cli.main()\n"
     )
     arguments = ("--cameras", inputs / "cameras.json", "--labels", inputs / "labels.json")
-    mesh = inputs / "round" / "canonical.npz"
+    mesh, out = inputs / "round" / "canonical.npz", tmp_path / "out"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "glasses", "register", mesh, "-o", tmp_path, *arguments],
+        [sys.executable, "-c", code, "glasses", "register", mesh, "-o", out, *arguments],
         stderr=subprocess.PIPE,
         text=True,
     )
     lines = iter(process.stderr.readline, "")
     assert any("drawing" in line for line in lines)
-    assert os.listdir(tmp_path) != []
+    # The hidden folder in which files are made stands beside the one they go to.
+    assert set(os.listdir(tmp_path)) > {"out"}
     process.send_signal(signal.SIGINT)
     _, complaint = process.communicate(timeout=60)
     assert process.returncode == 130, complaint

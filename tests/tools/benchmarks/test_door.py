@@ -14,7 +14,7 @@ from scan2albedo import RawScan
 from scan2albedo.errors import NoFaceError
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.synthetic.stereo_features import SCRAPS
+from scan2albedo.synthetic.stereo_scan import SCRAPS
 
 SCAN = RawScan(*random_body(np.random.default_rng(0)))
 

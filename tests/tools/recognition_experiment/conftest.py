@@ -5,9 +5,8 @@ import pytest
 from recognition_experiment import RecognitionExperimentOptions
 from recognition_experiment.sessions import TEXTURE, Session, keep_session
 
-from scan2albedo.synthetic import face, light_at
-from scan2albedo.synthetic.population import PopulationOptions
-from scan2albedo.synthetic.raw_scan import RawScanOptions
+from scan2albedo.synthetic import Scanner, face, light_at
+from scan2albedo.synthetic.population import Population
 
 PERSONS, SIZE = 4, 128
 
@@ -20,9 +19,7 @@ def small_options():
         probes=2,
         size=SIZE,
         brdfs=("oren-nayar", "lambert"),
-        population=PopulationOptions(
-            capture=RawScanOptions(spacing_mm=3.5, picture_size=256, size=64), individuality=1.0
-        ),
+        population=Population(scanner=Scanner(spacing_mm=3.5, picture_size=256, size=64), individuality=1.0),
     )
 
 

@@ -1,1 +1,0 @@
-"""Files of key points, labels, cameras, masks, and of results."""

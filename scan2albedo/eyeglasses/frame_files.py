@@ -1,0 +1,375 @@
+"""Key points, canonical frames, registered ones, and poses to start from, as files."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import Field, model_validator
+
+from scan2albedo.core import Plan, Trace
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
+from scan2albedo.eyeglasses.checks import checked_keypoints
+from scan2albedo.eyeglasses.keypoints import (
+    KEY_POINT_COUNT,
+    KEY_POINT_NAMES,
+    MIRROR,
+    PARENTS,
+    typical_key_points,
+)
+from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
+from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.io.npz import read_npz, write_npz
+from scan2albedo.io.records import Content, Matrix, Record, plain_json, read_record, write_record
+from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
+from scan2albedo.io.units import MM_PER_UNIT
+
+LengthUnit = Literal["mm", "cm", "m"]
+LengthUnitIfKnown = Literal["mm", "cm", "m", "unknown"]
+_Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
+"""Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
+_FRAME_LAYOUT: _Layout = {
+    "vertices": (float, "V", 3),
+    "faces": (int, "F", 3),
+    "weights": (float, "V", KEY_POINT_COUNT),
+    "keypoints": (float, KEY_POINT_COUNT, 3),
+}
+_CANONICAL_LAYOUT: _Layout = {
+    **_FRAME_LAYOUT,
+    "canonical_from_frame": (float, 4, 4),
+    "scale": (float,),
+    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
+    "residual": (float,),
+    "unbent": (bool,),
+    "converged": (bool,),
+}
+_REGISTERED_LAYOUT: _Layout = {
+    **_FRAME_LAYOUT,
+    "world_from_glasses": (float, 4, 4),
+    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
+    "bend": (float, KEY_POINT_COUNT, 3),
+    "visible": (bool, "C", "V"),
+    "deviation": (float, "V"),
+    "observed": (bool, "V"),
+    "keypoint_deviation": (float, KEY_POINT_COUNT),
+    "keypoints_observed": (bool, KEY_POINT_COUNT),
+    "depth_deviation": (float,),
+    "depth_observed": (bool,),
+    "label_errors_px": (float, "C", KEY_POINT_COUNT),
+    "inliers": (bool, "C", KEY_POINT_COUNT),
+    "outline_rms_px": (float, "C"),
+    "iou": (float, "C"),
+    "converged": (bool,),
+    "iterations": (int,),
+}
+_SAME_SIDE = (
+    ("rim_top", "rim_bottom"),
+    ("rim_inner", "rim_outer"),
+    ("rim_bridge", "rim_outer"),
+    ("rim_bridge", "rim_inner"),
+    ("rim_bridge", "rim_bottom"),
+    ("hinge", "temple_middle"),
+    ("hinge", "ear_bend"),
+    ("hinge", "temple_tip"),
+    ("temple_middle", "ear_bend"),
+    ("temple_middle", "temple_tip"),
+    ("ear_bend", "temple_tip"),
+)
+"""Key points of one side whose names are exchanged at times."""
+_SIDES, _OPPOSED, _NEAR, _LIKE_GLASSES = 0.5, -0.5, 0.6, 0.1
+"""Of exchanged names: residual with all sides exchanged, as a part of that without, below which they are;
+cosine to the typical direction from one key point to another below which they are; their distance, as a part
+of the typical one, below which their direction says nothing; residual, as a part of the size, up to which key
+points with exchanges undone are those of glasses."""
+
+
+def read_json(
+    path: str | Path, kind: type[Content], what: str, *, writer: str, schema: str, hint: str = ""
+) -> Content:
+    """Return the content of a file that the function `writer` wrote; errors call it `what`, name its schema.
+
+    A `hint` ends the errors' advice. Raises EyeglassesError when the file cannot be read or does not fit.
+    """
+    advice = f"give a file that {writer} wrote (data_schemas/{schema}.schema.json){hint and '; ' + hint}"
+    return read_record(path, kind, what=what, advice=advice, error=EyeglassesError)
+
+
+class KeyPointsFile(Record):
+    """The content of a key-point file."""
+
+    format: Literal["scan2albedo eyeglasses key points"] = "scan2albedo eyeglasses key points"
+    format_version: Literal[1] = 1
+    unit: LengthUnitIfKnown = "unknown"
+    """Of the coordinates."""
+    key_points: dict[str, tuple[float, float, float] | None] = Field(
+        description="Coordinates by name; null, or no entry, where a key point was not found.",
+        json_schema_extra={"propertyNames": {"enum": list(KEY_POINT_NAMES)}},
+    )
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> KeyPointsFile:
+        require_known_names(self.key_points)
+        return self
+
+
+def require_known_names(names: Iterable[str]) -> None:
+    """Raise ValueError, with the names that were probably meant, unless all are names of key points."""
+    strange = sorted(set(names) - set(KEY_POINT_NAMES))
+    if not strange:
+        return
+    guesses = {name: difflib.get_close_matches(name, KEY_POINT_NAMES, n=1) for name in strange}
+    said = [f"{name!r} (probably {found[0]!r})" if found else repr(name) for name, found in guesses.items()]
+    verb = "is no key point" if len(said) == 1 else "are no key points"
+    raise ValueError(f"{', '.join(said)} {verb}; names are {', '.join(KEY_POINT_NAMES)}")
+
+
+def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
+    """Write key points (20, 3), in the order of `KEY_POINT_NAMES`, as JSON; rows with NaN as null.
+
+    Their `unit` is only noted in the file. Raises ValueError when the shape is another, OutputError when the
+    file cannot be written.
+
+    Parameters
+    ----------
+    path, keypoints, unit
+    """
+    points = checked_keypoints("keypoints", keypoints)
+    entries = {
+        name: (float(p[0]), float(p[1]), float(p[2])) if np.isfinite(p).all() else None
+        for name, p in zip(KEY_POINT_NAMES, points, strict=True)
+    }
+    write_record(path, KeyPointsFile(unit=unit, key_points=entries))
+
+
+@dataclass(frozen=True)
+class KeyPoints:
+    """Key points of a file: `points` (20, 3), NaN where one is missing, in `unit`."""
+
+    points: FloatArray
+    unit: LengthUnitIfKnown
+
+
+def read_keypoints(path: str | Path) -> FloatArray:
+    """Return the key points (20, 3) of a file in the file's own unit, NaN where one is missing.
+
+    Raises EyeglassesError, naming the file, when it cannot be read or is no key-point file, when it has
+    names of no key points, or when key points lie where others belong (names exchanged).
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    return read_keypoints_with_unit(path).points
+
+
+def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
+    """Return what `read_keypoints` does, and the unit that the file states."""
+    entry = read_json(
+        path,
+        KeyPointsFile,
+        "key points",
+        writer="write_keypoints",
+        schema="eyeglasses_keypoints",
+        hint="`scan2albedo glasses key-points` says which key points to place, and where",
+    )
+    nothing = (np.nan, np.nan, np.nan)
+    points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
+    if exchanged := "; ".join(exchanged_key_points(points)):
+        raise EyeglassesError(
+            f"key points {path}: names seem exchanged: {exchanged}. `scan2albedo glasses key-points` "
+            "shows where each belongs; temples must be open, not folded"
+        )
+    return KeyPoints(points, entry.unit)
+
+
+def exchanged_key_points(points: FloatArray) -> list[str]:
+    """Return which names of key points (20, 3), NaN for missing ones, seem exchanged, as phrases; mostly
+    none.
+
+    The exchange that brings the key points nearest to a typical frame, laid on them by a similarity, is made
+    first, then the next. It counts where the two key points lie in the opposite direction of the typical one.
+    """
+    known = np.asarray(np.isfinite(points).all(1))
+    # Fewer place no frame.
+    if known.sum() < 6:
+        return []
+    typical, mirror = typical_key_points(), list(MIRROR)
+    number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
+    pairs = [(0, 1)] + [(k, MIRROR[k]) for k in range(2, 11)]
+    pairs += [
+        (number[f"{side}_{a}"], number[f"{side}_{b}"]) for side in ("left", "right") for a, b in _SAME_SIDE
+    ]
+
+    def laid(current: FloatArray) -> tuple[FloatArray, float]:
+        """The typical key points laid on the known ones, and how far they are off."""
+        seen = np.isfinite(current).all(1)
+        placed = transform_points(procrustes(typical[seen], current[seen], scale=True), typical)
+        return placed, float(np.nansum((placed - current) ** 2))
+
+    current, found = points.copy(), []
+    if laid(current[mirror])[1] < _SIDES**2 * laid(current)[1]:
+        current = current[mirror]
+        found.append("all left ones and all right ones (left is the wearer's)")
+    for _ in range(10):
+        best, least = None, laid(current)[1]
+        for a, b in pairs:
+            if known[[a, b]].all():
+                trial = current.copy()
+                trial[[a, b]] = current[[b, a]]
+                placed, misfit = laid(trial)
+                way, usual = current[b] - current[a], placed[b] - placed[a]
+                lengths = np.linalg.norm(way), np.linalg.norm(usual)
+                apart = lengths[0] > _NEAR * lengths[1]
+                if misfit < least and apart and way @ usual < _OPPOSED * lengths[0] * lengths[1]:
+                    best, least, changed = (a, b), misfit, trial
+        if best is None:
+            break
+        current = changed
+        found.append(" and ".join(KEY_POINT_NAMES[k] for k in best))
+    size = np.linalg.norm(np.ptp(points[known], axis=0))
+    rms = np.sqrt(laid(current)[1] / known.sum())
+    return found if rms < _LIKE_GLASSES * size else []
+
+
+def _read_arrays(path: str | Path, layout: _Layout, what: str, example: str) -> dict[str, Any]:
+    """Return the arrays of a file in their types; a scalar as a Python number.
+
+    Messages call the content `what` and the usual file `example`. Raises EyeglassesError when the file is
+    missing, damaged or something else.
+    """
+    arrays = read_npz(path, layout, what=what, advice=f"give a {example}", error=EyeglassesError)
+    lengths: dict[str, int] = {}
+    for name, (_, *shape) in layout.items():
+        got = arrays[name].shape
+        wanted = tuple(
+            lengths.setdefault(side, got[k]) if isinstance(side, str) and k < len(got) else side
+            for k, side in enumerate(shape)
+        )
+        if got != wanted or arrays[name].dtype.kind not in "biuf":
+            raise EyeglassesError(
+                f"{what} {path}: {name} has shape {got} of {arrays[name].dtype}, expected numbers of shape "
+                f"({', '.join(map(str, wanted))}); write it again"
+            )
+    vertices, faces = arrays["vertices"], arrays["faces"]
+    if not np.isfinite(vertices).all():
+        raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")
+    if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
+        raise EyeglassesError(f"{what} {path}: faces are not those of its vertices; write it again")
+    typed: dict[str, Any] = {
+        name: arrays[name].astype(kind, copy=False) for name, (kind, *_) in layout.items()
+    }
+    return {name: array if array.ndim else array.item() for name, array in typed.items()}
+
+
+def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
+    """Write a frame that `canonicalize` made, all but its plan, as an NPZ file, atomically.
+
+    Raises ValueError when the name does not end in .npz, OutputError when the folder cannot be written.
+
+    Parameters
+    ----------
+    path, frame
+    """
+    arrays = {name: np.asarray(getattr(frame, name)) for name in _CANONICAL_LAYOUT}
+    write_npz(path, arrays, what="canonical frame", compression=6)
+
+
+def read_canonical(path: str | Path) -> CanonicalEyeglasses:
+    """Return a frame that `write_canonical` wrote; its plan is empty.
+
+    Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    arrays = _read_arrays(path, _CANONICAL_LAYOUT, "canonical frame", "canonical.npz")
+    return CanonicalEyeglasses(**arrays, plan=Plan())
+
+
+def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
+    """Write a frame that `register_on_face` placed, all but its plan and trace, as an NPZ file, atomically.
+
+    Raises ValueError when the name does not end in .npz, OutputError when the folder cannot be written.
+
+    Parameters
+    ----------
+    path, frame
+    """
+    arrays = {name: np.asarray(getattr(frame, name)) for name in _REGISTERED_LAYOUT}
+    write_npz(path, arrays, what="registered frame", compression=6)
+
+
+def read_registered(path: str | Path) -> RegisteredEyeglasses:
+    """Return a frame that `write_registered` wrote; its plan and trace are empty.
+
+    Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    arrays = _read_arrays(path, _REGISTERED_LAYOUT, "registered frame", "registered.npz")
+    return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
+
+
+def write_frame_glb(path: Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> SkinWritten:
+    """Write a frame with its key points as joints; raises OutputError when the folder cannot be written."""
+    mesh = frame.vertices, frame.faces, frame.keypoints, frame.weights
+    return write_skinned_glb(path, *mesh, KEY_POINT_NAMES, parents=PARENTS)
+
+
+class StartFile(Record):
+    """The content of a file with a pose."""
+
+    format: Literal["scan2albedo eyeglasses start"] = "scan2albedo eyeglasses start"
+    format_version: Literal[1] = 1
+    unit: LengthUnit = Field(description="Of the translation.")
+    world_from_glasses: Matrix = Field(
+        description="Row-major 4x4 acting on column vectors: the frame's own coordinates into the cameras' "
+        "world; rigid."
+    )
+
+    @model_validator(mode="after")
+    def _rigid(self) -> StartFile:
+        matrix = np.array(self.world_from_glasses)
+        rotation = matrix[:3, :3]
+        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if not (off <= 1e-6 and np.linalg.det(rotation) > 0 and (matrix[3] == [0, 0, 0, 1]).all()):
+            raise ValueError("world_from_glasses must be a rotation and a translation over the row 0 0 0 1")
+        return self
+
+
+def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUnit = "mm") -> None:
+    """Write a rigid pose (4, 4) as JSON, atomically; the translation's `unit` is only noted in the file.
+
+    Raises ValueError when it is no rigid transform, OutputError when the file cannot be written.
+
+    Parameters
+    ----------
+    path, world_from_glasses, unit
+    """
+    content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, np.float64)))
+    write_record(path, content)
+
+
+def read_start(path: str | Path) -> FloatArray:
+    """Return the pose (4, 4) of a file, its translation in mm.
+
+    Raises EyeglassesError, naming the file, when it cannot be read or holds no rigid transform.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    content = read_json(path, StartFile, "start", writer="write_start", schema="eyeglasses_start")
+    pose = np.array(content.world_from_glasses)
+    pose[:3, 3] *= MM_PER_UNIT[content.unit]
+    return pose

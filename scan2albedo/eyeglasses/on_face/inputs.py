@@ -1,0 +1,236 @@
+"""Settings, checked inputs and result of `register_on_face`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from scan2albedo.core import Plan, PlanStep, Trace
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
+from scan2albedo.eyeglasses.checks import checked_keypoints, checked_mesh, checked_weights
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
+from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
+from scan2albedo.geometry.pinhole import normalized_cameras
+
+OBSERVED_MM = 1.2
+"""Deviation up to which a point counts as observed, in mm of a frame of usual size."""
+
+
+@dataclass(frozen=True)
+class FaceRegistrationOptions:
+    """Settings of `register_on_face`.
+
+    Lengths in mm are those of a frame of usual size, whose bones' median is 30 mm; they scale with the frame.
+    """
+
+    bend: bool = True
+    """Whether the frame may bend; otherwise it is moved as it is."""
+    label_noise_px: float = 2.0
+    """How far labels of key points are usually off; labels many times that hardly pull."""
+    outline_noise_px: float = 1.0
+    """How far a mask's outline is usually off."""
+
+
+@dataclass(frozen=True)
+class RegisteredEyeglasses:
+    """A frame where the pictures show it; lengths in the cameras' unit. See `register_on_face`."""
+
+    vertices: FloatArray
+    """(V, 3) in the world."""
+    faces: IntArray
+    """(F, 3)."""
+    weights: FloatArray
+    """(V, 20); zero columns for key points that the frame lacks."""
+    keypoints: FloatArray
+    """(20, 3) in the world, NaN where the frame lacks them."""
+    world_from_glasses: FloatArray
+    """(4, 4) rigid, the bend left aside."""
+    handle_transforms: FloatArray
+    """(20, 4, 4) from the glasses at rest to the world, bend included, for `skin`."""
+    bend: FloatArray
+    """(20, 3) shifts of the key points in the glasses' own frame; 0 where it lacks them."""
+    visible: BoolArray
+    """(C, V) vertices in the picture that the head does not hide, whether the frame hides them or not."""
+    deviation: FloatArray
+    """(V,) root mean square distance that each vertex may be off, from what pictures and the bend's prior
+    leave open, errors that views share, and bends that key points cannot follow: two in three lie nearer, 19
+    in 20 within twice as much."""
+    observed: BoolArray
+    """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more
+    than a third of the labels do not fit, or the budget ended before the bend was found."""
+    keypoint_deviation: FloatArray
+    """(20,) as `deviation`, NaN where the frame lacks them."""
+    keypoints_observed: BoolArray
+    """(20,) key points that the head leaves visible in a view and that are known to `OBSERVED_MM`."""
+    depth_deviation: float
+    """Root mean square of the standard deviations along the line of sight, over key points in view."""
+    depth_observed: bool
+    """Whether that is known to `OBSERVED_MM`: one view hardly sees depth."""
+    label_errors_px: FloatArray
+    """(C, 20); NaN where there is no label."""
+    inliers: BoolArray
+    """(C, 20) labels within three times `options.label_noise_px`."""
+    outline_rms_px: FloatArray
+    """(C,) distance of the outline from the mask's, where they can be compared; NaN without a mask."""
+    iou: FloatArray
+    """(C,) of the frame's mask and the given one; NaN without. High values are no evidence of a good fit in
+    space: frames millimetres off reach 0.97."""
+    converged: bool
+    """False when the budget ended first or outlines did not settle."""
+    iterations: int
+    """Evaluations of the objective."""
+    plan: Plan
+    """Steps that ran or were left out, and why."""
+    trace: Trace
+    """Errors in pixels."""
+
+    @property
+    def unobserved(self) -> tuple[str, ...]:
+        """What the pictures do not determine: "depth", and names of key points."""
+        lost = np.isfinite(self.keypoint_deviation) & ~self.keypoints_observed
+        names = tuple(name for name, gone in zip(KEY_POINT_NAMES, lost, strict=True) if gone)
+        return (() if self.depth_observed else ("depth",)) + names
+
+
+@dataclass(frozen=True)
+class RegistrationInputs:
+    """Lengths in mm of a frame of usual size, the caller's lengths divided by `unit`."""
+
+    vertices: FloatArray
+    faces: IntArray
+    keypoints: FloatArray
+    """(20, 3), NaN where the frame lacks them."""
+    weights: FloatArray | None
+    views: tuple[ObservedView, ...]
+    masks: tuple[BoolArray | None, ...]
+    head: tuple[FloatArray, IntArray] | None
+    start: FloatArray | None
+    unit: float
+    """Caller's lengths in one of these millimetres."""
+    plan: tuple[PlanStep, ...]
+    """Masks that do not count."""
+
+    @property
+    def known(self) -> BoolArray:
+        """(20,) key points that the frame has."""
+        return np.asarray(np.isfinite(self.keypoints).all(1))
+
+    @property
+    def labelled(self) -> bool:
+        """Whether any key point has a label in any view."""
+        return any((np.isfinite(view.labels).all(1) & self.known).any() for view in self.views)
+
+
+def checked_inputs(
+    glasses: Any,
+    keypoints_2d: ArrayLike,
+    masks: Sequence[ArrayLike | None] | ArrayLike | None,
+    cameras: ArrayLike,
+    head: Any | None,
+    start: ArrayLike | None,
+    shapes: Sequence[tuple[int, int]] | None = None,
+) -> RegistrationInputs:
+    """Return the inputs of `register_on_face`, checked; see there for what is raised."""
+    vertices, faces, keypoints, weights = _glasses(glasses)
+    labels, matrices = np.asarray(keypoints_2d, np.float64), normalized_cameras(cameras)
+    count = len(matrices)
+    if labels.shape != (count, KEY_POINT_COUNT, 2) or count == 0:
+        raise ValueError(
+            f"keypoints_2d must have shape (C, {KEY_POINT_COUNT}, 2) for C cameras of shape (C, 3, 4), got "
+            f"{labels.shape} and {matrices.shape}"
+        )
+    given_masks: list[Any] = [None] * count if masks is None else list(masks)  # type: ignore[arg-type]
+    for name, listed in (("masks", given_masks), ("shapes", shapes)):
+        if listed is not None and len(listed) != count:
+            raise ValueError(f"{name} must have one entry for each of {count} cameras, got {len(listed)}")
+    unit = 1 / usual_size_factor(keypoints)
+    matrices = normalized_cameras(matrices * np.array([unit, unit, unit, 1.0]))
+    views, checked, plan = [], [], []
+    for number, (camera, marks, given) in enumerate(zip(matrices, labels, given_masks, strict=True)):
+        mask = None if given is None else np.asarray(given) != 0
+        shape = None if shapes is None else (int(shapes[number][0]), int(shapes[number][1]))
+        distance = None
+        labelled = np.isfinite(marks).all(1)
+        found = marks[labelled]
+        if (np.abs(found) > 1e6).any():
+            raise EyeglassesError(f"labels of view {number} are no pixels: up to {np.abs(found).max():.3g}")
+        if mask is not None:
+            if mask.ndim != 2 or min(mask.shape) < 2:
+                raise ValueError(
+                    f"mask {number} must have shape (H, W) of 2 pixels or more, got {mask.shape}"
+                )
+            outside = ((found < -0.5) | (found > np.array(mask.shape[::-1]) - 0.5)).any(1)
+            if len(found) and outside.mean() > 0.5:
+                raise EyeglassesError(
+                    f"{int(outside.sum())} of {len(found)} labels of view {number} lie outside its mask of "
+                    f"{mask.shape[1]} x {mask.shape[0]} pixels: give masks of the labelled pictures' size"
+                )
+            if shape not in (None, mask.shape):
+                raise ValueError(f"mask {number} has shape {mask.shape}, expected its picture's {shape}")
+            shape = mask.shape
+            if mask.any() and not mask.all():
+                distance = MaskDistance.of(mask)
+            else:
+                what = "covers all of its picture" if mask.any() else "is empty"
+                reason = f"the mask of view {number} {what}: it does not count"
+                plan.append(PlanStep("glasses.mask", False, reason))
+        views.append(ObservedView(camera, np.where(labelled[:, None], marks, np.nan), distance, shape))
+        checked.append(mask)
+    skull = None if head is None else _mesh("the head", head)
+    pose = None
+    if start is not None:
+        pose = np.array(start, np.float64)
+        if pose.shape != (4, 4):
+            raise ValueError(f"start must have shape (4, 4), got {pose.shape}")
+        rotation = pose[:3, :3]
+        if not np.isfinite(pose).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+            raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
+        pose[:3, 3] /= unit
+    return RegistrationInputs(
+        vertices=vertices / unit,
+        faces=faces,
+        keypoints=keypoints / unit,
+        weights=weights,
+        views=tuple(views),
+        masks=tuple(checked),
+        head=None if skull is None else (skull[0] / unit, skull[1]),
+        start=pose,
+        unit=unit,
+        plan=tuple(plan),
+    )
+
+
+def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray | None]:
+    """Return vertices, faces, key points and weights: a tuple of four for the one caller."""
+    if hasattr(glasses, "vertices"):
+        parts = [glasses.vertices, glasses.faces, glasses.keypoints, getattr(glasses, "weights", None)]
+    elif isinstance(glasses, tuple | list) and len(glasses) in (3, 4):
+        parts = [*glasses, None][:4]
+    else:
+        raise ValueError(
+            "glasses must have vertices, faces and keypoints, or be a tuple of them and maybe weights, got "
+            f"{type(glasses).__name__}"
+        )
+    vertices, faces = _mesh("the glasses", (parts[0], parts[1]))
+    keypoints = checked_keypoints("the glasses' keypoints", parts[2])
+    keypoints[~np.isfinite(keypoints).all(1)] = np.nan
+    require_posable(keypoints, "the glasses")
+    if parts[3] is None:
+        return vertices, faces, keypoints, None
+    weights = checked_weights("the glasses' weights", parts[3], len(vertices))
+    if not np.isfinite(weights).all() or np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
+        raise EyeglassesError("the glasses' weights must be finite, each row of sum 1; solve them again")
+    if weights[:, ~np.isfinite(keypoints).all(1)].any():
+        raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
+    return vertices, faces, keypoints, weights
+
+
+def _mesh(owner: str, mesh: Any) -> tuple[FloatArray, IntArray]:
+    vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
+    return checked_mesh(vertices, faces, owner)

@@ -1,0 +1,309 @@
+"""Pinhole cameras, labels of key points in their pictures, and masks of glasses, as files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.errors import EyeglassesError, ScanError
+from scan2albedo.eyeglasses.frame_files import LengthUnit, read_json, require_known_names
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
+from scan2albedo.io.atomic import make_folder
+from scan2albedo.io.images import read_image_linear, write_png
+from scan2albedo.io.records import Record, Row, write_record
+from scan2albedo.io.units import MM_PER_UNIT
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera.
+
+    Raises ValueError, naming the camera, when the name is no file name, the matrix is not finite, has another
+    shape or a singular left 3x3 part, or the shape is not positive.
+    """
+
+    name: str
+    """Of its picture, labels and mask."""
+    matrix: FloatArray
+    """(3, 4): pixels (column, row), centres at integers, from points in mm; any scale and sign."""
+    shape: tuple[int, int]
+    """(H, W) of its picture in pixels."""
+
+    def __post_init__(self) -> None:
+        checked_name(self.name)
+        matrix = np.asarray(self.matrix, np.float64)
+        if matrix.shape != (3, 4):
+            raise ValueError(f"camera {self.name!r}: its matrix has shape {matrix.shape}, expected (3, 4)")
+        if not np.isfinite(matrix).all():
+            raise ValueError(f"camera {self.name!r}: its matrix holds numbers that are not finite")
+        rows = np.linalg.norm(matrix[:, :3], axis=1)
+        # The volume that the rows' unit vectors span: 0 where space is mapped onto a line.
+        if not (rows.min() > 0 and abs(np.linalg.det(matrix[:, :3] / rows[:, None])) > 1e-9):
+            raise ValueError(
+                f"camera {self.name!r}: the left 3x3 part of its matrix is singular, which no pinhole camera "
+                "is; give K [R | t]"
+            )
+        if len(self.shape) != 2 or min(self.shape) < 1:
+            raise ValueError(
+                f"camera {self.name!r}: its picture's shape is {self.shape}, expected (H, W) >= 1"
+            )
+        object.__setattr__(self, "matrix", matrix)
+
+
+def checked_name(name: str) -> str:
+    """Return the name of a camera, or raise ValueError when no file can bear it."""
+    if name in ("", ".", "..") or set(name) & set('/\\:*?"<>|\0'):
+        raise ValueError(f"a camera cannot be named {name!r}: its mask gets a file of that name")
+    return name
+
+
+def require_distinct_names(names: Iterable[str]) -> None:
+    """Raise ValueError when two cameras' names are equal but for case: their files would be one."""
+    seen: set[str] = set()
+    for name in names:
+        if name.casefold() in seen:
+            raise ValueError(f"two cameras are named {name!r}; give each a name of its own")
+        seen.add(name.casefold())
+
+
+CameraName = Annotated[str, AfterValidator(checked_name)]
+
+
+class CameraEntry(BaseModel):
+    """One camera of a camera file."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: CameraName = Field(min_length=1)
+    width: int = Field(ge=1, description="Of the picture in pixels.")
+    height: int = Field(ge=1, description="Of the picture in pixels.")
+    matrix: tuple[Row, Row, Row] = Field(
+        description="Row-major 3x4: pixels (column, row), centres of pixels at integers, from points."
+    )
+
+    @model_validator(mode="after")
+    def _usable(self) -> CameraEntry:
+        self.camera(1.0)
+        return self
+
+    def camera(self, mm_per_unit: float) -> Camera:
+        """Return the camera that takes points in mm."""
+        matrix = np.array(self.matrix, np.float64)
+        matrix[:, :3] /= mm_per_unit
+        return Camera(self.name, matrix, (self.height, self.width))
+
+
+class CamerasFile(Record):
+    """The content of a camera file."""
+
+    format: Literal["scan2albedo cameras"] = "scan2albedo cameras"
+    format_version: Literal[1] = 1
+    unit: LengthUnit = Field(description="Of the points that the matrices take.")
+    cameras: tuple[CameraEntry, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> CamerasFile:
+        require_distinct_names(camera.name for camera in self.cameras)
+        return self
+
+
+def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit = "mm") -> None:
+    """Write cameras as JSON; the matrices in the file take points in `unit`.
+
+    Raises ValueError when there is none, or two share a name; OutputError when the file cannot be written.
+
+    Parameters
+    ----------
+    path, cameras, unit
+    """
+    entries = []
+    for camera in cameras:
+        matrix = camera.matrix.copy()
+        matrix[:, :3] *= MM_PER_UNIT[unit]
+        height, width = (int(side) for side in camera.shape)
+        entries.append(CameraEntry(name=camera.name, width=width, height=height, matrix=matrix.tolist()))
+    write_record(path, CamerasFile(unit=unit, cameras=tuple(entries)))
+
+
+def read_cameras(path: str | Path) -> tuple[Camera, ...]:
+    """Return the cameras of a file, for points in mm whatever the file's unit.
+
+    Raises EyeglassesError, naming file and camera, when the file cannot be read, is no camera file, or a
+    matrix is not finite or singular.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    content = read_json(path, CamerasFile, "cameras", writer="write_cameras", schema="cameras")
+    return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
+
+
+def mask_path(folder: str | Path, camera: Camera) -> Path:
+    """Return where the mask of a camera lies: ``folder / "<camera>.png"``."""
+    return Path(folder) / f"{camera.name}.png"
+
+
+def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
+    """Write masks (H, W), one a camera, nonzero where glasses are, as ``folder / "<camera>.png"``.
+
+    Parameters
+    ----------
+    folder, masks, cameras
+
+    Raises
+    ------
+    ValueError
+        When there are not as many masks as cameras, or a mask has another shape than its camera's picture.
+    OutputError
+        When the folder cannot be written.
+    """
+    if len(masks) != len(cameras):
+        raise ValueError(f"there are {len(masks)} masks for {len(cameras)} cameras")
+    for mask, camera in zip(masks, cameras, strict=True):
+        if np.shape(mask) != camera.shape:
+            raise ValueError(
+                f"the mask of {camera.name!r} has shape {np.shape(mask)}, expected {camera.shape}"
+            )
+    make_folder(folder)
+    for mask, camera in zip(masks, cameras, strict=True):
+        write_png(mask_path(folder, camera), np.asarray(mask) != 0)
+
+
+def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
+    """Return a mask (H, W) a camera, True where any channel of ``folder / "<camera>.png"`` is not zero.
+
+    Parameters
+    ----------
+    folder, cameras
+
+    Raises
+    ------
+    EyeglassesError
+        When a mask, which it names, is missing, no picture, or not as large as its camera's.
+    """
+    masks = []
+    for camera in cameras:
+        path = mask_path(folder, camera)
+        if not path.is_file():
+            raise EyeglassesError(f"mask {path} is missing; give a PNG for each camera, named after it")
+        try:
+            mask: BoolArray = (read_image_linear(path) != 0).any(-1)
+        except ScanError as error:
+            raise EyeglassesError(f"mask {path}: {error}") from error
+        if mask.shape != camera.shape:
+            (height, width), (wanted_height, wanted_width) = mask.shape, camera.shape
+            raise EyeglassesError(
+                f"mask {path} is {width} x {height} pixels, its camera's picture {wanted_width} x "
+                f"{wanted_height}; give the mask of that picture"
+            )
+        masks.append(mask)
+    return tuple(masks)
+
+
+@dataclass(frozen=True)
+class ViewLabels:
+    """Labels of C views."""
+
+    camera_names: tuple[str, ...]
+    """Of the C views."""
+    pixels: FloatArray
+    """(C, 20, 2) column and row, centres of pixels at integers; NaN where a key point is not labelled."""
+
+    def of_cameras(self, names: Sequence[str]) -> FloatArray:
+        """Return (N, 20, 2) labels of the cameras `names`, in their order; NaN for one without labels.
+
+        Raises EyeglassesError when there are labels of a camera that is not among them.
+        """
+        if strange := sorted(set(self.camera_names) - set(names)):
+            raise EyeglassesError(
+                f"there are labels of a camera {strange[0]!r}, but the cameras are {', '.join(names)}; "
+                "add it to them, or take its labels out"
+            )
+        at = {name: i for i, name in enumerate(self.camera_names)}
+        nothing = np.full((KEY_POINT_COUNT, 2), np.nan)
+        return np.array([self.pixels[at[name]] if name in at else nothing for name in names])
+
+
+class LabelsFile(Record):
+    """The content of a label file."""
+
+    format: Literal["scan2albedo eyeglasses labels"] = "scan2albedo eyeglasses labels"
+    format_version: Literal[1] = 1
+    views: dict[CameraName, dict[str, tuple[float, float] | None]] = Field(
+        description="Pixels (column, row) by camera and key point, centres of pixels at integers; null, or "
+        "no entry, where a key point is not labelled.",
+        json_schema_extra={
+            "additionalProperties": {
+                "type": "object",
+                "propertyNames": {"enum": list(KEY_POINT_NAMES)},
+                "additionalProperties": {
+                    "anyOf": [
+                        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+                        {"type": "null"},
+                    ]
+                },
+            }
+        },
+    )
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> LabelsFile:
+        require_distinct_names(self.views)
+        for labels in self.views.values():
+            require_known_names(labels)
+        return self
+
+
+def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str]) -> None:
+    """Write labels (C, 20, 2), column and row in pixels, of C cameras as JSON; NaN as null.
+
+    Parameters
+    ----------
+    path, labels, camera_names
+
+    Raises
+    ------
+    ValueError
+        When the shape is another, or two cameras share a name.
+    OutputError
+        When the file cannot be written.
+    """
+    pixels = np.asarray(labels, np.float64)
+    if pixels.shape != (len(camera_names), KEY_POINT_COUNT, 2):
+        raise ValueError(
+            f"labels must have shape ({len(camera_names)}, {KEY_POINT_COUNT}, 2) for {len(camera_names)} "
+            f"cameras, got {pixels.shape}"
+        )
+    require_distinct_names(camera_names)
+    views = {
+        name: {
+            key_point: (float(p[0]), float(p[1])) if np.isfinite(p).all() else None
+            for key_point, p in zip(KEY_POINT_NAMES, view, strict=True)
+        }
+        for name, view in zip(camera_names, pixels, strict=True)
+    }
+    write_record(path, LabelsFile(views=views))
+
+
+def read_labels(path: str | Path) -> ViewLabels:
+    """Return the labels of a file, NaN where one is missing.
+
+    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is no label file.
+
+    Parameters
+    ----------
+    path : str or Path
+    """
+    content = read_json(path, LabelsFile, "labels", writer="write_labels", schema="eyeglasses_labels")
+    nothing = (np.nan, np.nan)
+    pixels = [[view.get(name) or nothing for name in KEY_POINT_NAMES] for view in content.views.values()]
+    shape = (len(content.views), KEY_POINT_COUNT, 2)
+    return ViewLabels(tuple(content.views), np.array(pixels, np.float64).reshape(shape))

@@ -1,0 +1,316 @@
+"""What the commands for glasses are given: frames, cameras and the rest of their files, in millimetres."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydantic import Field
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import (
+    Camera,
+    read_cameras,
+    read_canonical,
+    read_labels,
+    read_masks,
+    read_registered,
+    read_start,
+)
+from scan2albedo.eyeglasses.canonical.mean_keypoints import WIDTHS_MM
+from scan2albedo.eyeglasses.frame_files import KeyPoints, read_keypoints_with_unit
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.view_files import mask_path
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.input_hash import file_sha256, input_sha256
+from scan2albedo.io.load_scan import load_scan, load_scan_with
+from scan2albedo.io.records import Record
+from scan2albedo.io.result_records import SHA256
+from scan2albedo.io.units import (
+    MM_PER_UNIT,
+    PLAUSIBLE_GLASSES_MM,
+    check_unit,
+    glasses_millimetres_per_unit,
+)
+
+if TYPE_CHECKING:
+    from scan2albedo.io.parsed_mesh import ParsedMesh
+
+CANONICAL = ".npz"
+"""Extension of frames that bring their weights, and of results whose pose is a start."""
+
+
+class FileRecord(Record):
+    """A file that a result was made from."""
+
+    file: str = Field(description="Path as given.")
+    sha256: str = Field(pattern=SHA256, description="Of a mesh: with the files it refers to.")
+
+
+@dataclass(frozen=True)
+class GlassesFrame:
+    """A frame as read: mesh and key points (20, 3) in mm, NaN for missing ones."""
+
+    name: str
+    scan: RawScan
+    keypoints: FloatArray
+    mm_per_unit: float
+    """Of the mesh's file."""
+    files: Mapping[str, FileRecord]
+    """"mesh" and, where it is a file of its own, "keypoints", as they were read."""
+    weights: FloatArray | None = None
+    """(V, 20), when it brings them."""
+
+    @property
+    def missing_key_points(self) -> tuple[str, ...]:
+        """Names of the key points that the file leaves out."""
+        rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
+        return tuple(name for name, point in rows if not np.isfinite(point).all())
+
+
+@dataclass(frozen=True)
+class GlassesInput:
+    """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm."""
+
+    frame: GlassesFrame
+    cameras: tuple[Camera, ...]
+    head: RawScan | None
+    files: Mapping[str, FileRecord]
+    """By what they are: "mesh", "cameras", "mask <camera>", "picture <camera>" and others."""
+    notes: tuple[str, ...] = ()
+    """What reading decided, repaired and did not find."""
+    labels: FloatArray | None = None
+    """(C, 20, 2) pixels, NaN for missing ones."""
+    masks: tuple[BoolArray | None, ...] = ()
+    start: FloatArray | None = None
+    """(4, 4) `world_from_glasses`."""
+    pictures: tuple[FloatArray, ...] | None = None
+    """(H, W, 3) linear, one a camera."""
+    environment: FloatArray | None = None
+    """(H, W, 3)."""
+
+
+def keypoints_beside(mesh: Path) -> Path:
+    """Return where a mesh's key points are looked for: ``<stem>.keypoints.json`` beside it."""
+    return mesh.with_name(f"{mesh.stem}.keypoints.json")
+
+
+def read_frame(
+    mesh: Path,
+    keypoints: Path | None = None,
+    unit: str = "auto",
+    widths_mm: tuple[float, float] = WIDTHS_MM,
+) -> GlassesFrame:
+    """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
+
+    The unit is the mesh's. "auto" is the one in which the key points lie on the mesh, when their file states
+    its own unit; otherwise both are in one unit, which the size of glasses decides. Other `widths_mm` of
+    fronts admit other sizes in proportion. Raises EyeglassesError or ScanError, naming the file, when one
+    cannot be read or the size is that of no glasses; ValueError for an unknown unit.
+    """
+    check_unit(unit)
+    marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
+    marks = read_keypoints_with_unit(marks_file)
+    low, high = (np.array(PLAUSIBLE_GLASSES_MM) * widths_mm / WIDTHS_MM).tolist()
+    mm_per_unit = 0.0
+
+    def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
+        nonlocal mm_per_unit
+        if marks.unit == "unknown":
+            mm_per_unit, note = glasses_millimetres_per_unit(marks.points, unit, mesh.name, (low, high))
+            return mm_per_unit, note
+        _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_file.name, (low, high))
+        if unit == "auto":
+            mm_per_unit, note = _unit_on_which_key_points_lie(parsed, marks, mesh.name)
+            return mm_per_unit, note
+        mm_per_unit = MM_PER_UNIT[unit]
+        return mm_per_unit, f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
+
+    scan = load_scan_with(mesh, decide)
+    factor = mm_per_unit if marks.unit == "unknown" else MM_PER_UNIT[marks.unit]
+    files = {"mesh": _hashed(mesh, mesh=True), "keypoints": _hashed(marks_file)}
+    return GlassesFrame(scan.name, scan, marks.points * factor, mm_per_unit, files)
+
+
+def _unit_on_which_key_points_lie(mesh: ParsedMesh, marks: KeyPoints, name: str) -> tuple[float, str]:
+    """Return the unit in which key points of a known unit lie on the mesh: units are factors of ten apart."""
+    known = marks.points[np.isfinite(marks.points).all(1)] * MM_PER_UNIT[marks.unit]
+    surface, size = ClosestPointQuery(mesh.vertices, mesh.faces), float(np.ptp(known, axis=0).max())
+    off = {
+        unit: mm * float(np.median(surface.query(known / mm).distance)) for unit, mm in MM_PER_UNIT.items()
+    }
+    unit = min(off, key=lambda u: off[u])
+    # Farther off than a tenth of their size, key points are those of another mesh.
+    if not 10 * off[unit] <= size:
+        raise EyeglassesError(
+            f"{name}: in no unit do the key points lie on the mesh: at best, in {unit}, they are "
+            f"{off[unit]:.3g} mm off; check that they belong to this mesh and that their file says their unit"
+        )
+    evidence = f"median distance {off[unit]:.2g} mm of the key points, which are in {marks.unit}"
+    return MM_PER_UNIT[unit], f"unit: {unit}, decided from where the key points lie ({evidence})"
+
+
+def read_registration(
+    mesh: Path,
+    cameras: Path,
+    labels: Path,
+    *,
+    masks: Path | None = None,
+    head: Path | None = None,
+    keypoints: Path | None = None,
+    start: Path | None = None,
+    unit: str = "auto",
+) -> GlassesInput:
+    """Read the files of a registration.
+
+    `mesh` has key points beside it, or is the `canonical.npz` of a canonical frame; `masks` is a folder of
+    masks named after the cameras, `head` a mesh in the cameras' frame, `start` a pose or the `registered.npz`
+    of an earlier run; the unit is that of the mesh. Raises EyeglassesError or ScanError, naming the file,
+    when one cannot be read or they do not belong together; ValueError for an unknown unit, or key points for
+    a frame that already has them.
+    """
+    views = read_cameras(cameras)
+    files = {"cameras": _hashed(cameras), "labels": _hashed(labels)}
+    notes: list[str] = []
+    listed = read_labels(labels)
+    try:
+        pixels = listed.of_cameras([camera.name for camera in views])
+    except EyeglassesError as error:
+        raise EyeglassesError(f"labels {labels}: {error}") from error
+    for camera, marks in zip(views, pixels, strict=True):
+        given = marks[np.isfinite(marks).all(1)]
+        limit = np.array([camera.shape[1], camera.shape[0]]) - 0.5
+        outside = int(((given < -0.5) | (given > limit)).any(1).sum())
+        if len(given) == 0:
+            notes.append(f"no label in the view of {camera.name!r}")
+        elif outside:
+            notes.append(
+                f"{outside} of {len(given)} labels of {camera.name!r} lie outside its picture of "
+                f"{camera.shape[1]} x {camera.shape[0]} pixels"
+            )
+    found: list[BoolArray | None] = [None] * len(views)
+    if masks is not None:
+        for number, camera in enumerate(views):
+            path = mask_path(masks, camera)
+            if path.is_file():
+                found[number] = read_masks(masks, [camera])[0]
+                files[f"mask {camera.name}"] = _hashed(path)
+            else:
+                notes.append(f"no mask of {camera.name!r} ({path} is not there): that view has labels only")
+        if all(mask is None for mask in found):
+            names = ", ".join(f"{camera.name}.png" for camera in views)
+            raise EyeglassesError(f"masks {masks}: the folder holds none of {names}")
+    pose = None
+    if start is not None:
+        npz = start.suffix.lower() == CANONICAL
+        pose = read_registered(start).world_from_glasses if npz else read_start(start)
+        files["start"] = _hashed(start)
+    if mesh.suffix.lower() == CANONICAL:
+        if keypoints is not None or unit not in ("auto", "mm"):
+            raise ValueError(f"{mesh.name} brings its own key points, and is in mm")
+        canonical = read_canonical(mesh)
+        # All canonical frames' files are called alike, their folders are not.
+        folder = mesh.absolute().parent.name
+        frame = GlassesFrame(
+            folder if mesh.name == "canonical.npz" and folder else mesh.stem,
+            RawScan(canonical.vertices, canonical.faces),
+            canonical.keypoints,
+            1.0,
+            {"mesh": _hashed(mesh)},
+            canonical.weights,
+        )
+    else:
+        frame = read_frame(mesh, keypoints, unit)
+        notes += [f"{mesh.name}: {note}" for note in _notes_of(frame.scan)]
+    skull = None
+    if head is not None:
+        skull = load_scan(head)
+        notes += [f"head {head.name}: {note}" for note in _notes_of(skull)]
+        files["head"] = _hashed(head, mesh=True)
+    return GlassesInput(
+        frame, views, skull, {**files, **frame.files}, tuple(notes), pixels, tuple(found), pose
+    )
+
+
+def read_lens_scene(
+    frame: Path,
+    head: Path,
+    cameras: Path,
+    *,
+    keypoints: Path | None = None,
+    views: Sequence[str] = (),
+    pictures: Sequence[Path] = (),
+    environment: Path | None = None,
+    unit: str = "auto",
+) -> GlassesInput:
+    """Read the files of a rendering; the unit is that of both meshes, and "auto" decides for each.
+
+    Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
+    name cameras, all when there are none; `pictures`, one a view, are named after their cameras or in the
+    views' order. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not
+    fit the others.
+    """
+    by_name = {camera.name: camera for camera in read_cameras(cameras)}
+    if strange := [name for name in views if name not in by_name]:
+        raise EyeglassesError(
+            f"cameras {cameras}: there is no view {strange[0]!r}, only {', '.join(by_name)}"
+        )
+    chosen = tuple(by_name[name] for name in dict.fromkeys(views)) or tuple(by_name.values())
+    if keypoints is None and not keypoints_beside(frame).is_file():
+        shared = frame.with_name("keypoints.json")
+        keypoints = shared if shared.is_file() else None
+    if pictures and len(pictures) != len(chosen):
+        names = ", ".join(camera.name for camera in chosen)
+        raise EyeglassesError(
+            f"picture {pictures[0]}: there are {len(pictures)} pictures for {len(chosen)} views ({names}); "
+            "give one a view, and choose views by --view"
+        )
+    stems = {picture.stem: picture for picture in pictures}
+    if all(camera.name in stems for camera in chosen):
+        pictures = [stems[camera.name] for camera in chosen]
+    glasses = read_frame(frame, keypoints, unit)
+    skull = load_scan(head, unit)
+    images = []
+    for file, camera in zip(pictures, chosen if pictures else (), strict=True):
+        image = np.asarray(read_image_linear(file), np.float64)
+        if image.shape[:2] != camera.shape:
+            (height, width), (wanted_height, wanted_width) = image.shape[:2], camera.shape
+            raise EyeglassesError(
+                f"picture {file} is {width} x {height} pixels, the view {camera.name!r} {wanted_width} x "
+                f"{wanted_height}; give the picture that this camera took"
+            )
+        images.append(image)
+    light = None if environment is None else np.asarray(read_image_linear(environment), np.float64)
+    files = {**glasses.files, "head": _hashed(head, mesh=True), "cameras": _hashed(cameras)}
+    files |= {
+        f"picture {c.name}": _hashed(f) for f, c in zip(pictures, chosen if pictures else (), strict=True)
+    }
+    files |= {} if environment is None else {"environment": _hashed(environment)}
+    notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
+    return GlassesInput(
+        glasses,
+        chosen,
+        skull,
+        files,
+        tuple(notes),
+        pictures=tuple(images) or None,
+        environment=light,
+    )
+
+
+def _notes_of(scan: RawScan) -> list[str]:
+    """Return the notes of reading a mesh; that it has no colours does not matter here."""
+    return [note for note in scan.notes if "geometry only" not in note]
+
+
+def _hashed(path: Path, *, mesh: bool = False) -> FileRecord:
+    try:
+        return FileRecord(file=str(path), sha256=input_sha256(path) if mesh else file_sha256(path))
+    except OSError as error:
+        raise EyeglassesError(f"{path}: {error.strerror}; check the path") from error

@@ -1,0 +1,264 @@
+"""Pictures of a person: lit by one flash at a time, or from all around; with everything known about them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.geometry.pinhole import camera_centers, project
+from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.synthetic.camera import TARGET_MM, Portrait, refuse_outside, toward
+from scan2albedo.synthetic.face_shape import Expression
+from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
+from scan2albedo.synthetic.sitter import sit_down
+
+_SIDE_DEG = 60.0
+_HIGH_FLASHES_DEG = ((-20.0, 25.0), (20.0, 25.0))
+"""Azimuth and elevation of the flashes that stand where no camera takes pictures."""
+_ROOM_LAMPS_DEG = ((-35.0, 50.0), (40.0, 35.0), (5.0, 70.0))
+_ROOM_DISTANCE_MM = 3000.0
+_ROOM_COLOR = np.array([1.0, 0.93, 0.82])
+_LEAST_GAIN = 0.1
+_BEHIND_MM = 3.0
+"""A landmark this much behind the surface that a ray meets first is still seen."""
+
+
+@dataclass(frozen=True)
+class FlashCapture(GlossyFace):
+    """J = views x flashes pairs of pictures of a `GlossyFace`, in the frame of the face, mm."""
+
+    flash: NDArray[np.generic]
+    """(J, S, S, 3) uint8, uint16 or float32: values with a flash in the room's light; flashes run fastest."""
+    room: NDArray[np.generic]
+    """(J, S, S, 3): in the room's light alone, one picture a view, repeated."""
+    skin: BoolArray
+    """(J, S, S): pixels that show the face, and not hair."""
+    view: IntArray
+    light: IntArray
+    """`view`, `light`: (J,): numbers of each pair's camera and flash."""
+    head_rotations: FloatArray
+    head_translations: FloatArray
+    """`head_rotations`, `head_translations`: (P, 3, 3), (P, 3): poses of the head before each
+    camera, x_cam = R x + t; flash k stands where camera k does. Cameras after the first `views` took no
+    pictures."""
+    intrinsics: FloatArray
+    """(3, 3)."""
+    exposure: float
+    """Light of value 1 is what radiance 1 / exposure makes: fits find `exposure` times the reflectance."""
+    light_gain: FloatArray
+    """(L,): strength of each flash."""
+    portrait: Portrait
+    """What took the pictures."""
+
+    @property
+    def light_positions(self) -> FloatArray:
+        """(L, 3) where the flashes stand."""
+        return _centers(self.head_rotations, self.head_translations)[: len(self.light_gain)]
+
+    @property
+    def cameras(self) -> FloatArray:
+        """(J, 3, 4) projection matrices of the pictures."""
+        poses = np.concatenate([self.head_rotations, self.head_translations[..., None]], axis=2)
+        return np.asarray((self.intrinsics @ poses)[self.view])
+
+    def __len__(self) -> int:
+        return len(self.flash)
+
+
+def _centers(rotations: FloatArray, translations: FloatArray) -> FloatArray:
+    return -np.einsum("cji,cj->ci", rotations, translations)
+
+
+def flash_capture(
+    seed: int = 0,
+    *,
+    expression: Expression = "neutral",
+    views: int = 9,
+    flashes: int = 11,
+    gain_deviation: float = 0.0,
+    room: float = 0.15,
+    hair: bool = True,
+    levels: int = 2,
+    portrait: Portrait = Portrait(),
+    model: AnnotatedSurface | None = None,
+) -> FlashCapture:
+    """Return pictures of a random person with one flash at a time.
+
+    Skin reflects as `VertexReflectance` describes; hair, clothes and the rest of the head hide the face and
+    cast shadows, too. The radiance is not computed by `reflectance`, and rays are Open3D's. Flashes are as
+    far away as cameras, and fall off with the square of the distance to 1 at `portrait.distance_mm`.
+
+    Parameters
+    ----------
+    seed : int
+        Of the person and of the noise.
+    expression : str
+        As in `synthetic.face`.
+    views, flashes : int
+        Cameras on an arc of 120 degrees around the face, and flashes, which stand where the cameras do; up to
+        two more stand above when there are more flashes than views.
+    gain_deviation : float
+        Standard deviation of the flashes' strengths, their mean being 1.
+    room : float
+        Strength of the room's light relative to a flash.
+    hair : bool
+        Whether there is hair, which hides and shades the brow and is not in the mesh.
+    levels : int
+        Of subdivision of the mesh, 1 to 3: 1 is 3,663 vertices with the default model, 2 is 14,533.
+    portrait : Portrait
+    model : AnnotatedSurface, optional
+        The default model when omitted; it needs landmarks.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range.
+    """
+    refuse_outside(1, views=views, flashes=flashes)
+    refuse_outside(0, gain_deviation=gain_deviation, room=room)
+    if flashes > views + len(_HIGH_FLASHES_DEG):
+        raise ValueError(
+            f"there are {flashes} flashes and {views} views, expected "
+            f"{len(_HIGH_FLASHES_DEG)} flashes more than views at most"
+        )
+    person = _glossy(seed, expression, hair, levels, model)
+    # Poses of the head before all places where a camera or a flash stands.
+    places = [
+        (float(side), 0.0) for side in (np.linspace(-_SIDE_DEG, _SIDE_DEG, views) if views > 1 else [0])
+    ]
+    places += _HIGH_FLASHES_DEG[: max(flashes - views, 0)]
+    focal, middle = portrait.focal_px, (portrait.picture_size - 1) / 2
+    intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
+    poses = np.linalg.solve(intrinsics, np.stack([portrait.camera(*place) for place in places]))
+    rotations, translations = poses[:, :, :3], poses[:, :, 3]
+    centers = _centers(rotations, translations)
+    rng = np.random.default_rng([seed, 21])
+    gain = np.maximum(1 + gain_deviation * rng.standard_normal(flashes), _LEAST_GAIN)
+    gain /= gain.mean()
+    lit, rooms, skin, brightest = [], [], [], []
+    for c in range(views):
+        camera = intrinsics @ np.column_stack([rotations[c], translations[c]])
+        seen = person.seen(camera, centers[c], portrait.picture_size)
+        # The room: three lamps and light from everywhere, half each.
+        lamps = [
+            person.lit(seen, TARGET_MM + _ROOM_DISTANCE_MM * toward(*lamp)) / len(_ROOM_LAMPS_DEG)
+            for lamp in _ROOM_LAMPS_DEG
+        ]
+        ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
+        rooms.append(seen.picture(ambient))
+        skin.append(seen.marked(seen.on_face))
+        for strength, position in zip(gain, centers[:flashes], strict=True):
+            flash = person.lit(seen, position, reference_distance_mm=portrait.distance_mm)
+            radiance = ambient + strength * flash
+            lit.append(seen.picture(radiance))
+            brightest.append(radiance[seen.on_face].max(1))
+    exposure = portrait.exposure(np.concatenate(brightest))
+    view = np.repeat(np.arange(views), flashes)
+    return FlashCapture(
+        **vars(GlossyFace.from_person(person, levels)),
+        flash=np.stack([portrait.stored(exposure * picture, rng) for picture in lit]),
+        room=np.stack([portrait.stored(exposure * picture, rng) for picture in rooms])[view],
+        skin=np.stack(skin)[view],
+        view=view,
+        light=np.tile(np.arange(flashes), views),
+        head_rotations=rotations,
+        head_translations=translations,
+        intrinsics=intrinsics,
+        exposure=exposure,
+        light_gain=gain,
+        portrait=portrait,
+    )
+
+
+def _glossy(
+    seed: int, expression: Expression, hair: bool, levels: int, model: AnnotatedSurface | None
+) -> GlossyPerson:
+    if levels not in (1, 2, 3):
+        raise ValueError(f"levels is {levels}, expected 1, 2 or 3")
+    sitter = sit_down(seed, expression=expression, model=model or default_model())
+    return GlossyPerson.from_sitter(sitter, hair=hair)
+
+
+@dataclass(frozen=True)
+class FacePhotograph(GlossyFace):
+    """A picture of a `GlossyFace`; frame: the face model's, mm."""
+
+    image: NDArray[np.generic]
+    """(S, S, 3) uint8, uint16 or float32: the picture as stored."""
+    skin: BoolArray
+    """(S, S): pixels that show the face, and not hair."""
+    camera: FloatArray
+    """(3, 4): projection matrix."""
+    landmarks_px: FloatArray
+    """(68, 2): labelled landmarks, with noise; NaN where they are hidden."""
+    exposure: float
+    portrait: Portrait
+    """`exposure`, `portrait`: as in `FlashCapture`."""
+
+
+def face_photograph(
+    seed: int,
+    environment_linear: ArrayLike,
+    *,
+    expression: Expression = "neutral",
+    azimuth_deg: float = 0.0,
+    elevation_deg: float = 0.0,
+    lights: int = 256,
+    landmark_noise_px: float = 1.0,
+    hair: bool = True,
+    levels: int = 1,
+    portrait: Portrait = Portrait(),
+    model: AnnotatedSurface | None = None,
+) -> FacePhotograph:
+    """Return a picture of the person of `flash_capture(seed)` under an environment map.
+
+    Parameters
+    ----------
+    seed : int
+        Of the person and of the noise.
+    environment_linear : (H, W, 3) array_like of float
+        Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
+    azimuth_deg, elevation_deg : float
+        Of the camera.
+    lights : int
+        Distant lights that stand for the environment, each with its shadows.
+    landmark_noise_px : float
+        Standard deviation of the labelled landmarks.
+    expression, hair, levels, portrait, model
+        As in `flash_capture`.
+
+    Raises
+    ------
+    ValueError
+        When a value is outside its range, or the map has another shape or is not finite.
+    """
+    refuse_outside(1, lights=lights)
+    refuse_outside(0, landmark_noise_px=landmark_noise_px)
+    if not (np.isfinite(azimuth_deg) and abs(elevation_deg) < 90):
+        raise ValueError(f"the camera at {azimuth_deg}, {elevation_deg} degrees is nowhere")
+    around = DistantLights.from_environment(environment_linear, lights)
+    person = _glossy(seed, expression, hair, levels, model)
+    camera = portrait.camera(azimuth_deg, elevation_deg)
+    center = camera_centers(camera[None])[0]
+    seen = person.seen(camera, center, portrait.picture_size)
+    radiance = person.under(seen, around)
+    exposure = portrait.exposure(radiance[seen.on_face].max(1))
+    rng = np.random.default_rng([seed, 22])
+    image = portrait.stored(seen.picture(exposure * radiance), rng)
+    landmarks = person.sitter.face.landmarks
+    pixels, _ = project(camera, landmarks)
+    hidden = person.scene.hidden(center, landmarks, _BEHIND_MM)
+    noisy = pixels + rng.normal(0, landmark_noise_px, pixels.shape)
+    return FacePhotograph(
+        **vars(GlossyFace.from_person(person, levels)),
+        image=image,
+        skin=seen.marked(seen.on_face),
+        camera=camera,
+        landmarks_px=np.where(hidden[:, None], np.nan, noisy),
+        exposure=exposure,
+        portrait=portrait,
+    )

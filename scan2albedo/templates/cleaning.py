@@ -1,0 +1,135 @@
+"""Turn the surface of anyone's face template into a disc: a closed head cut open, holes filled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.errors import ModelError
+from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, without_unreferenced
+from scan2albedo.templates.surface import TemplateSurface, largest_component
+
+MAX_FILLED_LOOP = 600
+BACK_OF_HEAD = 0.35
+
+
+@dataclass(frozen=True)
+class CleanTemplate:
+    """A template ready for decimation: one disc, holes filled, counter-clockwise from outside.
+
+    `vertices` (K, 3) in mm, origin at the centroid of `all_vertices` (T, 3), which are the template's own in
+    the same frame and unit; `source` (K,) is the template vertex of each. `filled` (F,) marks faces that
+    close one of the template's `holes`.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    filled: BoolArray
+    source: IntArray
+    all_vertices: FloatArray
+    holes: int
+
+
+def clean_template(surface: TemplateSurface, name: str) -> CleanTemplate:
+    """Cut a closed head in the model's axes open at the back, fill the holes, and check that it is a disc.
+
+    Raises `ModelError` when the surface has handles or holes too long to fill.
+    """
+    mesh = _front_of_closed(surface.vertices, surface.faces)
+    closed, filled, holes = _holes_filled(surface.vertices, mesh)
+    _require_disc(closed, name)
+    source, renumbered = without_unreferenced(surface.vertices, closed)
+    return CleanTemplate(surface.vertices[source], renumbered, filled, source, surface.vertices, holes)
+
+
+def _front_of_closed(xyz: FloatArray, faces: IntArray) -> IntArray:
+    """Cut the back off a closed head, so that a rim exists; open meshes stay whole."""
+    if len(boundary_loops(faces)):
+        return faces
+    depth = xyz[:, 2]
+    low, high = depth[faces].min(), depth[faces].max()
+    front = faces[(depth[faces] > low + BACK_OF_HEAD * (high - low)).all(1)]
+    return largest_component(len(xyz), front)
+
+
+def _holes_filled(xyz: FloatArray, faces: IntArray) -> tuple[IntArray, BoolArray, int]:
+    """Close every boundary loop but the one with the greatest length in mm."""
+    loops = [loop for loop in boundary_loops(faces) if len(loop) >= 3]
+    length = [float(np.linalg.norm(xyz[loop] - xyz[np.roll(loop, 1)], axis=1).sum()) for loop in loops]
+    rim = int(np.argmax(length)) if loops else -1
+    patches = [
+        fill_hole(xyz, faces, loop)
+        for i, loop in enumerate(loops)
+        if i != rim and len(loop) <= MAX_FILLED_LOOP
+    ]
+    extra = np.concatenate(patches) if patches else np.zeros((0, 3), np.int64)
+    filled = np.arange(len(faces) + len(extra)) >= len(faces)
+    return np.concatenate([faces, extra]), filled, len(patches)
+
+
+def _require_disc(faces: IntArray, name: str) -> None:
+    edges, _ = edges_with_faces(faces)
+    euler = len(np.unique(faces)) - len(edges) + len(faces)
+    loops = len(boundary_loops(faces))
+    if euler == 1 and loops == 1:
+        return
+    raise ModelError(
+        f"{name}: after filling holes the surface has {loops} rims and Euler characteristic {euler}, "
+        "expected 1 and 1 (a disc); close handles or cut the face out of the head"
+    )
+
+
+def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray:
+    """Return the (n - 2, 3) faces of least total area that close a loop (n,) of `boundary_loops`.
+
+    The new faces run against the loop, so that the mesh stays consistently oriented; the mesh's own edges are
+    not used again as chords, which would join three faces. Dynamic programming over polygon chords (Barequet
+    and Sharir, "Filling gaps in the boundary of a polyhedron", 1995), O(n^3): 74 vertices take a millisecond,
+    500 a second.
+    """
+    ring = np.ascontiguousarray(loop[::-1])
+    split = _least_area_splits(np.ascontiguousarray(vertices[ring]), _joined(len(vertices), faces, ring))
+    patch, pending = [], [(0, len(ring) - 1)]
+    while pending:
+        i, k = pending.pop()
+        if k - i < 2:
+            continue
+        j = int(split[i, k])
+        patch.append((ring[i], ring[j], ring[k]))
+        pending += [(i, j), (j, k)]
+    return np.array(patch, np.int64).reshape(-1, 3)
+
+
+def _joined(vertex_count: int, faces: IntArray, ring: IntArray) -> BoolArray:
+    """Return (n, n) True where the mesh has an edge between two vertices of the loop."""
+    place = np.full(vertex_count, -1)
+    place[ring] = np.arange(len(ring))
+    ends = place[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
+    ends = ends[(ends >= 0).all(1)]
+    joined = np.zeros((len(ring), len(ring)), bool)
+    joined[ends[:, 0], ends[:, 1]] = joined[ends[:, 1], ends[:, 0]] = True
+    return joined
+
+
+@njit(cache=True, nogil=True)
+def _least_area_splits(points, joined):  # type: ignore[no-untyped-def]
+    n = len(points)
+    # More than any triangulation's area, so that a chord already in the mesh is the last resort.
+    forbidden = n * np.sum((points - points[0]) ** 2)
+    cost = np.zeros((n, n))
+    split = np.zeros((n, n), np.int64)
+    for span in range(2, n):
+        for i in range(n - span):
+            k = i + span
+            best = np.inf
+            for j in range(i + 1, k):
+                area = 0.5 * np.linalg.norm(np.cross(points[j] - points[i], points[k] - points[i]))
+                total = cost[i, j] + cost[j, k] + area
+                if total < best:
+                    best = total
+                    split[i, k] = j
+            cost[i, k] = best + (forbidden if joined[i, k] and span < n - 1 else 0.0)
+    return split

@@ -1,0 +1,261 @@
+from functools import partial
+
+import igl
+import numpy as np
+import pytest
+
+from scan2albedo import AnnotatedFaceModel
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model.annotation import surface_frames
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import boundary_loops, face_areas, face_cross_products
+
+plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
+"""The domes below are no faces, so nothing is to be recognised in them."""
+
+
+def dome(size: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """A face-sized dome with a nose: (size^2, 3) mm."""
+    plane, faces = igl.triangulated_grid(size, size)
+    u, v = 2 * plane.T - 1
+    z = 60 * np.sqrt(1.7 - u**2 - 0.6 * v**2) + 25 * np.exp(-(u**2) / 0.04 - v**2 / 0.08)
+    return np.column_stack([70 * u, 95 * v, z]), np.asarray(faces, np.int64)
+
+
+def without_disc(vertices, faces, x, y, radius):
+    """The faces without those whose centre lies within `radius` mm of (x, y)."""
+    return faces[np.linalg.norm(vertices[faces].mean(1)[:, :2] - [x, y], axis=1) > radius]
+
+
+def gap_mm(model: AnnotatedFaceModel, points: np.ndarray) -> np.ndarray:
+    return ClosestPointQuery(*model.surface(3)).query(points).distance
+
+
+def assert_sound(model: AnnotatedFaceModel) -> None:
+    assert len(boundary_loops(model.control_faces)) == 1
+    chart = np.column_stack([model.uv, np.zeros(len(model.uv))])
+    assert (face_cross_products(chart, model.control_faces)[:, 2] > 0).all()
+    assert model.uv.min() >= 0
+    assert model.uv.max() <= 1
+
+
+@pytest.fixture(scope="module")
+def dense():
+    vertices, faces = dome()
+    return vertices, faces, plain_model(vertices, faces, control_size=300)
+
+
+def test_a_dense_template_gets_a_small_control_mesh_whose_limit_surface_follows_it(dense):
+    vertices, _, model = dense
+    assert 250 <= len(model.control_vertices) <= 400
+    assert_sound(model)
+    error = gap_mm(model, vertices - vertices.mean(0))
+    assert error.mean() < 0.08
+    assert error.max() < 2.0
+
+
+def test_the_template_comes_back_exactly_at_rest_and_turns_with_the_surface(dense):
+    vertices, faces, model = dense
+    carried = model.template_of(model.control_vertices)
+    np.testing.assert_allclose(carried, vertices - vertices.mean(0), atol=1e-9)
+    turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(
+        model.template_of(model.control_vertices @ turn.T + 5), carried @ turn.T + 5, atol=1e-9
+    )
+    np.testing.assert_array_equal(model.template_faces, faces)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("cm", 0.1), ("m", 0.001)])
+def test_the_unit_is_decided_by_the_size_of_a_head(dense, unit, factor):
+    vertices, faces, model = dense
+    other = plain_model(factor * vertices, faces, control_size=300)
+    np.testing.assert_allclose(other.control_vertices, model.control_vertices, atol=1e-6)
+
+
+def test_a_small_template_keeps_its_own_vertices():
+    vertices, faces = dome(16)
+    model = plain_model(vertices, faces)
+    assert len(model.control_vertices) == 256
+    np.testing.assert_array_equal(model.control_faces, faces)
+
+
+def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
+    vertices, faces = dome()
+    holed = without_disc(vertices, without_disc(vertices, faces, 30, 30, 10), -30, 30, 10)
+    eyeball = np.array([[30.0, 30, 40], [32, 30, 40], [30, 32, 40]])
+    count = len(vertices)
+    model = plain_model(
+        np.concatenate([vertices, eyeball]),
+        np.concatenate([holed, [[count, count + 1, count + 2]]]),
+        control_size=400,
+    )
+    assert_sound(model)
+    filled = model.region == model.regions["filled"].index
+    centre = model.control_vertices[model.control_faces[filled]].mean(1)
+    assert np.ptp(np.sign(centre[:, 0])) == 2
+    area = face_areas(model.control_vertices, model.control_faces)[filled].sum()
+    assert 300 < area < 3 * 2 * np.pi * 100
+    carried = model.template_of(model.control_vertices)
+    assert carried.shape == (count + 3, 3)
+    gap = np.linalg.norm(carried[count:] - carried[0] - (eyeball - vertices[0]), axis=1)
+    np.testing.assert_allclose(gap, 0, atol=1e-6)
+
+
+def test_seams_with_doubled_vertices_are_welded():
+    vertices, faces = dome(24)
+    left = vertices[faces, 0].mean(1) < 0
+    count = len(vertices)
+    model = plain_model(
+        np.concatenate([vertices, vertices]), np.where(left[:, None], faces, faces + count), control_size=200
+    )
+    assert_sound(model)
+    carried = model.template_of(model.control_vertices)
+    both = np.intersect1d(faces[left], faces[~left])
+    np.testing.assert_allclose(carried[both], carried[both + count], atol=1e-6)
+
+
+def test_an_inside_out_template_is_turned(dense):
+    vertices, faces, _ = dense
+    model = plain_model(vertices, faces[:, ::-1], control_size=300)
+    assert face_cross_products(model.control_vertices, model.control_faces)[:, 2].sum() > 0
+
+
+def test_a_closed_head_is_cut_open_at_the_back():
+    vertices, faces = igl.icosahedron()
+    for _ in range(3):
+        vertices, faces = igl.upsample(vertices, faces)
+    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True) * [75, 110, 90]
+    model = plain_model(vertices, faces, control_size=200)
+    assert_sound(model)
+    assert np.ptp(model.control_vertices[:, 2]) < 160
+
+
+def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
+    vertices, faces, _ = dense
+    uv = 0.1 + 0.8 * (vertices[:, :2] - vertices[:, :2].min(0)) / np.ptp(vertices[:, :2], axis=0)
+    model = plain_model(vertices, faces, uv, control_size=300)
+    assert_sound(model)
+    expected = 0.1 + 0.8 * (model.control_vertices[:, :2] / [140, 190] + 0.5)
+    np.testing.assert_allclose(model.uv, expected, atol=0.02)
+    folded = np.abs(uv - 0.5) + 0.2
+    assert_sound(plain_model(vertices, faces, folded, control_size=300))
+
+
+def test_regions_by_indices_and_masks(dense):
+    vertices, faces, _ = dense
+    left = vertices[:, 0] > 5
+    low = vertices[faces][:, :, 1].mean(1) < -40
+    model = plain_model(vertices, faces, regions={"left": np.flatnonzero(left), "low": low}, control_size=300)
+    centre = model.control_vertices[model.control_faces].mean(1)
+    names = {r.index: r.name for r in model.regions.values()}
+    for spot, name in (([40, 40], "left"), ([-40, 40], "face"), ([-40, -70], "low")):
+        nearest = np.argmin(np.linalg.norm(centre[:, :2] - spot, axis=1))
+        assert names[int(model.region[nearest])] == name
+
+
+def test_landmarks_by_points_and_by_vertices(dense):
+    vertices, faces, _ = dense
+    chosen = np.arange(68) * 20 + 101
+    by_index = plain_model(vertices, faces, landmarks=chosen, control_size=300)
+    by_point = plain_model(0.1 * vertices, faces, landmarks=0.1 * vertices[chosen], control_size=300)
+    np.testing.assert_allclose(by_point.landmarks, by_index.landmarks, atol=1e-6)
+    assert np.linalg.norm(by_index.landmarks - (vertices - vertices.mean(0))[chosen], axis=1).mean() < 0.2
+
+
+def test_a_few_faces_that_spoil_the_surface_are_dropped(dense):
+    vertices, faces, model = dense
+    fin = np.concatenate([faces, [[*faces[1000, :2], 100]]])
+    mended = plain_model(vertices, fin, control_size=300)
+    np.testing.assert_array_equal(mended.control_faces, model.control_faces)
+    assert any(note.startswith("faces dropped at edges") for note in mended.notes)
+    pinched = np.where(faces == faces[1000, 0], faces[2000, 0], faces)
+    assert_sound(plain_model(vertices, pinched, control_size=300))
+
+
+def test_what_cannot_be_used_is_refused_with_the_reason():
+    vertices, faces = dome(12)
+    every_edge_thrice = np.concatenate([faces, np.roll(faces, 7, axis=0) * [1, 1, 0] + [0, 0, 77]])
+    torus = _torus()
+    cases = [
+        (vertices[:, :2], faces, "shape"),
+        (vertices, faces[:0], "point cloud"),
+        (vertices, faces + 5, f"refers to vertex {faces.max() + 5},"),
+        (vertices, faces - 1, "refers to vertex -1,"),
+        (vertices, every_edge_thrice, "more than two faces"),
+        (*torus, "disc"),
+    ]
+    for v, f, message in cases:
+        with pytest.raises(ModelError, match=message):
+            plain_model(v, f)
+
+
+def test_wrong_annotations_are_refused_with_the_reason():
+    vertices, faces = dome(12)
+    for extra, message in (
+        ({"uv": np.zeros((3, 2))}, "uv has shape"),
+        ({"landmarks": np.zeros((51, 3))}, "68"),
+        ({"landmarks": np.full(68, 999)}, "out of range"),
+        ({"landmarks": np.r_[-1, np.arange(67)]}, "landmark vertex -1 out of range"),
+        ({"landmarks": vertices[:68] + 500}, "mm from the template"),
+        ({"landmarks": np.r_[vertices[:67], [[0, np.nan, 0]]]}, "landmark 67 is NaN"),
+        ({"landmarks": np.r_[vertices[:67], [[0, 0, 400.0]]]}, "landmark 67 lies"),
+        ({"regions": {"nose": np.array([0, 5000])}}, "'nose'"),
+        ({"regions": {"nose": np.array([0, -1])}}, "'nose'"),
+        ({"regions": {"filled": np.array([0])}}, "'filled' is taken"),
+    ):
+        with pytest.raises(ModelError, match=message):
+            plain_model(vertices, faces, **extra)
+
+
+def _torus() -> tuple[np.ndarray, np.ndarray]:
+    """A ring with a bite taken out of its surface: one rim and a handle."""
+    count = 16
+    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
+    a, b = 2 * np.pi * i.ravel() / count, 2 * np.pi * j.ravel() / count
+    vertices = np.column_stack(
+        [(80 + 30 * np.cos(b)) * np.cos(a), (80 + 30 * np.cos(b)) * np.sin(a), 30 * np.sin(b)]
+    )
+
+    def at(p, q):
+        return ((p % count) * count + q % count).ravel()
+
+    quads = np.stack([at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)], 1)
+    kept = quads[(i.ravel() > 3) | (j.ravel() > 3)]
+    return vertices, np.concatenate([kept[:, [0, 1, 2]], kept[:, [0, 2, 3]]])
+
+
+def test_surface_frames_are_orthonormal_and_finite_on_zero_area():
+    corners = np.random.default_rng(0).normal(size=(20, 3, 3))
+    frames = surface_frames(corners)
+    np.testing.assert_allclose(
+        np.einsum("nij,nik->njk", frames, frames), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12
+    )
+    assert np.isfinite(surface_frames(np.zeros((1, 3, 3)))).all()
+
+
+@pytest.mark.slow
+def test_the_468_vertex_mask(shared_data):
+    vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, name="mask of 468")
+    assert len(model.control_vertices) == 468
+    assert_sound(model)
+    carried = model.template_of(model.control_vertices)
+    np.testing.assert_allclose(carried, 10 * (vertices - vertices.mean(0)), atol=1e-6)
+    assert 140 < np.ptp(model.control_vertices[:, 1]) < 200
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["face area", "inner face"])
+def test_the_generic_face(shared_data, part):
+    data = np.load(shared_data / "ict_faces.npz")
+    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
+    faces = faces[: int(data["face_area_faces"])]
+    if part == "inner face":
+        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=data["landmarks68"].astype(np.int64))
+    assert_sound(model)
+    assert 800 <= len(model.control_vertices) <= 1200
+    inner = vertices[: int(data["narrow_face_vertices"])] - vertices[np.unique(faces)].mean(0)
+    error = gap_mm(model, inner)
+    assert error.mean() < (0.16 if part == "face area" else 0.1)
+    assert model.landmarks.shape == (68, 3)

@@ -1,0 +1,71 @@
+"""Templates from mesh files."""
+
+import numpy as np
+import pytest
+
+from scan2albedo import AnnotatedFaceModel
+from scan2albedo.errors import ModelError
+from scan2albedo.templates.from_mesh import DenseTemplate, _corner_uv, _vertex_uv
+
+
+@pytest.fixture(scope="module")
+def obj(tmp_path_factory):
+    """The default model's control mesh as an OBJ with texture coordinates, its last vertex unused."""
+    model = AnnotatedFaceModel.default()
+    path = tmp_path_factory.mktemp("template") / "mine.obj"
+    vertices = np.concatenate([model.control_vertices, [[0, 0, 0]]])
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += [f"vt {u} {v}" for u, v in model.uv]
+    lines += ["f " + " ".join(f"{i}/{i}" for i in face + 1) for face in model.control_faces]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.slow
+def test_order_and_chart_are_the_files(obj):
+    made, default = AnnotatedFaceModel.from_file(obj), AnnotatedFaceModel.default()
+    assert made.name == "mine"
+    assert len(made.template_points.face) == len(default.control_vertices) + 1
+    np.testing.assert_array_equal(made.template_faces, default.control_faces)
+    np.testing.assert_allclose(made.template_uv, default.uv[default.control_faces], atol=1e-12)
+    assert np.abs(made.uv - default.uv).mean() < 0.01
+    coarse = AnnotatedFaceModel.from_file(obj, control_size=300)
+    assert 200 < len(coarse.control_vertices) < 400
+
+
+def test_a_vertex_with_two_texture_coordinates_has_none():
+    faces = np.array([[0, 1, 2], [1, 3, 2]])
+    uv = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1]])
+    vertices = np.zeros((5, 3))
+
+    def given(corners):
+        return DenseTemplate(vertices, faces, corners, None, None, "mine")
+
+    np.testing.assert_array_equal(_vertex_uv(given(uv[faces]))[:4], uv)
+    np.testing.assert_array_equal(_corner_uv(given(uv[faces]))[0], uv[faces])
+    seam = uv[faces]
+    seam[1, 0] = [0.5, 0.5]
+    assert _vertex_uv(given(seam)) is None
+    np.testing.assert_array_equal(_corner_uv(given(seam))[0], seam)
+    gaps = given(np.full((2, 3, 2), np.nan))
+    assert _vertex_uv(gaps) is None
+    beyond, flat = given(seam - 2), given(0 * seam)
+    for useless, why in ((gaps, "2 faces have no"), (beyond, "beyond the tiles"), (flat, "the same")):
+        found, (note,) = _corner_uv(useless)
+        assert found is None
+        assert why in note
+    with pytest.raises(ModelError, match=r"uv has shape \(1, 3, 2\), expected \(2, 3, 2\)"):
+        _vertex_uv(given(seam[:1]))
+
+
+@pytest.mark.parametrize("text", ["", "hello\n", "v 0 0 0\n"])
+def test_a_file_without_a_template_is_refused_by_name(tmp_path, text):
+    path = tmp_path / "mine.obj"
+    path.write_text(text)
+    with pytest.raises(ModelError, match="mine"):
+        AnnotatedFaceModel.from_file(path)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ModelError, match=r"gone\.ply"):
+        AnnotatedFaceModel.from_file(tmp_path / "gone.ply")
