@@ -14,7 +14,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.landmark_pull import LandmarkPull
-from scan2albedo.fitting.options import FitOptions, between
+from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
@@ -177,7 +177,7 @@ def proportioned(
         progress = step / max(steps - 1, 1)
         points = rest + moves @ found
         gates = ForceGates(
-            between((options.gate_mm[0], LAST_GATE_MM), progress),
+            between((GATE_MM[0], LAST_GATE_MM), progress),
             options.tangential,
             between(ROBUST_MM, progress),
         )

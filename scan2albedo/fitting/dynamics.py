@@ -112,41 +112,26 @@ def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
         )
     scale = 1 / np.sqrt(diagonal)
     scaled = (sparse.diags(scale) @ csc @ sparse.diags(scale)).tocsc()
-    solve = _cholesky(scaled)
-    return lambda rhs: scale[:, None] * solve(scale[:, None] * rhs)
-
-
-def _cholesky(matrix: sparse.csc_matrix) -> Callable[[FloatArray], FloatArray]:
+    solve: Callable[[FloatArray], FloatArray]
     try:
         from cholespy import CholeskySolverD, MatrixType
-    except ImportError:
-        return _lu(matrix)
-    coo = matrix.tocoo()
-    try:
-        solver = CholeskySolverD(
-            matrix.shape[0],
-            coo.row.astype(np.int32),
-            coo.col.astype(np.int32),
-            coo.data.astype(np.float64),
-            MatrixType.COO,
-        )
-    except ValueError:
-        return _lu(matrix)
 
-    def solve(rhs: FloatArray) -> FloatArray:
-        result = np.zeros_like(rhs, order="C")
-        solver.solve(np.ascontiguousarray(rhs), result)
-        return result
+        coo = scaled.tocoo()
+        row, column = coo.row.astype(np.int32), coo.col.astype(np.int32)
+        solver = CholeskySolverD(csc.shape[0], row, column, coo.data.astype(np.float64), MatrixType.COO)
+    except (ImportError, ValueError):
+        try:
+            solve = splu(scaled).solve
+        except RuntimeError as error:
+            raise FitError(
+                f"the fit's system matrix cannot be factored ({error}); a stiffness, a mass or the time step "
+                "is extreme"
+            ) from error
+    else:
 
-    return solve
+        def solve(rhs: FloatArray) -> FloatArray:
+            result = np.zeros_like(rhs, order="C")
+            solver.solve(np.ascontiguousarray(rhs), result)
+            return result
 
-
-def _lu(matrix: sparse.csc_matrix) -> Callable[[FloatArray], FloatArray]:
-    try:
-        solve: Callable[[FloatArray], FloatArray] = splu(matrix).solve
-    except RuntimeError as error:
-        raise FitError(
-            f"the fit's system matrix cannot be factored ({error}); a stiffness, a mass or the time step is "
-            "extreme"
-        ) from error
-    return solve
+    return lambda rhs: scale[:, None] * solve(scale[:, None] * rhs)

@@ -22,7 +22,7 @@ from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
 from scan2albedo.fitting.openings import openings
-from scan2albedo.fitting.options import FitOptions
+from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.painted_features import painted_pull
 from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -35,6 +35,7 @@ CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
 RIGID_LEVEL = 0
 MIN_FIRST_CONTACT = 0.03
+"""Least part of the model's area near to which there must be scan before it bends."""
 
 
 class Posed(Protocol):
@@ -109,62 +110,43 @@ def fit(
     pose, surface = correction @ pose, surface.moved(correction)
     pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
-    bare = _uncovered(surface, model, reference, meter, scan.name) if chosen.covers else Uncovered(surface)
+    bare = uncovered(surface, model, reference, meter) if chosen.covers else Uncovered(surface)
+    if bare.covered_mm2 > 0:
+        warnings.warn(
+            f"{scan.name}: {bare.covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses "
+            "do; they are left out, and the model's own shape stands there",
+            UserWarning,
+            stacklevel=2,
+        )
     covered = np.any(bare.of_covers(transform_points(pose, scan.vertices))[scan.faces], axis=1)
     deformation = Deformation(model, reference, bare.scan, chosen, meter, covered_mm2=bare.covered_mm2)
-    if chosen.open_mouth:
-        deformation = corners_pulled(mouth_opened(deformation, pull))
+    deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:
         shown = scan.without_faces(covered) if covered.any() else scan
         painted = painted_pull(shown, pose, model, deformation.reference)
         pull = painted if pull is None else pull.with_more(painted)
     samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
     reference = proportioned(bare.scan, samples, deformation.reference, chosen, meter, pull)
-    deformation = _following(pull, deformation, reference, scan.name)
-    reached = run_stages(deformation)
-    fitted = fitted_face(deformation, reached, pose, similarity.scale, scan.name)
+    deformation = replace(deformation, reference=reference)
+    if pull is not None:
+        # It starts from the model bent to the landmarks that agree with each other, and holds them.
+        believed, left_out = pull.without_wrong(model, reference)
+        if wrong := [number for number in left_out.tolist() if number >= 0]:
+            listed = ", ".join(map(str, wrong))
+            warnings.warn(
+                f"{scan.name}: {len(wrong)} of {int((pull.numbers >= 0).sum())} landmarks (number {listed}) "
+                f"lie more than {WRONG_MM:.0f} mm from where the face and the others put them, and are left "
+                "out: check their numbers, frame and unit",
+                UserWarning,
+                stacklevel=2,
+            )
+        if believed is not None:
+            bent = believed.followed(model, reference)
+            held = believed.held(bent, bare.scan)
+            deformation = replace(deformation, reference=bent, landmarks=held)
+    q, ran = run_stages(deformation)
+    fitted = fitted_face(deformation, q, ran, pose, similarity.scale, scan.name)
     return replace(fitted, covered_faces=covered) if covered.any() else fitted
-
-
-def _uncovered(
-    surface: ScanSurface, model: AnnotatedSurface, reference: FloatArray, meter: Meter, name: str
-) -> Uncovered:
-    """Return the scan without covers, and warn of them."""
-    found = uncovered(surface, model, reference, meter)
-    if found.covered_mm2 > 0:
-        warnings.warn(
-            f"{name}: {found.covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses do; "
-            "they are left out, and the model's own shape stands there",
-            UserWarning,
-            stacklevel=3,
-        )
-    return found
-
-
-def _following(
-    landmarks: LandmarkPull | None, deformation: Deformation, reference: FloatArray, name: str
-) -> Deformation:
-    """Return the deformation that starts from `reference` bent to placed landmarks, and holds them.
-
-    Warns of landmarks that are left out.
-    """
-    if landmarks is None:
-        return replace(deformation, reference=reference)
-    believed, left_out = landmarks.without_wrong(deformation.model, reference)
-    if wrong := [number for number in left_out.tolist() if number >= 0]:
-        placed = int((landmarks.numbers >= 0).sum())
-        listed = ", ".join(map(str, wrong))
-        warnings.warn(
-            f"{name}: {len(wrong)} of {placed} landmarks (number {listed}) lie more than "
-            f"{WRONG_MM:.0f} mm from where the face and the others put them, and are left out: check their "
-            "numbers, frame and unit",
-            UserWarning,
-            stacklevel=3,
-        )
-    if believed is None:
-        return replace(deformation, reference=reference)
-    bent = believed.followed(deformation.model, reference)
-    return replace(deformation, reference=bent, landmarks=believed.held(bent, deformation.scan))
 
 
 def _pose_of(reg: Posed | FloatArray) -> FloatArray:
@@ -204,7 +186,7 @@ def _scan_surface(
             "register the scan first, and check its unit"
         )
     points, faces = model.surface(RIGID_LEVEL)
-    return surface.turned_outward(points, vertex_normals(points, faces), options.gate_mm[0])
+    return surface.turned_outward(points, vertex_normals(points, faces), GATE_MM[0])
 
 
 def _refined(
@@ -215,34 +197,27 @@ def _refined(
     landmarks: LandmarkPull | None,
     name: str,
 ) -> Similarity:
+    """Return the similarity that lays the model on the scan; FitError where hardly any scan is near then."""
     samples = SurfaceSamples.of(model, model.control_vertices, RIGID_LEVEL)
-    # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
-    relief = samples.relief(samples.matrix @ model.control_vertices)
+    rest = samples.matrix @ model.control_vertices
     similarity = refine_similarity(
         surface,
         samples,
         model.control_vertices,
-        samples.area * samples.rigidity * relief,
+        # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
+        samples.area * samples.rigidity * samples.relief(rest),
         (ForceGates.at(options, 0.0), ForceGates.at(options, 1.0)),
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,
         meter=meter,
         landmarks=landmarks,
     )
-    _require_contact(
-        surface, samples, similarity.apply(samples.matrix @ model.control_vertices), options, name
-    )
-    return similarity
-
-
-def _require_contact(
-    surface: ScanSurface, samples: SurfaceSamples, points: FloatArray, options: FitOptions, name: str
-) -> None:
-    hits = surface.nearest.query(points)
-    near = (hits.distance < options.gate_mm[0]) & ~surface.on_boundary(hits)
+    hits = surface.nearest.query(similarity.apply(rest))
+    near = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
     share = float(samples.area[near].sum() / samples.area.sum())
     if share < MIN_FIRST_CONTACT:
         raise FitError(
-            f"{name}: only {100 * share:.1f} % of the model has scan within {options.gate_mm[0]:.0f} mm, at "
+            f"{name}: only {100 * share:.1f} % of the model has scan within {GATE_MM[0]:.0f} mm, at "
             f"least {100 * MIN_FIRST_CONTACT:.0f} % needed; the pose is wrong, or the scan holds no face"
         )
+    return similarity

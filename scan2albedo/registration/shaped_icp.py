@@ -70,7 +70,7 @@ def proportions(scan: OrientedPoints, template: Template, shaped: ShapedPose) ->
 
     They are relative to the template's. The template is fitted further for it, with little against another
     width, height and depth: they would else be taken for those of people. This judges a pose, before there is
-    a fit; `face_model.proportions` judges the landmarks of one.
+    a fit; `fitting.plausibility` judges the landmarks of one.
     """
     precision = np.ones(len(template.modes))
     precision[STRETCHES] = _LOOSE**-2
