@@ -33,9 +33,9 @@ from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_point
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
-RIGID_LEVEL = 0
-MIN_FIRST_CONTACT = 0.03
-"""Least part of the model's area near to which there must be scan before it bends."""
+RIGID_LEVEL, MIN_FIRST_CONTACT = 0, 0.03
+"""Samples while pose, size and proportions are found; least part of their area with scan near before it
+bends."""
 
 
 class Posed(Protocol):

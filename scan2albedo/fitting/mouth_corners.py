@@ -13,6 +13,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.fitting.mouth_opening import EARS, REACH_MM
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
@@ -20,8 +21,7 @@ from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.nearest_surface import NearestSurface
 
 CORNERS = (48, 54)
-EARS = (0, 16)
-"""iBUG-68 indices of the corners of the mouth and the jaw line's ends, the subject's right side first."""
+"""iBUG-68 indices of the corners of the mouth, the subject's right side first."""
 BESIDE_MM, ABOVE_MM = 15.0, 14.0
 """How far beside and above the corners the skin follows them (standard deviations)."""
 FIRST_MM = (0.0, -7.0, 10.0)
@@ -32,7 +32,7 @@ WORTH, MIN_GAIN, NARROWER_GAIN = 0.2, 0.34, 0.03
 """Shares of the distance: what 10 mm must save for 15 mm to be tried, and what a pull's coarse fit saves.
 Drawn back: shut mouths up to 0.32, smiles from 0.35 on. Drawn together: most puffed cheeks and puckered lips
 0.03 to 0.24, other mouths none."""
-ZONE_MM, REACH_MM, MIN_COSINE = 45.0, 8.0, 0.2
+ZONE_MM, MIN_COSINE = 45.0, 0.2
 """Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds. Used is
 what has normals within 78 degrees of the model's; distances are cut off at REACH_MM."""
 
