@@ -31,7 +31,7 @@ from scan2albedo.applications.expression_transfer import (
 )
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FittedFace
-from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import Material, SyntheticScene, face, light_at

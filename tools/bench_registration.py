@@ -121,7 +121,7 @@ def found_by_us(
         result = s2a.register(scan, model, budget, options=options)
     except RegistrationError as error:
         return Found(None, 0.0, time.process_time() - begin, str(error))
-    note = "; ".join(f"{step} {reason}: {evidence}" for step, _, reason, evidence in result.notes)
+    note = "; ".join(f"{step.stage} {step.reason}: {step.evidence}" for step in result.plan)
     return Found(result.model_from_scan, result.confidence, time.process_time() - begin, note)
 
 
@@ -304,7 +304,7 @@ def same_person(shapes: Shapes, repeats: int) -> None:
 
 
 def annealing_rate(model: s2a.AnnotatedFaceModel) -> None:
-    template = Template.of(model, RegistrationOptions().model_spacing_mm, 0)
+    template = Template.of(model, 0)
     rest = Similarity(np.eye(3), np.zeros(3))
     for size in (32, 64, 128):
         objective = DepthDerivativeObjective(*model.surface(2), template, rest, size)

@@ -173,7 +173,7 @@ KINDS: dict[str, Callable[[int, np.random.Generator], Case]] = {
 
 @cache
 def _template() -> Template:
-    return Template.of(AnnotatedFaceModel.default(), RegistrationOptions().model_spacing_mm, 0)
+    return Template.of(AnnotatedFaceModel.default(), 0)
 
 
 def rows_of(task: tuple[str, int]) -> list[Row]:

@@ -31,7 +31,7 @@ from scan2albedo.geometry.rigid import (
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.candidates import every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
-from scan2albedo.registration.robust_icp import robust_icp
+from scan2albedo.registration.icp import icp
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import TextureWitness
@@ -187,14 +187,12 @@ def poses(
         yield "aside", shaken(turned(right, [0, 1, 0], angle, [0, 0, -70]), rng, 5, 8), scale
     options = RegistrationOptions()
     prepared = prepared_scan(scan, options)
-    samples = template.first(400)
+    few = template.first(400)
     for flip in flips:
         yield "flip", flip, scale
         placed = prepared.prepared_from_scan @ invert_rigid(flip)
         start = Similarity.of_rigid(placed, scale, template.front)
-        refined = robust_icp(
-            prepared.samples, samples, samples.areas, start, iterations=25, sigma_mm=(6.0, 3.0)
-        )
+        refined = icp(prepared.samples, few, start, np.geomspace(6.0, 3.0, 25)).pose
         yield "flip", invert_rigid(refined.rigid(template.front)) @ prepared.prepared_from_scan, refined.scale
     meter = Meter("icp", "mm", Budget.of(None), None)
     starts = coarse_poses(prepared, template, options, meter, 0)
@@ -211,7 +209,7 @@ def poses(
 def measured(people: int) -> tuple[list[str], list[Row]]:
     """Return the names of the scores, and the rows of all people."""
     model = AnnotatedFaceModel.default()
-    template = Template.of(model, RegistrationOptions().model_spacing_mm, 0)
+    template = Template.of(model, 0)
     names, rows = list[str](), list[Row]()
     for person in range(people):
         scan, right, scale = person_scan(model, person)

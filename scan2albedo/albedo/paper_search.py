@@ -17,7 +17,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
-from scan2albedo.optimization import AnnealingOptions, simulated_annealing
+from scan2albedo.optimization import simulated_annealing
 
 _BLOCK_AREA = 0.125
 """Area of one block as a part of the chart's: larger than the texture's grain."""
@@ -122,7 +122,7 @@ def _annealed(problem: DeviationProblem, model: LightModel, x: FloatArray, seed:
         *model.bounds,
         seed=seed,
         initial_step=4 * model.steps(),
-        options=AnnealingOptions(evaluations=_ANNEALING * model.lights),
+        evaluations=_ANNEALING * model.lights,
         meter=meter,
     )
     problem.meter.count(meter.evaluations)

@@ -11,8 +11,8 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rigid import transform_points
 

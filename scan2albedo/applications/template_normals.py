@@ -9,6 +9,7 @@ from scipy import sparse
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import (
     adjacency,
     boundary_vertex_mask,
@@ -17,10 +18,9 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
     without_unreferenced,
 )
-from scan2albedo.geometry.nearest_surface import surface_query
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space
-from scan2albedo.registration.scan_noise import SurfaceNoise
 
 REACH_MM = 4.0
 """What lies farther from a surface has its shape from elsewhere."""

@@ -16,11 +16,14 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
+from scan2albedo.fitting.alignment import AT_REST
 from scan2albedo.fitting.forces import ForceGates, scan_forces
 from scan2albedo.fitting.openings import EYES
 from scan2albedo.fitting.options import between
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.alignment import Alignment, Pairs, align
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import (
     boundary_vertex_mask,
     edges_with_faces,
@@ -29,16 +32,14 @@ from scan2albedo.geometry.mesh import (
     vertex_components,
     without_unreferenced,
 )
-from scan2albedo.geometry.nearest_surface import NearestSurface
 
 STEPS = 10
 REACH_MM = 20.0
 """Scan farther than this does not pull at the person's face."""
 FIRST_MM, BEFORE_MM, BEHIND_MM = 12.0, 2.0, 6.0
 """Scale of Geman and McClure's weights: at first, and at last for scan before and behind the face."""
-NOISE_MM, INDEPENDENT_SAMPLES = 1.5, 100
-"""Against the prior all samples count as so many, each with this standard deviation."""
-SIZE_MM, SIZE_SD = 60.0, 0.1
+NOISE_MM, SIZE_SD = 2.6, 0.1
+"""Standard deviation of the scan about a person's face that the modes make, and of the size's logarithm."""
 FAR_MM, NEAR_MM = 5.5, 3.0
 """A cover stands FAR_MM before the face; with it goes what is joined to it and NEAR_MM before the face. Faces
 without covers lie up to 5 mm before the person's face that is found for them; hair at the rim more."""
@@ -129,45 +130,35 @@ def _may_be_covered(
 
 
 def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray) -> FloatArray:
-    """Return control points (C, 3) of the person's face nearest to the scan, but for what lies before it.
-
-    Gauss-Newton on a similarity and the coefficients of `shape_modes`, point to plane, with a normal prior.
-    """
+    """Return control points (C, 3) of the person's face nearest to the scan, but for what lies before it."""
     samples = SurfaceSamples.of(model, reference, 0)
-    modes, precision = _modes(model, reference)
-    moves = np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1)
-    rest = samples.matrix @ reference
-    found = np.zeros(modes.shape[2])
+    person = shape_modes(model, vertex_areas(model.control_vertices, model.control_faces))
+    modes = person.transpose(1, 2, 0)
     gates = ForceGates(REACH_MM, 0.0, np.inf)
-    for step in range(STEPS):
-        progress = step / (STEPS - 1)
-        points = rest + moves @ found
+
+    def pairs(now: Alignment, points: FloatArray) -> Pairs | None:
+        progress = now.steps / (STEPS - 1)
         normals = samples.normals(points)
         forces = scan_forces(scan, points, normals, gates)
+        if not forces.weight.any():
+            return None
         gap = np.einsum("ni,ni->n", forces.offset, forces.normal)
         before = np.einsum("ni,ni->n", forces.offset, normals) > 0
-        scale = np.where(
-            before, between((FIRST_MM, BEFORE_MM), progress), between((FIRST_MM, BEHIND_MM), progress)
-        )
-        seen = samples.area * samples.rigidity * (forces.weight > 0)
-        if not seen.any():
-            break
-        weight = seen / (1 + (gap / scale) ** 2) ** 2
-        across = np.einsum("nij,ni->nj", moves, forces.normal)
-        prior = seen.sum() * NOISE_MM**2 / INDEPENDENT_SAMPLES * precision
-        system = across.T @ (weight[:, None] * across) + np.diag(prior)
-        found = found + np.linalg.solve(system, across.T @ (weight * gap) - prior * found)
-    return np.asarray(reference + modes @ found)
+        ends = ((FIRST_MM, BEFORE_MM), (FIRST_MM, BEHIND_MM))
+        scale = np.where(before, *(between(scales, progress) for scales in ends))
+        trust = (forces.weight > 0) / (1 + (gap / scale) ** 2) ** 2
+        return Pairs(forces.offset, forces.normal, trust, noise=NOISE_MM)
 
-
-def _modes(model: AnnotatedSurface, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return displacements (C, 3, M) of the control points, and the precision (M,) of their coefficients."""
-    offset = (reference - reference.mean(0)) / SIZE_MM
-    motions = [np.cross(unit, offset) for unit in np.eye(3)]
-    motions += [np.broadcast_to(unit, offset.shape) for unit in np.eye(3)]
-    person = shape_modes(model, vertex_areas(model.control_vertices, model.control_faces))
-    precision = np.concatenate([np.full(6, 1e-6), [(SIZE_MM * SIZE_SD) ** -2], np.ones(len(person))])
-    return np.stack([*motions, offset, *person], axis=2), precision
+    found = align(
+        samples.matrix @ reference,
+        samples.area * samples.rigidity,
+        pairs,
+        AT_REST,
+        steps=STEPS,
+        modes=np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1),
+        precision=np.diag(np.concatenate([[SIZE_SD**-2], np.ones(len(person))])),
+    )
+    return found.pose.apply(reference + modes @ found.coefficients)
 
 
 def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> BoolArray:

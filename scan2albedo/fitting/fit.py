@@ -17,7 +17,7 @@ from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import proportioned, refine_similarity
 from scan2albedo.fitting.covers import Uncovered, uncovered
-from scan2albedo.fitting.forces import ForceGates
+from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates
 from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
@@ -206,7 +206,7 @@ def _refined(
         model.control_vertices,
         # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
         samples.area * samples.rigidity * samples.relief(rest),
-        (ForceGates.at(options, 0.0), ForceGates.at(options, 1.0)),
+        ForceGates(GATE_MM[0], options.tangential, MIN_ROBUST_MM[1]),
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,
         meter=meter,

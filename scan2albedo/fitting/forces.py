@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.nearest_surface import nearest_around, walk_downhill
+from scan2albedo.geometry.closest_points import nearest_around, walk_downhill
 
 MIN_NORMAL_COSINE = 0.6
 """Least cosine between the normals of model and scan where a force acts."""

@@ -17,8 +17,8 @@ from scan2albedo.fitting.mouth_opening import EARS, REACH_MM
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.nearest_surface import NearestSurface
 
 CORNERS = (48, 54)
 """iBUG-68 indices of the corners of the mouth, the subject's right side first."""

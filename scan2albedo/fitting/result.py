@@ -15,9 +15,8 @@ from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import RESULT_LEVELS, Deformation, imbalance_mm
-from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
-from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
 
 RESIDUAL_GATE_MM = 5.0
 """Residuals beyond this count as "no scan near"."""

@@ -9,7 +9,8 @@ import numpy as np
 from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.mesh import neighbour_lists, usual_edge
+from scan2albedo.geometry.mesh import lengths, neighbour_lists, usual_edge
+from scan2albedo.geometry.surface_noise import above_neighbours
 
 SPREAD_PER_PASS = 0.43
 """Variance along each axis that one average over a vertex and its neighbours adds, per edge length^2."""
@@ -69,7 +70,7 @@ class SurfaceAverages:
     @cached_property
     def _spike(self) -> BoolArray:
         begins, neighbours = self._joined
-        gap = _gaps(self.vertices, begins, neighbours)
+        gap = lengths(above_neighbours(self.vertices, begins, neighbours))
         around = _largest_around(gap, begins, neighbours)
         return np.asarray((gap > SPIKE * np.median(gap)) & (gap > around))
 
@@ -88,21 +89,6 @@ class SurfaceAverages:
         for _ in range(passes):
             values = _average(values, at_border, self.boundary, *self._joined, shares, self._weight)
         return values
-
-
-@njit(cache=True, nogil=True)
-def _gaps(vertices, begins, neighbours):  # type: ignore[no-untyped-def]
-    """Return (V,) distances from the mean of the neighbours."""
-    gap = np.empty(len(vertices))
-    for v in range(len(vertices)):
-        degree, square = max(begins[v + 1] - begins[v], 1), 0.0
-        for k in range(3):
-            total = 0.0
-            for n in neighbours[begins[v] : begins[v + 1]]:
-                total += vertices[n, k]
-            square += (total / degree - vertices[v, k]) ** 2
-        gap[v] = np.sqrt(square)
-    return gap
 
 
 @njit(cache=True, nogil=True)

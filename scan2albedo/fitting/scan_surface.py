@@ -9,14 +9,13 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting.scan_smoothing import SurfaceAverages
-from scan2albedo.geometry.closest_points import ClosestHits
+from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
 from scan2albedo.geometry.mesh import (
     usual_edge,
     vertex_components,
     vertex_normals,
     without_unreferenced,
 )
-from scan2albedo.geometry.nearest_surface import NearestHits, NearestSurface
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
@@ -49,11 +48,11 @@ class ScanSurface:
         """Median length of the edges."""
         return usual_edge(self.vertices, self.faces)
 
-    def normals_at(self, hits: NearestHits | ClosestHits) -> FloatArray:
+    def normals_at(self, hits: ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
         return np.einsum("nk,nkj->nj", hits.barycentric, self.normals[self.faces[hits.face]])
 
-    def on_boundary(self, hits: NearestHits | ClosestHits) -> BoolArray:
+    def on_boundary(self, hits: ClosestHits) -> BoolArray:
         """Return (N,) True where the closest point lies on the border of the scan or of a hole."""
         weight = np.where(self.boundary[self.faces[hits.face]], hits.barycentric, 0.0).sum(1)
         return weight > 0.999

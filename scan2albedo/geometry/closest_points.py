@@ -1,40 +1,53 @@
-"""Closest points on a triangle mesh, exactly."""
+"""Closest points on a triangle mesh: exactly, or quickly for queries that move a little at a time."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import face_normals
-from scan2albedo.geometry.triangle_tree import TriangleTree
+from scan2albedo.geometry.mesh import face_lists, face_normals, neighbour_lists
 
 _FARTHEST = 1e100
+MAX_EXACT_FACES = 100_000
+"""Denser surfaces have triangles so small that the faces around the nearest vertex are as good."""
 
 
 @dataclass(frozen=True)
 class ClosestHits:
-    """Closest points of a surface: `points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,)."""
+    """Closest points of a surface: `points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,).
+
+    `vertex` (N,) is the nearest one to walk on from, where `NearestSurface` was asked.
+    """
 
     points: FloatArray
     face: IntArray
     barycentric: FloatArray
     distance: FloatArray
+    vertex: IntArray | None = None
 
 
 class ClosestPointQuery:
     """Closest-point queries against one mesh in any unit; raises ValueError when there is no face."""
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
+        import igl
+
         self._vertices = np.ascontiguousarray(vertices, np.float64)
         self._faces = checked_faces(faces)
-        self._tree = TriangleTree(self._vertices, self._faces)
+        self._tree = igl.AABB()
+        self._tree.init(self._vertices, self._faces)
 
     def query(self, points: ArrayLike) -> ClosestHits:
         """Return the closest hits to points (N, 3), O(log F) each; raises ValueError for NaN or infinity."""
-        return ClosestHits(*self._tree.query(checked_points(points)))
+        targets = checked_points(points)
+        squared, face, closest = self._tree.squared_distance(self._vertices, self._faces, targets)
+        weights = barycentric_coordinates(closest, self._vertices[self._faces[face]])
+        return ClosestHits(closest, face, weights, np.sqrt(squared))
 
     def query_facing(
         self, points: ArrayLike, normals: ArrayLike, *, min_cosine: float = 0.3, neighbours: int = 32
@@ -46,8 +59,6 @@ class ClosestPointQuery:
         compatible face among those of the `neighbours` nearest face centres is taken; the closest point stays
         where none is compatible, or the normal is zero.
         """
-        from scipy.spatial import cKDTree
-
         targets, facing = np.asarray(points, np.float64), np.asarray(normals, np.float64)
         hits, across = self.query(targets), face_normals(self._vertices, self._faces)
         agreement = np.einsum("ij,ij->i", across[hits.face], facing)
@@ -108,3 +119,148 @@ def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatA
     v, w = np.where(good, (c * p - b * q) / safe, 0.0), np.where(good, (a * q - b * p) / safe, 0.0)
     weights = np.clip(np.stack([1 - v - w, v, w], 1), 0, None)
     return weights / weights.sum(1, keepdims=True)
+
+
+def surface_query(vertices: FloatArray, faces: IntArray) -> ClosestPointQuery | NearestSurface:
+    """Return the exact query of a surface of few faces, the quick one of a surface of many."""
+    exact = len(faces) <= MAX_EXACT_FACES
+    return ClosestPointQuery(vertices, faces) if exact else NearestSurface(vertices, faces)
+
+
+class NearestSurface:
+    """Closest points among the faces around the nearest vertex; vertices without a face are never returned.
+
+    The nearest vertex comes from a k-d tree or, given the answer for the points' last places, from a walk
+    downhill over the edges. For meshes whose triangles are not much longer than the query distance the answer
+    is the exact closest point but for rare ties (`ClosestPointQuery` is always exact, but several times
+    slower).
+    """
+
+    def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
+        self._vertices = np.ascontiguousarray(vertices, np.float64)
+        self._faces = checked_faces(faces)
+        used = np.zeros(len(self._vertices), bool)
+        used[self._faces.ravel()] = True
+        self._used = np.flatnonzero(used)
+        self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
+        self._ring_start, self._ring = face_lists(len(self._vertices), self._faces)
+        self._near_start, self._near = neighbour_lists(len(self._vertices), self._faces)
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.generic], ...]:
+        """Return the kernels' arguments: vertices (V, 3), faces (F, 3), ring, ring_start, near, near_start.
+
+        The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], its neighbours
+        near[near_start[v] : near_start[v + 1]].
+        """
+        return self._vertices, self._faces, self._ring, self._ring_start, self._near, self._near_start
+
+    def nearest_vertices(self, points: FloatArray) -> IntArray:
+        """Return the index (N,) of the vertex nearest to each of the (N, 3) points."""
+        return np.asarray(self._used[self._tree.query(points)[1]], np.int64)
+
+    def query(self, points: FloatArray, start: IntArray | None = None) -> ClosestHits:
+        """Return the closest surface points of points (N, 3).
+
+        The search walks from `start` (N,), the `vertex` of an earlier answer for nearby points, if given.
+        """
+        targets = checked_points(points)
+        vertex = self.nearest_vertices(targets) if start is None else np.array(start, np.int64)
+        count = len(targets)
+        closest, face = np.empty((count, 3)), np.empty(count, np.int64)
+        weights, distance = np.empty((count, 3)), np.empty(count)
+        _closest_around(
+            targets,
+            vertex,
+            *self.arrays,
+            closest,
+            face,
+            weights,
+            distance,
+        )
+        return ClosestHits(closest, face, weights, distance, vertex)
+
+
+@njit(cache=True, nogil=True)
+def _closest_around(p, vertex, xyz, faces, ring, ring_start, near, near_start, closest, face, weights, gap):  # type: ignore[no-untyped-def]
+    """Walk each point p's `vertex` downhill, then take the best of the triangles around it."""
+    for i in range(len(p)):
+        x, y, z = p[i, 0], p[i, 1], p[i, 2]
+        v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
+        vertex[i] = v
+        best, f, w0, w1, w2, px, py, pz = nearest_around(x, y, z, v, xyz, faces, ring, ring_start)
+        face[i] = f
+        weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
+        closest[i, 0], closest[i, 1], closest[i, 2] = x + px, y + py, z + pz
+        gap[i] = np.sqrt(best)
+
+
+@njit(cache=True, nogil=True)
+def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
+    """Return squared distance, triangle, corner weights and offset of the closest point around vertex v."""
+    best, nearest = np.inf, 0
+    k0, k1, k2 = 1.0, 0.0, 0.0
+    ox, oy, oz = 0.0, 0.0, 0.0
+    for r in range(ring_start[v], ring_start[v + 1]):
+        f = ring[r]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
+        bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
+        cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
+        w0, w1, w2 = weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz)
+        px = w0 * ax + w1 * bx + w2 * cx
+        py = w0 * ay + w1 * by + w2 * cy
+        pz = w0 * az + w1 * bz + w2 * cz
+        d = px * px + py * py + pz * pz
+        if d < best:
+            best, nearest = d, f
+            k0, k1, k2 = w0, w1, w2
+            ox, oy, oz = px, py, pz
+    return best, nearest, k0, k1, k2, ox, oy, oz
+
+
+@njit(cache=True, nogil=True)
+def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped-def]
+    """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
+    here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
+    moved = True
+    while moved:
+        moved, centre = False, v
+        for r in range(near_start[centre], near_start[centre + 1]):
+            u = near[r]
+            there = (xyz[u, 0] - x) ** 2 + (xyz[u, 1] - y) ** 2 + (xyz[u, 2] - z) ** 2
+            if there < here:
+                here, v, moved = there, u, True
+    return v
+
+
+@njit(cache=True, nogil=True)
+def weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
+    """Weights of the point of triangle abc nearest to the origin (Ericson, Real-Time Collision Detection)."""
+    ux, uy, uz = bx - ax, by - ay, bz - az
+    vx, vy, vz = cx - ax, cy - ay, cz - az
+    d1, d2 = -(ux * ax + uy * ay + uz * az), -(vx * ax + vy * ay + vz * az)
+    if d1 <= 0 and d2 <= 0:
+        return 1.0, 0.0, 0.0
+    d3, d4 = -(ux * bx + uy * by + uz * bz), -(vx * bx + vy * by + vz * bz)
+    if d3 >= 0 and d4 <= d3:
+        return 0.0, 1.0, 0.0
+    d5, d6 = -(ux * cx + uy * cy + uz * cz), -(vx * cx + vy * cy + vz * cz)
+    if d6 >= 0 and d5 <= d6:
+        return 0.0, 0.0, 1.0
+    vc = d1 * d4 - d3 * d2
+    if vc <= 0 and d1 >= 0 and d3 <= 0:
+        t = d1 / max(d1 - d3, 1e-300)
+        return 1 - t, t, 0.0
+    vb = d5 * d2 - d1 * d6
+    if vb <= 0 and d2 >= 0 and d6 <= 0:
+        t = d2 / max(d2 - d6, 1e-300)
+        return 1 - t, 0.0, t
+    va = d3 * d6 - d5 * d4
+    if va <= 0 and d4 >= d3 and d5 >= d6:
+        t = (d4 - d3) / max((d4 - d3) + (d5 - d6), 1e-300)
+        return 0.0, 1 - t, t
+    total = va + vb + vc
+    if total <= 0:
+        return 1.0, 0.0, 0.0
+    return va / total, vb / total, vc / total

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces
 
 
@@ -56,7 +56,14 @@ class LoopSubdivision:
         """
         face, barycentric = np.asarray(points.face, np.int64), np.array(points.barycentric, float)
         for _ in range(self.levels):
-            face, barycentric = _descend(face, barycentric)
+            # The child that holds the point: corner child k keeps corner k and its two edges' middles, the
+            # middle one has corners (mid 01, mid 12, mid 20), each weight 1 - 2 b of the opposite corner.
+            row, corner = np.arange(len(face)), np.argmax(barycentric, axis=1)
+            inner = barycentric[row, corner] < 0.5
+            outer = 2 * barycentric
+            outer[row, corner] -= 1
+            barycentric = np.where(inner[:, None], 1 - 2 * barycentric[:, [2, 0, 1]], outer)
+            face = 4 * face + np.where(inner, 3, corner)
         rows = np.repeat(np.arange(len(face)), 3)
         interpolate = sparse.csr_matrix(
             (barycentric.ravel(), (rows, self.faces[face].ravel())), shape=(len(face), self.matrix.shape[0])
@@ -67,30 +74,12 @@ class LoopSubdivision:
         """Return points given on the refined faces as points on the control faces; undoes `points_matrix`."""
         face, barycentric = np.asarray(points.face, np.int64), np.array(points.barycentric, float)
         for _ in range(self.levels):
-            face, barycentric = _ascend(face, barycentric)
+            row, child = np.arange(len(face)), face % 4
+            outer = 0.5 * barycentric
+            outer[row, np.minimum(child, 2)] += 0.5
+            middle = 0.5 * (1 - barycentric[:, [1, 2, 0]])
+            face, barycentric = face // 4, np.where((child == 3)[:, None], middle, outer)
         return SurfacePoints(face, barycentric)
-
-
-def _ascend(face: IntArray, barycentric: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Map (child face, barycentric) to its parent face: the inverse of `_descend`."""
-    rows, child = np.arange(len(face)), face % 4
-    outer = 0.5 * barycentric
-    outer[rows, np.minimum(child, 2)] += 0.5
-    middle = 0.5 * (1 - barycentric[:, [1, 2, 0]])
-    return face // 4, np.where((child == 3)[:, None], middle, outer)
-
-
-def _descend(face: IntArray, barycentric: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Map (face, barycentric) to the child face that holds the point (child order of `refine`)."""
-    corner = np.argmax(barycentric, axis=1)
-    inner = barycentric[np.arange(len(face)), corner] < 0.5
-    child = np.where(inner, 3, corner)
-    # Corner child k keeps corner k and the midpoints of its two edges.
-    outer = 2 * barycentric
-    outer[np.arange(len(face)), corner] -= 1
-    # Middle child has corners (mid 01, mid 12, mid 20); each weight is 1 - 2 b of the opposite corner.
-    middle = 1 - 2 * barycentric[:, [2, 0, 1]]
-    return 4 * face + child, np.where(inner[:, None], middle, outer)
 
 
 def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntArray]:
@@ -114,8 +103,15 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
     edges = np.stack([keys // vertex_count, keys % vertex_count], 1)
     edge_of = edge_of.reshape(-1, 3)
     boundary = uses != 2
-    edge_rows = _edge_rule(vertex_count, faces, edges, edge_of, boundary)
-    vertex_rows = _vertex_rule(vertex_count, faces, edges[boundary])
+    index, opposite = np.arange(len(edges)), faces[:, [2, 0, 1]].ravel()
+    end_weight, inner = np.where(boundary, 0.5, 0.375), ~boundary[edge_of.ravel()]
+    rows = np.concatenate([index, index, edge_of.ravel()[inner]])
+    columns = np.concatenate([edges[:, 0], edges[:, 1], opposite[inner]])
+    weights = np.concatenate([end_weight, end_weight, np.full(inner.sum(), 0.125)])
+    edge_rows = sparse.csr_matrix((weights, (rows, columns)), shape=(len(edges), vertex_count))
+    vertex_rows = _one_ring_rule(
+        vertex_count, faces, edges[boundary], lambda n: _n_beta(n) / n, boundary_neighbour=0.125
+    )
     mid = vertex_count + edge_of
     a, b, c = faces.T
     ab, bc, ca = mid.T
@@ -123,24 +119,8 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
     return sparse.vstack([vertex_rows, edge_rows]).tocsr(), children.reshape(-1, 3)
 
 
-def _edge_rule(
-    vertex_count: int, faces: IntArray, edges: IntArray, edge_of: IntArray, boundary: BoolArray
-) -> sparse.csr_matrix:
-    end_weight = np.where(boundary, 0.5, 0.375)
-    index = np.arange(len(edges))
-    opposite = faces[:, [2, 0, 1]].ravel()
-    inner = ~boundary[edge_of.ravel()]
-    rows = np.concatenate([index, index, edge_of.ravel()[inner]])
-    columns = np.concatenate([edges[:, 0], edges[:, 1], opposite[inner]])
-    weights = np.concatenate([end_weight, end_weight, np.full(inner.sum(), 0.125)])
-    return sparse.csr_matrix((weights, (rows, columns)), shape=(len(edges), vertex_count))
-
-
-def _vertex_rule(vertex_count: int, faces: IntArray, boundary: IntArray) -> sparse.csr_matrix:
-    def beta(valence: FloatArray) -> FloatArray:
-        return (0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / valence)) ** 2) / valence
-
-    return _one_ring_rule(vertex_count, faces, boundary, beta, boundary_neighbour=0.125)
+def _n_beta(valence: FloatArray) -> FloatArray:
+    return 0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / valence)) ** 2
 
 
 def limit_matrix(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
@@ -149,13 +129,14 @@ def limit_matrix(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     Interior vertex of valence n: (1 - n chi) v + chi sum, 1 / chi = 3 / (8 beta) + n with `refine`'s beta;
     boundary: (1/6, 2/3, 1/6) (the cubic B-spline's limit).
     """
-
-    def chi(valence: FloatArray) -> FloatArray:
-        n_beta = 0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / valence)) ** 2
-        return 1 / (0.375 * valence / n_beta + valence)
-
     edges, uses = edges_with_faces(faces)
-    return _one_ring_rule(vertex_count, faces, edges[uses != 2], chi, boundary_neighbour=1 / 6)
+    return _one_ring_rule(
+        vertex_count,
+        faces,
+        edges[uses != 2],
+        lambda n: 1 / (0.375 * n / _n_beta(n) + n),
+        boundary_neighbour=1 / 6,
+    )
 
 
 def _one_ring_rule(vertex_count, faces, boundary, weight_of, boundary_neighbour):  # type: ignore[no-untyped-def]

@@ -7,10 +7,17 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
+from scipy.sparse.linalg import splu, spsolve
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.loop_subdivision import refine
-from scan2albedo.geometry.mesh import boundary_vertex_mask, face_cross_products, vertex_areas
+from scan2albedo.geometry.mesh import (
+    adjacency,
+    boundary_vertex_mask,
+    face_cross_products,
+    vertex_areas,
+    vertex_components,
+)
 
 _WIDEST = 1e3
 MAX_COTANGENT = 5.0
@@ -127,9 +134,6 @@ def surface_diffusion(
     >>> spread([[0.0], [3.0], [0.0], [0.0]]).round(2).ravel().tolist()
     [1.0, 1.0, 1.0, 1.0]
     """
-    from scipy import sparse
-    from scipy.sparse.linalg import splu
-
     if not (np.isfinite(deviation_mm) and deviation_mm >= 0):
         raise ValueError(f"deviation_mm must be finite and 0 or more, got {deviation_mm}")
     if not np.isfinite(vertices).all():
@@ -157,6 +161,30 @@ def surface_diffusion(
     return spread
 
 
+def filled_over_mesh(values: ArrayLike, known: ArrayLike, faces: IntArray) -> FloatArray:
+    """Return values (V, C) where those of unknown vertices are the means of their neighbours.
+
+    Values that are not `known` (V,) may be anything. Parts of the mesh without any known vertex get the mean
+    of all known values; ValueError when no vertex is known.
+
+    >>> strip = np.array([[0, 1, 2], [1, 2, 3]])
+    >>> filled_over_mesh([[0.0], [np.nan], [np.nan], [1.0]], [True, False, False, True], strip).ravel()
+    array([0. , 0.5, 0.5, 1. ])
+    """
+    given, there = np.asarray(values, np.float64), np.asarray(known, np.bool_)
+    if not there.any():
+        raise ValueError("no vertex is known: there is nothing to fill from")
+    result = np.where(there[:, None], given, given[there].mean(0))
+    part = vertex_components(len(given), faces)
+    rows = np.flatnonzero(~there & (np.bincount(part, there) > 0)[part])
+    if len(rows):
+        links = adjacency(len(given), faces)
+        inner = sparse.diags(np.asarray(links.sum(1)).ravel()[rows]) - links[rows][:, rows]
+        right = links[rows][:, np.flatnonzero(there)] @ given[there]
+        result[rows] = spsolve(inner.tocsc(), right).reshape(len(rows), -1)
+    return result
+
+
 def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_matrix:
     """Return the derivatives of `vertex_normals` by all coordinates, (3V, 3V) in blocks of 3 x 3.
 
@@ -179,7 +207,14 @@ def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_
     sums = np.stack([np.bincount(slot, edges[:, axis], minlength=len(keys)) for axis in range(3)], 1)
     row, column = keys // count, keys % count
     start = np.searchsorted(row, np.arange(count + 1))
-    blocks = _of_unit(_normal_sums(vertices, faces))[row] @ cross_matrices(sums.astype(np.float64))
+    # The derivatives of N / |N| by N; zeros where N is zero.
+    normal = np.zeros((count, 3))
+    np.add.at(normal, faces.ravel(), np.repeat(face_cross_products(vertices, faces), 3, axis=0))
+    length = np.linalg.norm(normal, axis=1)
+    inverse = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
+    unit = normal * inverse[:, None]
+    of_unit = inverse[:, None, None] * (np.eye(3) - unit[:, :, None] * unit[:, None, :])
+    blocks = of_unit[row] @ cross_matrices(sums.astype(np.float64))
     return sparse.bsr_matrix((blocks, column, start), shape=(3 * count, 3 * count))
 
 
@@ -195,17 +230,3 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
         matrices[:, before, after] = vectors[:, axis]
         matrices[:, after, before] = -vectors[:, axis]
     return matrices
-
-
-def _normal_sums(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    cross = face_cross_products(vertices, faces)
-    flat = np.repeat(cross, 3, axis=0)
-    return np.stack([np.bincount(faces.ravel(), flat[:, k], minlength=len(vertices)) for k in range(3)], 1)
-
-
-def _of_unit(sums: FloatArray) -> FloatArray:
-    """Return (V, 3, 3) derivatives of N / |N| by N; zeros where N is zero."""
-    length = np.linalg.norm(sums, axis=1)
-    inverse = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
-    unit = sums * inverse[:, None]
-    return inverse[:, None, None] * (np.eye(3) - unit[:, :, None] * unit[:, None, :])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
@@ -15,27 +13,12 @@ from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas, v
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
 3 fills 88 %. The corners take up some angular distortion."""
+SLIM_ITERATIONS = 30
 PADDING_TEXELS, RESOLUTION_TEXELS = 2, 512
 """Margin that xatlas leaves around the chart, at this resolution."""
 
 
-@dataclass(frozen=True)
-class ChartOptions:
-    """How `parametrize_disc` draws a chart."""
-
-    boundary_weight: float = 100.0
-    """Soft penalty that keeps the boundary on the curve during SLIM, relative to the surface's area."""
-    slim_iterations: int = 30
-    """Newton-like iterations of SLIM; 0 leaves Tutte's map."""
-
-
-def parametrize_disc(
-    vertices: FloatArray,
-    faces: IntArray,
-    *,
-    mirror: IntArray | None = None,
-    options: ChartOptions | None = None,
-) -> FloatArray:
+def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None) -> FloatArray:
     """Return the (V, 2) flip-free chart of a surface with disc topology, in the unit square.
 
     The faces (F, 3) are one component with one boundary loop and no handle, counter-clockwise from outside;
@@ -47,10 +30,27 @@ def parametrize_disc(
     .. [1] W. T. Tutte, "How to draw a graph", 1963.
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
     """
-    chosen = ChartOptions() if options is None else options
+    import xatlas
+
     index = np.asarray(faces, np.int64)
-    uv = flatten_disc(vertices, index, mirror=mirror, options=chosen)
-    uv = _packed(uv, index)
+    uv = flatten_disc(vertices, index, mirror=mirror)
+    # Fill the unit square, xatlas's margin around the chart, its centre at 0.5.
+    low, high = uv.min(0), uv.max(0)
+    unit = (uv - low) / (high - low)
+    atlas = xatlas.Atlas()
+    atlas.add_uv_mesh(unit.astype(np.float32), index.astype(np.uint32))
+    pack = xatlas.PackOptions()
+    pack.padding, pack.resolution = PADDING_TEXELS, RESOLUTION_TEXELS
+    pack.rotate_charts = pack.rotate_charts_to_axis = False
+    atlas.generate(pack_options=pack)
+    origin, _, packed = atlas.get_mesh(0)
+    span = packed.max(0) - packed.min(0)
+    if atlas.chart_count != 1 or len(np.unique(origin)) != len(uv) or span.min() <= 0:
+        raise ModelError(
+            f"xatlas packed {atlas.chart_count} charts or lost vertices, expected one whole chart"
+        )
+    # float32 and texel snapping are xatlas's; its scale is kept, the double precision coordinates too.
+    uv = 0.5 + (unit - 0.5) * np.minimum(span, 1.0)
     flipped = int(np.sum(signed_areas(uv, index) <= 0))
     if flipped:
         raise ModelError(
@@ -65,22 +65,34 @@ def flatten_disc(
     faces: IntArray,
     *,
     mirror: IntArray | None = None,
-    options: ChartOptions | None = None,
+    boundary_weight: float = 100.0,
 ) -> FloatArray:
     """Return the (V, 2) chart of `parametrize_disc` before packing: about unit area, centred.
 
-    A small `boundary_weight` lets SLIM choose the boundary: the chart is then as isometric as it gets.
+    `boundary_weight` keeps the boundary on its curve during SLIM, relative to the surface's area; a small one
+    lets SLIM choose the boundary: the chart is then as isometric as it gets.
     """
-    chosen = ChartOptions() if options is None else options
+    import igl
+
     xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
     loop = boundary_loop(len(xyz), index)
     # SLIM's energy is not scale invariant: unit area on both sides.
     xyz = (xyz - xyz.mean(0)) / np.sqrt(face_areas(xyz, index).sum())
     target = boundary_curve(xyz, loop)
-    uv = tutte(len(xyz), index, loop, target)
-    if chosen.slim_iterations:
-        uv = _slim(xyz, index, uv, loop, target, chosen)
-    return _symmetrized(uv, mirror)
+    data = igl.slim_precompute(
+        np.asfortranarray(xyz),
+        np.asfortranarray(index, dtype=np.int32),
+        np.asfortranarray(tutte(len(xyz), index, loop, target)),
+        igl.MappingEnergyType.SYMMETRIC_DIRICHLET,
+        loop.astype(np.int32),
+        np.asfortranarray(target),
+        boundary_weight,
+    )
+    uv = np.ascontiguousarray(igl.slim_solve(data, SLIM_ITERATIONS)[:, :2])
+    if mirror is None:
+        return uv
+    offset = uv - [0.5 * (uv[:, 0].min() + uv[:, 0].max()), 0.0]
+    return 0.5 * (offset + offset[mirror] * [-1.0, 1.0])
 
 
 def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
@@ -94,9 +106,13 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
     edges, uses = edges_with_faces(faces)
     used = np.unique(faces)
     components = len(np.unique(vertex_components(vertex_count, faces)[used]))
-    following = _boundary_successors(faces)
+    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    _, first, counts = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
+    following = {int(a): int(b) for a, b in directed[first[counts == 1]]}
     euler = len(used) - len(edges) + len(faces)
-    loop = _walk(following)
+    loop = [min(following)] if following else []
+    while loop and following.get(loop[-1], loop[0]) != loop[0] and len(loop) < len(following):
+        loop.append(following[loop[-1]])
     if components != 1 or uses.max() > 2 or euler != 1 or len(loop) != len(following):
         raise ModelError(
             f"the mesh is no disc: {components} components, {int((uses > 2).sum())} edges with more than two "
@@ -105,23 +121,6 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
         )
     if len(used) != vertex_count:
         raise ModelError(f"{vertex_count - len(used)} of {vertex_count} vertices are in no face; remove them")
-    return loop
-
-
-def _boundary_successors(faces: IntArray) -> dict[int, int]:
-    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    _, first, counts = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
-    return {int(a): int(b) for a, b in directed[first[counts == 1]]}
-
-
-def _walk(following: dict[int, int]) -> IntArray:
-    if not following:
-        return np.empty(0, np.int64)
-    start = min(following)
-    loop, at = [start], following[start]
-    while at != start and at in following and len(loop) < len(following):
-        loop.append(at)
-        at = following[at]
     return np.array(loop, np.int64)
 
 
@@ -137,21 +136,15 @@ def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
     weight = steps + np.roll(steps, 1)
     centered = points[:, :2] - np.average(points[:, :2], axis=0, weights=weight)
     direction = np.exp(1j * np.arctan2(centered[:, 1], centered[:, 0]))
-    angle, table = _superellipse(SQUARENESS)
     phase = np.angle(np.sum(weight * direction * np.exp(-2j * np.pi * arc))) / (2 * np.pi)
-    at = (arc + phase) % 1.0
-    return np.stack([np.interp(at, angle, table[:, 0]), np.interp(at, angle, table[:, 1])], 1)
-
-
-def _superellipse(squareness: float) -> tuple[FloatArray, FloatArray]:
-    """Return (normalised arc length (N,), points (N, 2)) of the unit-area curve from +x on."""
+    # Normalised arc lengths and points of the unit-area curve from +x on.
     t = np.linspace(0, 2 * np.pi, 4097)
-    x, y = np.cos(t), np.sin(t)
-    radius = (np.abs(x) ** squareness + np.abs(y) ** squareness) ** (-1 / squareness)
-    points = np.stack([x * radius, y * radius], 1)
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    area = 0.5 * np.sum(points[:-1, 0] * points[1:, 1] - points[1:, 0] * points[:-1, 1])
-    return np.concatenate([[0.0], np.cumsum(steps)]) / steps.sum(), points / np.sqrt(area)
+    unit = np.stack([np.cos(t), np.sin(t)], 1)
+    curve = unit * (np.abs(unit) ** SQUARENESS).sum(1, keepdims=True) ** (-1 / SQUARENESS)
+    along = np.linalg.norm(np.diff(curve, axis=0), axis=1)
+    area = 0.5 * np.sum(curve[:-1, 0] * curve[1:, 1] - curve[1:, 0] * curve[:-1, 1])
+    at, length = (arc + phase) % 1.0, np.concatenate([[0.0], np.cumsum(along)]) / along.sum()
+    return np.stack([np.interp(at, length, side) for side in (curve / np.sqrt(area)).T], 1)
 
 
 def tutte(vertex_count: int, faces: IntArray, loop: IntArray, target: FloatArray) -> FloatArray:
@@ -164,58 +157,6 @@ def tutte(vertex_count: int, faces: IntArray, loop: IntArray, target: FloatArray
     if len(inner):
         uv[inner] = splu(laplacian[inner][:, inner].tocsc()).solve(-laplacian[inner][:, loop] @ target)
     return uv
-
-
-def _slim(
-    vertices: FloatArray,
-    faces: IntArray,
-    start: FloatArray,
-    loop: IntArray,
-    target: FloatArray,
-    options: ChartOptions,
-) -> FloatArray:
-    import igl
-
-    data = igl.slim_precompute(
-        np.asfortranarray(vertices),
-        np.asfortranarray(faces, dtype=np.int32),
-        np.asfortranarray(start),
-        igl.MappingEnergyType.SYMMETRIC_DIRICHLET,
-        loop.astype(np.int32),
-        np.asfortranarray(target),
-        options.boundary_weight,
-    )
-    return np.ascontiguousarray(igl.slim_solve(data, options.slim_iterations)[:, :2])
-
-
-def _symmetrized(uv: FloatArray, mirror: IntArray | None) -> FloatArray:
-    if mirror is None:
-        return uv
-    middle = 0.5 * (uv[:, 0].min() + uv[:, 0].max())
-    offset = uv - [middle, 0.0]
-    return 0.5 * (offset + offset[mirror] * [-1.0, 1.0])
-
-
-def _packed(uv: FloatArray, faces: IntArray) -> FloatArray:
-    """Fill the unit square with the chart, xatlas's margin around it, its centre at 0.5."""
-    import xatlas
-
-    low, high = uv.min(0), uv.max(0)
-    unit = (uv - low) / (high - low)
-    atlas = xatlas.Atlas()
-    atlas.add_uv_mesh(unit.astype(np.float32), faces.astype(np.uint32))
-    pack = xatlas.PackOptions()
-    pack.padding, pack.resolution = PADDING_TEXELS, RESOLUTION_TEXELS
-    pack.rotate_charts = pack.rotate_charts_to_axis = False
-    atlas.generate(pack_options=pack)
-    origin, _, packed = atlas.get_mesh(0)
-    if atlas.chart_count != 1:
-        raise ModelError(f"xatlas packed {atlas.chart_count} charts, expected one")
-    packed_span = packed.max(0) - packed.min(0)
-    if len(np.unique(origin)) != len(uv) or packed_span.min() <= 0:
-        raise ModelError("xatlas lost vertices of the chart while packing it")
-    # float32 and texel snapping are xatlas's; its scale is kept, the double precision coordinates too.
-    return 0.5 + (unit - 0.5) * np.minimum(packed_span, 1.0)
 
 
 def signed_areas(uv: FloatArray, faces: IntArray) -> FloatArray:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from scan2albedo.geometry.mesh import face_areas
 
 Matrix = NDArray[np.float64]
 
@@ -94,17 +96,6 @@ def rotation_angle_rad(rotation: ArrayLike) -> float:
     return float(np.arctan2(np.linalg.norm(axis), np.trace(matrix) - 1))
 
 
-def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
-    """Return rotation matrices (..., 3, 3) of unit quaternions (..., 4) in w, x, y, z order."""
-    w, x, y, z = np.moveaxis(np.asarray(quaternion_wxyz, float), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
-
-
 def super_fibonacci_rotations(count: int) -> Matrix:
     """Return `count` well-spread rotations (count, 3, 3) over SO(3) [1]_.
 
@@ -114,22 +105,14 @@ def super_fibonacci_rotations(count: int) -> Matrix:
     s = np.arange(count) + 0.5
     radius, radius_rest = np.sqrt(s / count), np.sqrt(1 - s / count)
     alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
-    xyzw = np.stack(
-        [
-            radius * np.sin(alpha),
-            radius * np.cos(alpha),
-            radius_rest * np.sin(beta),
-            radius_rest * np.cos(beta),
-        ],
-        -1,
-    )
-    return rotation_from_quaternion(xyzw[:, [3, 0, 1, 2]])
+    xy = [radius * np.sin(alpha), radius * np.cos(alpha)]
+    zw = [radius_rest * np.sin(beta), radius_rest * np.cos(beta)]
+    return np.asarray(Rotation.from_quat(np.stack(xy + zw, -1)).as_matrix(), np.float64)
 
 
 def random_rotation(rng: np.random.Generator) -> Matrix:
     """Return a rotation (3, 3) drawn uniformly from SO(3)."""
-    quaternion = rng.normal(size=4)
-    return rotation_from_quaternion(quaternion / np.linalg.norm(quaternion))
+    return np.asarray(Rotation.from_quat(np.roll(rng.normal(size=4), -1)).as_matrix(), np.float64)
 
 
 def procrustes(
@@ -181,61 +164,14 @@ def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matr
     """
     # Differences to a vertex of the scan lose no digits however far away the origin is.
     anchor = vertices[faces[0, 0]]
-    total, center, second = _first_and_second_moments(vertices, faces, anchor)
+    area, middle = face_areas(vertices, faces), (vertices[faces] - anchor).mean(1)
+    total = area.sum()
     if total <= 0:
         return vertices - anchor, compose(np.eye(3), -anchor)
-    center /= total
-    origin = anchor + center
-    _, vectors = np.linalg.eigh(second / total - np.outer(center, center))
+    center = area @ middle / total
+    _, vectors = np.linalg.eigh((area[:, None] * middle).T @ middle / total - np.outer(center, center))
     axes = np.ascontiguousarray(vectors[:, ::-1])
-    axes = axes * np.where(_third_moments(vertices, faces, origin, axes) < 0, -1.0, 1.0)
+    axes = axes * np.where(area @ ((middle - center) @ axes) ** 3 < 0, -1.0, 1.0)
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    origin = anchor + center
     return (vertices - origin) @ axes, compose(axes.T, -axes.T @ origin)
-
-
-@njit(cache=True, nogil=True)
-def _first_and_second_moments(vertices, faces, anchor):  # type: ignore[no-untyped-def]
-    """Return area, and its sums of the faces' centroids relative to the anchor and of their products."""
-    total, center, second = 0.0, np.zeros(3), np.zeros((3, 3))
-    middle = np.empty(3)
-    for f in range(faces.shape[0]):
-        area = _centroid_and_area(vertices, faces[f], anchor, middle)
-        total += area
-        for i in range(3):
-            center[i] += area * middle[i]
-            for j in range(3):
-                second[i, j] += area * middle[i] * middle[j]
-    return total, center, second
-
-
-@njit(cache=True, nogil=True)
-def _third_moments(vertices, faces, origin, axes):  # type: ignore[no-untyped-def]
-    """Return (3,) sums of area times the cube of the centroid's coordinate along each axis."""
-    third, middle = np.zeros(3), np.empty(3)
-    for f in range(faces.shape[0]):
-        area = _centroid_and_area(vertices, faces[f], origin, middle)
-        for axis in range(3):
-            along = middle[0] * axes[0, axis] + middle[1] * axes[1, axis] + middle[2] * axes[2, axis]
-            third[axis] += area * along * along * along
-    return third
-
-
-@njit(cache=True, nogil=True)
-def _centroid_and_area(vertices, face, origin, middle):  # type: ignore[no-untyped-def]
-    """Fill in a face's centroid relative to the origin and return its area."""
-    a, b, c = face[0], face[1], face[2]
-    ux, uy, uz = (
-        vertices[b, 0] - vertices[a, 0],
-        vertices[b, 1] - vertices[a, 1],
-        vertices[b, 2] - vertices[a, 2],
-    )
-    vx, vy, vz = (
-        vertices[c, 0] - vertices[a, 0],
-        vertices[c, 1] - vertices[a, 1],
-        vertices[c, 2] - vertices[a, 2],
-    )
-    for i in range(3):
-        at = origin[i]
-        middle[i] = ((vertices[a, i] - at) + (vertices[b, i] - at) + (vertices[c, i] - at)) / 3
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return 0.5 * np.sqrt(x * x + y * y + z * z)

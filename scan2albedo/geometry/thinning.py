@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.mesh import edges_with_faces
 
 _MOST_CELLS = 2**20
 """Along a side of the grid."""
@@ -27,8 +28,15 @@ class ThinnedSurface:
 
     @cached_property
     def boundary(self) -> BoolArray:
-        """(V,) on the border of the surface, which joining neither opens nor moves by more than a cell."""
-        return _on_odd_edge(len(self.vertices), self.faces)
+        """(V,) at edges of an odd number of faces, which joining neither opens nor moves by more than a cell.
+
+        A border is the sum of all faces' borders modulo 2, and joining vertices keeps that sum: faces that
+        then coincide make no border where there was none.
+        """
+        edges, uses = edges_with_faces(self.faces)
+        mask = np.zeros(len(self.vertices), bool)
+        mask[edges[uses % 2 == 1].ravel()] = True
+        return mask
 
 
 def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurface:
@@ -49,19 +57,3 @@ def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurfac
     a, b, c = joined.T
     distinct = joined[(a != b) & (b != c) & (c != a)]
     return ThinnedSurface(means, distinct, count)
-
-
-def _on_odd_edge(count: int, faces: IntArray) -> BoolArray:
-    """Return (V,) True at edges of an odd number of faces.
-
-    A border is the sum of all faces' borders modulo 2, and joining vertices keeps that sum: faces that then
-    coincide make no border where there was none.
-    """
-    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    keys = np.sort(edges[:, 0] * np.int64(count) + edges[:, 1])
-    starts = np.flatnonzero(np.diff(keys, prepend=-1))
-    odd = keys[starts[np.diff(starts, append=len(keys)) % 2 == 1]]
-    mask = np.zeros(count, bool)
-    mask[odd // count] = True
-    mask[odd % count] = True
-    return mask

@@ -51,12 +51,15 @@ class InputRecord(Record):
 
 
 class PlanRecord(Record):
-    """One decision: a step that ran or was left out."""
+    """One row of a plan: a step that ran or was left out, a doubt, or a fault."""
 
     stage: str
     ran: bool
     reason: str
     evidence: str = Field("", description="The measured figure behind the reason, with its unit.")
+    level: Literal["did", "left out", "doubt", "wrong"] | None = Field(
+        None, description="Did or left out, by `ran`; a doubt is to be checked, what is wrong is known to be."
+    )
 
     @classmethod
     def of(cls, step: PlanStep) -> PlanRecord:

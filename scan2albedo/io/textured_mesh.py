@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.seams import split_at_seams
-from scan2albedo.geometry.tangents import tangent_mesh
+from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.io.glb import GlbFile, plain_material

@@ -1,6 +1,6 @@
 """Search for the least cost: simulated annealing and damped least squares."""
 
-from scan2albedo.optimization.annealing import AnnealingOptions, AnnealingResult, simulated_annealing
+from scan2albedo.optimization.annealing import AnnealingResult, simulated_annealing
 from scan2albedo.optimization.least_squares import (
     Damping,
     Descent,
@@ -11,7 +11,6 @@ from scan2albedo.optimization.least_squares import (
 )
 
 __all__ = [
-    "AnnealingOptions",
     "AnnealingResult",
     "Damping",
     "Descent",

@@ -10,21 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.budget import Meter
 
-
-@dataclass(frozen=True)
-class AnnealingOptions:
-    """Settings of `simulated_annealing`."""
-
-    evaluations: int = 2000
-    """Evaluations after which it stops (the meter's budget may stop it earlier)."""
-    initial_temperature: float = 0.3
-    """Temperature at the start, as a fraction of the spread of the first costs."""
-    final_temperature: float = 1e-4
-    """Temperature at the end, same unit; cooling is geometric in between."""
-    sweep: int = 10
-    """Moves of each coordinate between two adaptations of its step length."""
-    target_acceptance: float = 0.44
-    """Acceptance rate that the step lengths are steered to (one coordinate moves at a time)."""
+_FINAL_TEMPERATURE = 1e-4
+"""In units of the spread of the first `_SCALE_MOVES` costs."""
+_SCALE_MOVES = 20
+_SWEEP = 10
+"""Moves of each coordinate between two adaptations of its step length."""
+_ACCEPTANCE = 0.44
+"""Acceptance rate that the step lengths are steered to (one coordinate moves at a time)."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +33,6 @@ class AnnealingResult:
     """True when the cooling schedule ran to its end, False when a budget cut it short."""
 
 
-_MOVES_THAT_SET_THE_SCALE = 20
-
-
 def simulated_annealing(
     objective: Callable[[NDArray[np.float64]], float],
     start: ArrayLike,
@@ -51,14 +40,15 @@ def simulated_annealing(
     upper: ArrayLike,
     *,
     seed: int | np.random.Generator = 0,
+    evaluations: int = 2000,
+    initial_temperature: float = 0.3,
     initial_step: ArrayLike | None = None,
-    options: AnnealingOptions = AnnealingOptions(),
     meter: Meter | None = None,
 ) -> AnnealingResult:
     """Return the minimum of `objective` over a box, by Corana-type simulated annealing.
 
     One coordinate moves at a time; a worse cost is accepted with probability exp(-(c' - c) / T).
-    Step lengths follow the acceptance rate, T falls geometrically with the evaluations spent.
+    Step lengths follow the acceptance rate; T falls geometrically with the evaluations spent.
 
     Parameters
     ----------
@@ -68,10 +58,12 @@ def simulated_annealing(
         Start point and box; proposals outside the box are reflected into it.
     seed : int or numpy.random.Generator
         Source of randomness; the same seed gives the same bits.
+    evaluations : int
+        After which it stops (the meter's budget may stop it earlier).
+    initial_temperature : float
+        As a fraction of the spread of the first costs.
     initial_step : (n,) array_like, optional
         First step lengths; a quarter of the box when omitted.
-    options : AnnealingOptions
-        Schedule.
     meter : Meter, optional
         Counts evaluations, records every improvement and ends the run with its budget.
 
@@ -87,7 +79,12 @@ def simulated_annealing(
     >>> bool(np.abs(result.x - 0.3).max() < 0.02)
     True
     """
-    x, low, high = _checked_box(start, lower, upper)
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    x = np.clip(np.asarray(start, float), low, high)
+    if not (x.shape == low.shape == high.shape and np.all(low <= high)):
+        raise ValueError(
+            f"start {x.shape}, lower {low.shape}, upper {high.shape} must agree with lower <= upper"
+        )
     rng = np.random.default_rng(seed)
     step = (high - low) / 4 if initial_step is None else np.asarray(initial_step, float).copy()
     meter = meter if meter is not None else Meter("annealing", "cost")
@@ -99,15 +96,22 @@ def simulated_annealing(
 
     cost = evaluate(x)
     best_x, best_cost, used = x.copy(), cost, 1
-    cooling = _Cooling(options, [cost])
+    seen, scale = [cost], 0.0
     accepted = np.zeros(x.size)
-    while used < options.evaluations and not meter.exhausted:
+    while used < evaluations and not meter.exhausted:
         k = (used - 1) % x.size
         trial = x.copy()
-        trial[k] = _reflect(x[k] + step[k] * rng.uniform(-1, 1), low[k], high[k])
+        proposed = x[k] + step[k] * rng.uniform(-1, 1)
+        mirrored = 2 * low[k] - proposed if proposed < low[k] else 2 * high[k] - proposed
+        trial[k] = np.clip(proposed if low[k] <= proposed <= high[k] else mirrored, low[k], high[k])
         trial_cost = evaluate(trial)
         used += 1
-        temperature = cooling.temperature(trial_cost, used)
+        if len(seen) < _SCALE_MOVES:
+            seen.append(trial_cost)
+            finite = [c for c in seen if np.isfinite(c)]
+            scale = float(np.std(finite)) if len(finite) > 1 else 0.0
+        cooled = (_FINAL_TEMPERATURE / initial_temperature) ** (used / evaluations)
+        temperature = scale * initial_temperature * cooled
         worse = trial_cost - cost
         if worse <= 0 or (temperature > 0 and rng.random() < np.exp(-worse / temperature)):
             x, cost = trial, trial_cost
@@ -115,47 +119,7 @@ def simulated_annealing(
             if cost < best_cost:
                 best_x, best_cost = x.copy(), cost
                 meter.record(best_cost)
-        if (used - 1) % (options.sweep * x.size) == 0:
-            rate = accepted / options.sweep
-            step = np.clip(step * np.exp(rate - options.target_acceptance), 1e-9, high - low)
+        if (used - 1) % (_SWEEP * x.size) == 0:
+            step = np.clip(step * np.exp(accepted / _SWEEP - _ACCEPTANCE), 1e-9, high - low)
             accepted[:] = 0
-    return AnnealingResult(best_x, best_cost, used, converged=used >= options.evaluations)
-
-
-def _checked_box(
-    start: ArrayLike, lower: ArrayLike, upper: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the start, moved into the box, and the box."""
-    low, high = np.asarray(lower, float), np.asarray(upper, float)
-    x = np.clip(np.asarray(start, float), low, high)
-    if not (x.shape == low.shape == high.shape and np.all(low <= high)):
-        raise ValueError(
-            f"start {x.shape}, lower {low.shape}, upper {high.shape} must agree with lower <= upper"
-        )
-    return x, low, high
-
-
-@dataclass
-class _Cooling:
-    """The temperature, in units of how much the cost varies over the first moves."""
-
-    options: AnnealingOptions
-    seen: list[float]
-    scale: float = 0.0
-
-    def temperature(self, cost: float, used: int) -> float:
-        """Return T after `used` evaluations, the last of which gave `cost`."""
-        if len(self.seen) < _MOVES_THAT_SET_THE_SCALE:
-            self.seen.append(cost)
-            finite = [c for c in self.seen if np.isfinite(c)]
-            self.scale = float(np.std(finite)) if len(finite) > 1 else 0.0
-        first, last = self.options.initial_temperature, self.options.final_temperature
-        return self.scale * first * (last / first) ** (used / self.options.evaluations)
-
-
-def _reflect(value: float, low: float, high: float) -> float:
-    if value < low:
-        value = 2 * low - value
-    elif value > high:
-        value = 2 * high - value
-    return min(max(value, low), high)
+    return AnnealingResult(best_x, best_cost, used, converged=used >= evaluations)

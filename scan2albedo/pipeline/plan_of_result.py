@@ -24,8 +24,7 @@ def plan_of(
     if registration is not None:
         evidence = f"rmse {registration.rmse_mm:.2f} mm"
         steps.append(PlanStep("register", True, "pose of the face in the scan", evidence))
-        for step, ran, reason, evidence in registration.notes:
-            steps.append(PlanStep(f"register.{step}", ran, reason, evidence))
+        steps += registration.plan
     elif fitted is not None:
         reason = "skipped by the caller: the scan is taken to lie in the model's frame"
         steps.append(PlanStep("register", False, reason))

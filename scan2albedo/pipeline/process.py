@@ -34,7 +34,7 @@ from scan2albedo.pipeline.result import SURE, ProcessResult, own_files, write_re
 from scan2albedo.pipeline.scale_search import ScaledScan, load_of_any_size, registered_at_any_scale
 from scan2albedo.pipeline.unlit_stage import MOST_OF_BUDGET, unlit_seconds, without_light
 from scan2albedo.registration import Registration, RegistrationOptions, register
-from scan2albedo.registration.refined_pose import refined_registration
+from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 
@@ -206,8 +206,7 @@ def _processed(
                 )
                 if registration is not None:
                     pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
-                    stage = options.stages.registration
-                    registration = refined_registration(registration, scan, model, pose, scale, options=stage)
+                    registration = refined_registration(registration, scan, model, pose, scale)
         with clock.timed("geometry_image"):
             if fitted is not None:
                 image = geometry_image(fitted, scan, options.texels)

@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.geometry.blocks import blocks, each_block
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rays import RayCaster, blocks, each_block
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_cross_products
-from scan2albedo.geometry.mesh_filling import filled_over_mesh
+from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.geometry.rasterization import Raster, interpolate, rasterize
 from scan2albedo.geometry.rays import RayCaster

@@ -9,7 +9,7 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.blocks import blocks, each_block
+from scan2albedo.geometry.rays import blocks, each_block
 from scan2albedo.reflectance import tilt_kernels
 from scan2albedo.reflectance import vertex_kernels as kernels
 

@@ -1,22 +1,17 @@
-"""Whether the best candidate is accepted as a face: refusals with their figures, and warnings of doubts."""
+"""Whether the best candidate is accepted as a face: refusals with their figures, and doubts."""
 
 from __future__ import annotations
-
-import warnings
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
 
-from scan2albedo.core import Meter
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
-from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import invert_rigid
-from scan2albedo.registration.candidates import Candidate, every_candidate
+from scan2albedo.registration.candidates import Candidate, Candidates, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
+from scan2albedo.registration.icp import residuals
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.robust_icp import Note, residuals
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
 
@@ -25,7 +20,8 @@ LEAST_PROBABILITY = 0.4
 _BEYOND_DOUBT = 5.0
 """Log odds of a face (99 %) at which it is not asked whether the scan is inside out."""
 _CLEARLY_OUTWARD = 0.12
-_NEAR_MM = 10.0
+"""Bulge of a surface whose normals certainly point outward: whole faces with hair and shoulders have 0.24 and
+more, half a face with them about 0."""
 _FACING_AWAY = 0.35
 """Part of the near samples whose normals may disagree: where one side of a face is inside out it is half."""
 _MIXED_SHARE = 0.02
@@ -33,49 +29,65 @@ _MIXED_SHARE = 0.02
 _OTHER_FACE_MM = 100.0
 """Poses farther apart than a face is wide are of another one."""
 _LIKE_A_FACE = 0.55
-"""Likeness (`FaceScores`) at which a pose that was not looked at closely is told of as another face."""
-_TOLD_NOISE_MM = 1.0
-"""Noise from which a message has it."""
-_TOLD_PROPORTION = 1.2
-"""Proportion relative to the model's from which a message has it; most people's are less."""
-
-
-@dataclass(frozen=True)
-class Acceptance:
-    """The probability that the best candidate is the pose of a face, and the search's note for the plan."""
-
-    confidence: float
-    note: Note
+"""Likeness at which a pose that was not looked at closely is reported as another face."""
+_NOTABLE_NOISE_MM, _NOTABLE_PROPORTION = 1.0, 1.2
+"""Noise, and proportion relative to the model's, from which a message has it; most people's are less."""
 
 
 def accepted(
     scan: PreparedScan,
     template: Template,
-    candidates: tuple[Candidate, ...],
+    candidates: Candidates,
     pose_count: int,
     options: RegistrationOptions,
     meter: Meter,
-) -> Acceptance:
+) -> Plan:
     """Accept the first candidate, of those of `pose_count` poses that were refined, or refuse the scan.
 
-    Where the budget has ended the scores are not complete, so that they refuse nothing. Raises
-    `RegistrationError` when there is no face, or it is inside out; warns when there is a second face.
+    Where the budget has ended the scores are not complete, so that they refuse nothing. Returns the search's
+    row of the plan, and a doubt when there is a second face. Raises `RegistrationError` when there is no
+    face, or it is inside out.
     """
+    best, name, chance = candidates[0], scan.raw.name, probability(candidates)
+    figures = _cues_text(best)
     if not meter.exhausted:
-        _refuse_inside_out(scan, template, candidates[0], options, meter)
-        _refuse_no_face(scan, template, candidates)
-    _refuse_facing_away(scan, template, candidates[0])
-    _warn_of_second_face(scan.raw, candidates)
-    best, probability = candidates[0], _probability(candidates)
+        _refuse_inside_out(scan, template, best, options, meter)
+        if chance < LEAST_PROBABILITY:
+            raise NoFaceError(
+                f"{name}: no face found. The best of {len(candidates)} poses is one with a probability of "
+                f"{chance:.2f} (needed: {LEAST_PROBABILITY:.2f}): {figures}; "
+                f"the scan's box is {box_text(scan.raw.vertices)}. "
+                "Give a scan of a face in its true size (check the unit), or process it without a model",
+                confidence=chance,
+                model_from_scan=invert_rigid(best.pose.rigid(template.front)) @ scan.prepared_from_scan,
+            )
+    # Depth images do not show normals that disagree.
+    measured = residuals(scan.samples, template.samples, best.pose)
+    near = measured.near
+    if near.any() and np.mean(measured.agreement[near] < 0) > _FACING_AWAY:
+        raise _inside_out_error(scan, best)
     evidence = (
-        f"{len(candidates)} of {pose_count} candidates refined; probability {probability:.2f} "
-        f"(needed: {LEAST_PROBABILITY:.2f}), {_cues_text(best)}, "
+        f"{len(candidates)} of {pose_count} candidates refined; probability {chance:.2f} "
+        f"(needed: {LEAST_PROBABILITY:.2f}), {figures}, "
         f"face {100 * best.pose.scale:.0f} % of the model's size"
     )
-    if scan.stray_faces:
-        evidence += f"; {scan.stray_faces} triangles that reach far away left out"
+    if stray := len(scan.raw.faces) - len(scan.faces):
+        evidence += f"; {stray} triangles that reach far away left out"
     reason = "the pose at which the scan is most probably a face is taken"
-    return Acceptance(probability, ("search", True, reason, evidence))
+    steps = [PlanStep("register.search", True, reason, evidence)]
+    # Once one is found the others are not looked at closely.
+    apart = [
+        _distance_mm(other, best)
+        for other in candidates[1:]
+        if other.log_odds > 0 or other.likeness > _LIKE_A_FACE
+    ]
+    if best.log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
+        text = (
+            f"{name}: there is a second face {max(apart):.0f} mm away; the one that resembles the model "
+            "more was taken: cut the other off to choose"
+        )
+        steps.append(PlanStep.doubt("register.second_face", text))
+    return Plan(tuple(steps))
 
 
 def _refuse_inside_out(
@@ -84,10 +96,14 @@ def _refuse_inside_out(
     """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
 
     Seen from behind, its relief may be enough to be accepted; with the triangles reversed it is far greater.
-    So the reversed scan is searched where the best pose is in doubt and the surface does not bulge outward.
+    So the reversed scan is searched where the best pose is in doubt and the surface does not bulge outward:
+    sum a n.(p - c) / sum a |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
     """
-    likely = best.log_odds > 0 and _bulge(scan.samples) >= _CLEARLY_OUTWARD
-    if likely or best.log_odds >= _BEYOND_DOUBT:
+    samples = scan.samples
+    offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
+    outward = samples.areas @ np.einsum("ij,ij->i", offset, samples.normals)
+    clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ np.linalg.norm(offset, axis=1))
+    if (best.log_odds > 0 and clearly) or best.log_odds >= _BEYOND_DOUBT:
         return
     turned = scan.inside_out()
     # The turned scan is another problem than the scan, so its rows stay out of the trace.
@@ -97,25 +113,6 @@ def _refuse_inside_out(
     meter.count(unseen.evaluations)
     if other.log_odds > max(best.log_odds, 0.0):
         raise _inside_out_error(scan, other)
-
-
-def _bulge(samples: OrientedPoints) -> float:
-    """Return sum a n.(p - c) / sum a |p - c| about the centroid c: -1 ... 1, its sign flips with the normals.
-
-    Whole faces with hair and shoulders have 0.24 and more, half a face with them about 0.
-    """
-    offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
-    outward = np.einsum("ij,ij->i", offset, samples.normals)
-    reach = samples.areas @ np.linalg.norm(offset, axis=1)
-    return float(samples.areas @ outward / reach) if reach > 0 else 0.0
-
-
-def _refuse_facing_away(scan: PreparedScan, template: Template, best: Candidate) -> None:
-    """Refuse a pose whose normals disagree, which depth images do not show."""
-    measured = residuals(scan.samples, template.samples, best.pose)
-    near = measured.distance_mm < _NEAR_MM
-    if near.any() and np.mean(measured.agreement[near] < 0) > _FACING_AWAY:
-        raise _inside_out_error(scan, best)
 
 
 def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
@@ -134,43 +131,11 @@ def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
     )
 
 
-def _refuse_no_face(scan: PreparedScan, template: Template, candidates: tuple[Candidate, ...]) -> None:
-    """Refuse, with the figures, a scan whose best candidate is no face."""
-    probability = _probability(candidates)
-    if probability >= LEAST_PROBABILITY:
-        return
-    pose = candidates[0].pose.rigid(template.front)
-    raise NoFaceError(
-        f"{scan.raw.name}: no face found. The best of {len(candidates)} poses is one with a probability of "
-        f"{probability:.2f} (needed: {LEAST_PROBABILITY:.2f}): {_cues_text(candidates[0])}; "
-        f"the scan's box is {box_text(scan.raw.vertices)}. "
-        "Give a scan of a face in its true size (check the unit), or process it without a model",
-        confidence=probability,
-        model_from_scan=invert_rigid(pose) @ scan.prepared_from_scan,
-    )
-
-
-def _warn_of_second_face(scan: RawScan, candidates: tuple[Candidate, ...]) -> None:
-    # Once one is found the others are not looked at closely.
-    apart = [
-        _distance_mm(other, candidates[0])
-        for other in candidates[1:]
-        if other.log_odds > 0 or other.scores.likeness > _LIKE_A_FACE
-    ]
-    if candidates[0].log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
-        warnings.warn(
-            f"{scan.name}: there is a second face {max(apart):.0f} mm away; the one that resembles the model "
-            "more was taken: cut the other off to choose",
-            UserWarning,
-            stacklevel=4,
-        )
-
-
 def _distance_mm(candidate: Candidate, other: Candidate) -> float:
     return float(np.linalg.norm(candidate.pose.translation - other.pose.translation))
 
 
-def _probability(candidates: tuple[Candidate, ...]) -> float:
+def probability(candidates: Candidates) -> float:
     """Return the probability that the best candidate is the pose of a person's face, 0 ... 1.
 
     Against it stand that there is no face, every other pose of it, and proportions that no person has; a face
@@ -194,15 +159,14 @@ def _cues_text(candidate: Candidate) -> str:
         f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm {found.relief.local:.2f}, "
         f"{found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face"
     )
-    if found.relief.noise_mm > _TOLD_NOISE_MM:
+    if found.relief.noise_mm > _NOTABLE_NOISE_MM:
         text += f" with {found.relief.noise_mm:.1f} mm of noise"
-    for witness, said in (("colours", candidate.color_log_odds), ("landmarks", candidate.landmark_log_odds)):
-        if said:
-            side = "for" if said > 0 else "against"
-            text += f", its {witness} speak {side} it by {abs(said):.1f} in the log odds"
+    for cue, odds in (("colours", candidate.color_log_odds), ("landmarks", candidate.landmark_log_odds)):
+        if odds:
+            text += (
+                f", its {cue} speak {'for' if odds > 0 else 'against'} it by {abs(odds):.1f} in the log odds"
+            )
     unlike = np.exp(np.abs(found.proportions)).max()
-    return text + (
-        f", proportions of width, height and depth {unlike:.2f} times the model's"
-        if unlike > _TOLD_PROPORTION
-        else ""
-    )
+    if unlike > _NOTABLE_PROPORTION:
+        text += f", proportions of width, height and depth {unlike:.2f} times the model's"
+    return text

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, repeat
 from types import ModuleType
 
 import numpy as np
@@ -20,43 +20,55 @@ from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.evidence import Evidence, evidence
+from scan2albedo.registration.icp import icp, residuals, rigid_distance_mm
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.placed_pose import PlacedPose
-from scan2albedo.registration.relief import FaceScores, normal_relief
-from scan2albedo.registration.robust_icp import residuals, rigid_distance_mm, robust_icp
+from scan2albedo.registration.relief import ReliefAgreement, normal_relief
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import TextureWitness
 
-_CONVINCING = 4.0
-"""Log odds of a face (98 %) beyond which no further poses are refined."""
-_CONVINCING_PERSON = 0.95
-"""The same of its proportions."""
+_CONVINCING, _CONVINCING_PERSON = 4.0, 0.95
+"""Log odds of a face (98 %), and probability of its proportions, beyond which no other pose is refined."""
 _MOST_LOG_ODDS = 8.0
 """No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 _MORE_CANDIDATES = 24
 """Further poses that are refined before a scan is refused."""
 _LOOKED_AT = 3
 """Candidates of a batch whose evidence is looked at."""
-_OTHER_ROTATION_RAD = np.deg2rad(20)
-_OTHER_POSITION_MM = 30.0
+_OTHER_ROTATION_RAD, _OTHER_POSITION_MM = np.deg2rad(20), 30.0
+_SAME_ROTATION_RAD, _SAME_POSITION_MM = np.deg2rad(3), 3.0
 _SAMPLES = 400
 _RANKED_BY_RELIEF = 40
-_SAME_ROTATION_RAD = np.deg2rad(3)
-_SAME_POSITION_MM = 3.0
+_OPEN3D_REACH_MM, _OPEN3D_TUKEY_MM, _OPEN3D_STEPS = 20.0, 8.0, 20
+_SCALED_MM = np.geomspace(6.0, 3.0, 15)
+"""Scales of the ICP that also finds the face's size, step by step."""
+_ALLOWED_RMS_MM, _ENOUGH_COVERAGE = 7.0, 0.6
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A refined pose on the prepared scan, its scores, and for the best few what speaks for a face there."""
+    """A refined pose on the prepared scan, how it looks, and for the best few the evidence of a face."""
 
     pose: Similarity
-    scores: FaceScores
+    relief: ReliefAgreement
+    rms_mm: float
+    """`relief` of the rigid template, and RMS distance of its inlying samples to the scan."""
     evidence: Evidence | None = None
     color_log_odds: float | None = None
     """What the scan's colours say for this pose; None where they were not asked."""
     landmark_log_odds: float = 0.0
-    """What landmarks that someone placed say for it."""
+    """What placed landmarks say for it."""
+
+    @property
+    def likeness(self) -> float:
+        """Correlation of the relief times exp(-(rms / 7 mm)^2); 0.9 for the model itself."""
+        return self.relief.local * float(np.exp(-((self.rms_mm / _ALLOWED_RMS_MM) ** 2)))
+
+    @property
+    def ranking(self) -> float:
+        """Likeness, lessened where little of the face is covered: ranks poses."""
+        return self.likeness * min(1.0, self.relief.coverage / _ENOUGH_COVERAGE) ** 0.5
 
     @property
     def log_odds(self) -> float:
@@ -81,6 +93,9 @@ class Candidate:
         return not self.pose.is_near(other.pose, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
 
 
+Candidates = tuple[Candidate, ...]
+
+
 @dataclass(frozen=True)
 class Colors:
     """The colours of a scan, which are asked only where its shape leaves doubts."""
@@ -89,21 +104,21 @@ class Colors:
     model: AnnotatedSurface
 
     @cached_property
-    def _witness(self) -> TextureWitness | None:
+    def _scorer(self) -> TextureWitness | None:
         return TextureWitness.of(self.scan.raw, self.model)
 
-    def heard(self, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
+    def rescored(self, candidates: Candidates) -> Candidates:
         """Return the candidates, those that were looked at with what the colours say; the best first."""
-        if candidates[0].convinces or self._witness is None:
+        if candidates[0].convinces or self._scorer is None:
             return candidates
-        heard = list(candidates)
-        for place, candidate in enumerate(heard):
+        scored = list(candidates)
+        for place, candidate in enumerate(scored):
             if candidate.evidence is not None and candidate.color_log_odds is None:
                 pose = candidate.pose
                 model_from_scan = invert_rigid(pose.rigid(self.model.front)) @ self.scan.prepared_from_scan
-                said = self._witness.evidence(model_from_scan, pose.scale)
-                heard[place] = replace(candidate, color_log_odds=0.0 if said is None else said.log_odds)
-        return tuple(sorted(heard, key=lambda c: (-c.log_odds, -c.scores.ranking)))
+                found = self._scorer.evidence(model_from_scan, pose.scale)
+                scored[place] = replace(candidate, color_log_odds=0.0 if found is None else found.log_odds)
+        return _sorted(scored)
 
 
 def ranked_candidates(
@@ -114,52 +129,51 @@ def ranked_candidates(
     poses: Poses,
     options: RegistrationOptions,
     meter: Meter,
-) -> tuple[Candidate, ...]:
+) -> Candidates:
     """Refine and rank candidates, batch by batch, until one is a face; best first.
 
     The pose that landmarks show comes before all. After every batch the best of all so far are looked at
-    closely (`Evidence`), and the scan's colours heard when none is clearly a face.
+    closely (`Evidence`), and the scan's colours scored when none is clearly a face.
     """
-    target = ScanTarget(scan.samples)
-    candidates: tuple[Candidate, ...] = ()
+    target, candidates = ScanTarget(scan.samples), Candidates()
     placed = () if landmarks is None else (landmarks.start(),)
-    for batch in chain(placed, _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES)):
-        candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
-        candidates = colors.heard(_with_evidence(scan, template, candidates, meter, landmarks))
+    batches = chain(placed, _batches(scan, template, poses, options.candidates, _MORE_CANDIDATES))
+    # Open3D's wide pairs draw half a face round the head, towards its missing half: at last without it.
+    freely = _batches(scan, template, poses, 2 * options.candidates, 0)
+    for batch, cloud in chain(zip(batches, repeat(target)), zip(freely, repeat(None))):
+        candidates = _with_refined(scan, cloud, template, batch, meter, candidates)
+        candidates = colors.rescored(_with_evidence(scan, template, candidates, meter, landmarks))
         if meter.exhausted or candidates[0].convinces:
-            return candidates
-    # Open3D's wide pairs draw half a face round the head, towards its missing half: refine without it.
-    for batch in _batches(scan, template, poses, 2 * options.candidates, 0):
-        candidates = _with_refined(scan, None, template, batch, options, meter, candidates)
-        candidates = colors.heard(_with_evidence(scan, template, candidates, meter, landmarks))
-        if meter.exhausted or candidates[0].convinces:
-            return candidates
+            break
     return candidates
 
 
 def every_candidate(
     scan: PreparedScan, template: Template, poses: Poses, options: RegistrationOptions, meter: Meter
-) -> tuple[Candidate, ...]:
+) -> Candidates:
     """Refine and rank `options.candidates` poses, faces or not; best first."""
-    target = ScanTarget(scan.samples)
-    candidates: tuple[Candidate, ...] = ()
+    target, candidates = ScanTarget(scan.samples), Candidates()
     for batch in _batches(scan, template, poses, options.candidates, 0):
-        candidates = _with_refined(scan, target, template, batch, options, meter, candidates)
+        candidates = _with_refined(scan, target, template, batch, meter, candidates)
     return _with_evidence(scan, template, candidates, meter)
+
+
+def _sorted(candidates: list[Candidate]) -> Candidates:
+    return tuple(sorted(candidates, key=lambda c: (-c.log_odds, -c.ranking)))
 
 
 def _with_evidence(
     scan: PreparedScan,
     template: Template,
-    candidates: tuple[Candidate, ...],
+    candidates: Candidates,
     meter: Meter,
     landmarks: PlacedPose | None = None,
-) -> tuple[Candidate, ...]:
+) -> Candidates:
     """Look at the first `_LOOKED_AT` candidates that are apart from each other, those seen before among them.
 
     The answer is sorted by the odds, then by the ranking.
     """
-    ranked = sorted(candidates, key=lambda c: -c.scores.ranking)
+    ranked = sorted(candidates, key=lambda c: -c.ranking)
     looked = list[Candidate]()
     for place, candidate in enumerate(ranked):
         if len(looked) == _LOOKED_AT or (looked and meter.exhausted):
@@ -168,13 +182,13 @@ def _with_evidence(
             continue
         if candidate.evidence is None:
             found = evidence(scan, template, candidate.pose, meter)
-            said = 0.0 if landmarks is None else landmarks.log_odds(found.pose)
-            candidate = replace(candidate, pose=found.pose, evidence=found, landmark_log_odds=said)
+            odds = 0.0 if landmarks is None else landmarks.log_odds(found.pose)
+            candidate = replace(candidate, pose=found.pose, evidence=found, landmark_log_odds=odds)
             ranked[place] = candidate
         looked.append(candidate)
         if candidate.convinces:
             break
-    return tuple(sorted(ranked, key=lambda c: (-c.log_odds, -c.scores.ranking)))
+    return _sorted(ranked)
 
 
 def _batches(
@@ -186,7 +200,7 @@ def _batches(
     with most relief among all: distance alone prefers the whole back of a head to half a face, and relief
     alone is expensive.
     """
-    model = template.first(_SAMPLES)
+    model = template.first(_SAMPLES).samples
 
     def by_relief(count: int) -> IntArray:
         """Return the first `count` poses in the order of the relief that the scan's normals show there."""
@@ -210,50 +224,40 @@ def _with_refined(
     target: ScanTarget | None,
     template: Template,
     starts: Poses,
-    options: RegistrationOptions,
     meter: Meter,
-    known: tuple[Candidate, ...],
-) -> tuple[Candidate, ...]:
+    known: Candidates,
+) -> Candidates:
     """Refine every start by Open3D's ICP, then with scale, and rank them with the `known`, best first.
 
     Without a `target` Open3D's part is left out. A start that ends at a known candidate is dropped.
     At least one is refined however small the budget is.
     """
-    samples = template.first(_SAMPLES)
-    poses = [candidate.pose for candidate in known]
+    few = template.first(_SAMPLES)
+    refined = [candidate.pose for candidate in known]
     candidates = list(known)
     for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
         if candidates and meter.exhausted:
             break
         pose = Similarity(rotation, translation)
         if target is not None:
-            refined = target.refine(
-                samples, pose.rigid(), max_distance_mm=20.0, scale_mm=8.0, iterations=options.icp_iterations
-            )
-            pose = Similarity(refined[:3, :3], refined[:3, 3])
+            matrix = target.refine(few.samples, pose.rigid())
+            pose = Similarity(matrix[:3, :3], matrix[:3, 3])
             meter.count()
-        if any(pose.is_near(other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in poses):
+        if any(pose.is_near(other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in refined):
             continue
-        poses.append(pose)
-        candidates.append(_scored(scan, template, samples, pose, options.scaled_iterations))
+        refined.append(pose)
+        pose = icp(scan.samples, few, pose, _SCALED_MM).pose
+        rms_mm = residuals(scan.samples, few.samples, pose).trimmed_rms_mm(few.samples.areas)
+        relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
+        candidates.append(Candidate(pose, relief, rms_mm))
         meter.count()
-        best = max(candidates, key=lambda c: c.scores.ranking)
+        best = max(candidates, key=lambda c: c.ranking)
         meter.record(rigid_distance_mm(scan.samples, template, best.pose))
-    return tuple(sorted(candidates, key=lambda c: -c.scores.ranking))
-
-
-def _scored(
-    scan: PreparedScan, template: Template, samples: OrientedPoints, start: Similarity, iterations: int
-) -> Candidate:
-    """Refine pose and size, and score the result."""
-    pose = robust_icp(scan.samples, samples, samples.areas, start, iterations=iterations, sigma_mm=(6.0, 3.0))
-    rms_mm = residuals(scan.samples, samples, pose).trimmed_rms_mm(samples.areas)
-    scores = template.image.scores(scan.vertices, scan.faces, pose.inverse(), rms_mm)
-    return Candidate(pose, scores)
+    return tuple(sorted(candidates, key=lambda c: -c.ranking))
 
 
 class ScanTarget:
-    """Scan samples (mm) prepared for many ICP runs."""
+    """Scan samples (mm) prepared for many ICP runs of Open3D."""
 
     def __init__(self, samples: OrientedPoints) -> None:
         self._open3d = import_open3d()
@@ -265,30 +269,23 @@ class ScanTarget:
         cloud.normals = utility.Vector3dVector(samples.normals)
         return cloud
 
-    def refine(
-        self,
-        model: OrientedPoints,
-        scan_from_model: FloatArray,
-        *,
-        max_distance_mm: float,
-        scale_mm: float,
-        iterations: int,
-    ) -> FloatArray:
+    def refine(self, model: OrientedPoints, scan_from_model: FloatArray) -> FloatArray:
         """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model with Tukey's loss.
 
-        `max_distance_mm` is the greatest distance of a pair, `scale_mm` Tukey's constant: pairs farther apart
-        along the normal have no weight. Runs on one thread: Open3D adds up its normal equations in the order
-        the threads finish, so more threads would give other bits each time.
+        Pairs are at most 20 mm apart; beyond 8 mm along the normal (Tukey's constant) they have no weight.
+        Runs on one thread: Open3D adds up its normal equations in the order the threads finish, so more
+        threads would give other bits each time.
         """
         registration = self._open3d.pipelines.registration
+        loss = registration.TukeyLoss(k=_OPEN3D_TUKEY_MM)
         with _one_thread(self._open3d):
             result = registration.registration_icp(
                 self._cloud_of(model),
                 self._cloud,
-                max_distance_mm,
+                _OPEN3D_REACH_MM,
                 scan_from_model,
-                registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=scale_mm)),
-                registration.ICPConvergenceCriteria(1e-6, 1e-6, iterations),
+                registration.TransformationEstimationPointToPlane(loss),
+                registration.ICPConvergenceCriteria(1e-6, 1e-6, _OPEN3D_STEPS),
             )
         return np.array(result.transformation)
 

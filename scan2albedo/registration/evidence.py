@@ -10,21 +10,18 @@ from scipy.special import expit
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import Similarity
+from scan2albedo.registration.icp import proportions, residuals, shaped_icp
 from scan2albedo.registration.relief import ReliefAgreement
-from scan2albedo.registration.robust_icp import residuals
 from scan2albedo.registration.scan_preparation import PreparedScan
-from scan2albedo.registration.shaped_icp import proportions, shaped_icp
 from scan2albedo.registration.template import Template
 
-_MOST_RMS_MM = 10.0
-_LEAST_SHARE = 0.02
+_MOST_RMS_MM, _LEAST_SHARE = 10.0, 0.02
 _NOISE_IN_DISTANCE = 0.3
 """Part of the noise's variance that the squared distance holds: it is to samples averaged over 4 mm."""
-_INTERCEPT = -10.18
-_WEIGHTS = {"relief": 14.9, "local": 5.0, "distance": -0.58, "share": 2.29}
+_INTERCEPT, _WEIGHTS = -10.18, {"relief": 14.9, "local": 5.0, "distance": -0.58, "share": 2.29}
 """Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py --scans 100."""
 _USUAL_PROPORTIONS = np.array([-0.03, -0.06, -0.04])
-"""People's mean of `shaped_icp.proportions`: half-way from the template's to that of light-stage people."""
+"""People's mean of `icp.proportions`: half-way from the template's to that of light-stage people."""
 _STRANGE_PROPORTION, _PROPORTION_WIDTH = 0.32, 0.025
 """How far from people's mean, in logarithms, the odds of a person's proportions are even, and how far from
 there they change by e. Of synthetic people 99 % are within 0.30 of the template's (see
@@ -38,7 +35,7 @@ class Evidence:
 
     `pose` is `scan_from_model`, `coefficients` (K,) are those of the template's modes in standard deviations.
     `share` is the part of the template's area with scan within 10 mm that faces the same way, `rms_mm` the
-    distance there; `relief` compares their depth images, `proportions` (3,) see `shaped_icp`.
+    distance there; `relief` compares their depth images, `proportions` (3,) see `icp`.
     """
 
     pose: Similarity
@@ -62,7 +59,7 @@ class Evidence:
 
     @property
     def log_odds(self) -> float:
-        """Logarithm of the odds that the pose is that of a face, before its colours are heard."""
+        """Logarithm of the odds that the pose is that of a face, by its shape alone."""
         cues = self.cues
         return _INTERCEPT + sum(weight * cues[name] for name, weight in _WEIGHTS.items())
 
@@ -76,15 +73,16 @@ class Evidence:
 def evidence(scan: PreparedScan, template: Template, start: Similarity, meter: Meter) -> Evidence:
     """Fit pose and shape of the template from a start, and measure how the scan agrees with it."""
     shaped = shaped_icp(scan.samples, template, start, meter)
-    person = template.in_shape(shaped.coefficients)
-    areas = person.samples.areas
-    measured = residuals(scan.samples, person.samples, shaped.pose)
-    surface = template.image.vertices + template.modes.of_surface(shaped.coefficients)
+    samples = template.in_shape(shaped.coefficients).samples
+    measured = residuals(scan.samples, samples, shaped.pose)
+    moved = np.tensordot(shaped.coefficients, template.control_modes, 1)
+    surface = template.image.vertices + template.surface_from_control @ moved
+    inverse = shaped.pose.inverse()
     return Evidence(
         shaped.pose,
         shaped.coefficients,
-        float(areas[measured.inlier].sum() / areas.sum()),
-        measured.trimmed_rms_mm(areas),
-        template.image.agreement(scan.vertices, scan.faces, scan.noise, shaped.pose.inverse(), surface),
+        float(samples.areas[measured.inlier].sum() / samples.areas.sum()),
+        measured.trimmed_rms_mm(samples.areas),
+        template.image.agreement(scan.vertices, scan.faces, inverse, surface, scan.noise),
         proportions(scan.samples, template, shaped),
     )

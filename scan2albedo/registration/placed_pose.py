@@ -1,4 +1,4 @@
-"""Poses by landmarks that someone placed: where to look first, and what they say for a pose."""
+"""Poses by placed landmarks: where to look first, and what they say for a pose."""
 
 from __future__ import annotations
 
@@ -13,20 +13,18 @@ from scan2albedo.geometry.rigid import Similarity, procrustes, transform_points
 from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.scan_preparation import PreparedScan
 
-_TRIPLES = 200
+_TRIPLES, _REFITS = 200, 4
 _LEAST_AREA_MM2 = 300.0
 """Of a triangle of landmarks that shows a pose: nearly straight ones leave a turn open."""
-_PERSON_MM = 6.0
-"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size."""
-_ELSEWHERE_MM = 40.0
-"""The same of a point that has nothing to do with the landmark, but lies on the face."""
+_PERSON_MM, _ELSEWHERE_MM = 6.0, 40.0
+"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size,
+and of a point that has nothing to do with the landmark, but lies on the face."""
 _WRONG = 0.1
 """Part of landmarks that are taken to be wrong."""
 _FREEDOM = 7
-"""Numbers of a pose with its size: so many coordinates agree with any landmarks."""
+"""Numbers of a pose with its size: as many coordinates agree with any landmarks."""
 _MOST_AGAINST = -2.0
 _SCALES = (0.6, 1.6)
-_REFITS = 4
 
 
 @dataclass(frozen=True)
@@ -48,18 +46,34 @@ class PlacedPose:
 
     def triples(self) -> list[tuple[int, int, int]]:
         """Return at most 200 triples that span a triangle, the same ones each time."""
-        every = [t for t in combinations(range(len(self.of_model)), 3) if self._area_mm2(t) > _LEAST_AREA_MM2]
-        if len(every) <= _TRIPLES:
-            return every
-        return [every[i] for i in np.random.default_rng(0).choice(len(every), _TRIPLES, replace=False)]
+        every = list(combinations(range(len(self.of_model)), 3))
+        if not every:
+            return []
+        corners = np.stack([self.of_model, self.of_scan])[:, every]
+        across = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+        wide = np.flatnonzero(0.5 * np.linalg.norm(across, axis=2).min(0) > _LEAST_AREA_MM2)
+        if len(wide) > _TRIPLES:
+            wide = wide[np.random.default_rng(0).choice(len(wide), _TRIPLES, replace=False)]
+        return [every[i] for i in wide]
 
     def start(self) -> Poses:
         """Return the pose, one, with which most landmarks agree whatever the others say."""
-        best = min((self._by(list(triple)) for triple in self.triples()), key=self._loss)
+
+        def fitted(weight: FloatArray) -> Similarity:
+            matrix = procrustes(self.of_model, self.of_scan, weights=weight, scale=True)
+            scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+            return Similarity(matrix[:3, :3] / scale, matrix[:3, 3], scale)
+
+        def loss(pose: Similarity) -> float:
+            squared = self._squared(pose)
+            outside = not _SCALES[0] < pose.scale < _SCALES[1]
+            return float(np.sum(squared / (1 + squared))) + outside * len(squared)
+
+        corners = np.eye(len(self.of_model))
+        best = min((fitted(corners[list(triple)].sum(0)) for triple in self.triples()), key=loss)
         for _ in range(_REFITS):
-            weight = 1 / (1 + self._squared(best)) ** 2
-            refitted = self._similarity(np.sqrt(weight))
-            if self._loss(refitted) >= self._loss(best):
+            refitted = fitted(1 / (1 + self._squared(best)))
+            if loss(refitted) >= loss(best):
                 break
             best = refitted
         rigid = best.rigid(self.of_model.mean(0))
@@ -71,31 +85,9 @@ class PlacedPose:
         What they say against one is capped: another scan's landmarks must not refuse a face.
         """
         ratio = (_ELSEWHERE_MM / _PERSON_MM) ** 3 * np.exp(-0.5 * self._squared(scan_from_model))
-        said = float(np.log(_WRONG + (1 - _WRONG) * ratio).sum())
+        odds = float(np.log(_WRONG + (1 - _WRONG) * ratio).sum())
         coordinates = self.of_model.size
-        return max(said * max(coordinates - _FREEDOM, 0) / coordinates, _MOST_AGAINST)
-
-    def _area_mm2(self, triple: tuple[int, int, int]) -> float:
-        areas = []
-        for points in (self.of_model, self.of_scan):
-            a, b, c = points[list(triple)]
-            areas.append(0.5 * float(np.linalg.norm(np.cross(b - a, c - a))))
-        return min(areas)
-
-    def _by(self, triple: list[int]) -> Similarity:
-        weight = np.zeros(len(self.of_model))
-        weight[triple] = 1.0
-        return self._similarity(weight)
-
-    def _similarity(self, weight: FloatArray) -> Similarity:
-        matrix = procrustes(self.of_model, self.of_scan, weights=weight, scale=True)
-        scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
-        return Similarity(matrix[:3, :3] / scale, matrix[:3, 3], scale)
+        return max(odds * max(coordinates - _FREEDOM, 0) / coordinates, _MOST_AGAINST)
 
     def _squared(self, pose: Similarity) -> FloatArray:
         return np.sum((pose.apply(self.of_model) - self.of_scan) ** 2, axis=1) / _PERSON_MM**2
-
-    def _loss(self, pose: Similarity) -> float:
-        low, high = _SCALES
-        squared = self._squared(pose)
-        return float(np.sum(squared / (1 + squared))) + (0.0 if low < pose.scale < high else len(squared))

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from scan2albedo.core import Budget, Meter, ProgressCallback, Trace, checked_seed
+import numpy as np
+
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace, checked_seed
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.geometry.rigid import invert_rigid
-from scan2albedo.registration.acceptance import accepted
+from scan2albedo.geometry.mesh import far_faces
+from scan2albedo.geometry.oriented_points import oriented_points
+from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
+from scan2albedo.registration.acceptance import accepted, probability
 from scan2albedo.registration.candidates import Colors, ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
+from scan2albedo.registration.icp import rms_mm, tightened
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.placed_pose import PlacedPose
-from scan2albedo.registration.robust_icp import Note, rms_mm, tightened
-from scan2albedo.registration.scan_preparation import prepared_scan
+from scan2albedo.registration.scan_preparation import SPACING_MM, prepared_scan
 from scan2albedo.registration.template import Template
 
 HUMAN_SCALE = (0.75, 1.3)
@@ -43,8 +46,8 @@ class Registration:
     """Objective evaluations and ICP iterations spent."""
     trace: Trace
     """Stages "icp", "shaped_icp" and "tight_icp" (mm), and "depth_annealing" (objective) when forced."""
-    notes: tuple[Note, ...] = ()
-    """What the steps inside decided, for the plan."""
+    plan: Plan = Plan()
+    """What the steps inside decided, and doubts about the result."""
     face_scale: float = 1.0
     """Size of the face relative to the model's; `model_from_scan` is rigid and does not contain it. A face of
     another size lies on the model at its `front`."""
@@ -69,9 +72,9 @@ def register(
     depth derivatives of [1]_ runs when forced (`RegistrationOptions.force_annealing`), and counts when the
     surface is nearer for it.
 
-    Warns when the face has a size that no person's has, or the scan holds a second face. Raises
-    RegistrationError, with the figures, when the scan is too small or too large, or holds no face; ValueError
-    when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model and options;
+    `plan` doubts a size that no person's face has, and a second face in the scan. Raises RegistrationError,
+    with the figures, when the scan is too small or too large, or holds no face; ValueError when `seed` is no
+    whole number of 0 or more; TypeError for other objects than a scan, a model and options;
     MissingDependencyError when Open3D cannot be loaded.
 
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
@@ -96,35 +99,63 @@ def register(
     meter = Meter("icp", "mm", Budget.of(budget), on_progress)
     seed = checked_seed(seed)
     prepared = prepared_scan(scan, options)
-    template = Template.of(model, options.model_spacing_mm, seed)
+    template = Template.of(model, seed)
     poses = coarse_poses(prepared, template, options, meter, seed)
     colors, landmarks = Colors(prepared, model), PlacedPose.of(prepared, model)
     candidates = ranked_candidates(prepared, template, colors, landmarks, poses, options, meter)
-    acceptance = accepted(prepared, template, candidates, len(poses), options, meter)
+    plan = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     best = candidates[0]
     tight = tightened(prepared.samples, template, best.pose, options.settling_iterations, closing)
     person = template
-    if best.evidence is not None and not tight.ran:
+    if best.evidence is not None and not tight.step.ran:
         person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, person, tight.pose, options, annealing, seed)
+    plan += (tight.step, final.step)
     low, high = HUMAN_SCALE
     if not low <= final.pose.scale <= high:
-        warnings.warn(
-            f"{scan.name}: the face is {100 * final.pose.scale:.0f} % of the model's size, which no person's "
-            "is; check the unit of the scan",
-            UserWarning,
-            stacklevel=2,
-        )
+        reason = "the face's size is outside people's; check the unit of the scan"
+        size = f"{100 * final.pose.scale:.0f} % of the model's"
+        plan += (PlanStep.doubt("register.size", f"{scan.name}: {reason}", size),)
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid(model.front)) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),
         depth_error=final.depth_error,
         converged=not any(m.exhausted for m in (meter, closing, annealing)),
-        confidence=acceptance.confidence,
+        confidence=probability(candidates),
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,
         trace=meter.trace + closing.trace + annealing.trace,
-        notes=(acceptance.note, tight.note, final.note),
+        plan=plan,
         face_scale=final.pose.scale,
+    )
+
+
+def refined_registration(
+    registration: Registration,
+    scan: RawScan,
+    model: AnnotatedSurface,
+    model_from_scan: FloatArray,
+    face_scale: float,
+) -> Registration:
+    """Return the registration with a refined pose (4, 4) and face scale, the RMS distance measured there.
+
+    The plan tells how far that pose is from the one before. All else, `depth_error` too, is the search's.
+    """
+    faces = scan.faces[~far_faces(scan.vertices, scan.faces)]
+    # In the frame of the search, so that the same pose has the same distance.
+    vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
+    samples = oriented_points(vertices, faces, SPACING_MM)
+    prepared_from_model = prepared_from_scan @ invert_rigid(model_from_scan)
+    pose = Similarity.of_rigid(prepared_from_model, face_scale, model.front)
+    change = model_from_scan @ invert_rigid(registration.model_from_scan)
+    turned_deg = np.rad2deg(rotation_angle_rad(change[:3, :3]))
+    evidence = f"{turned_deg:.1f} degrees and {np.linalg.norm(change[:3, 3]):.1f} mm from the search's"
+    step = PlanStep("register.refined_pose", True, "the pose with which the fit ended", evidence)
+    return replace(
+        registration,
+        model_from_scan=model_from_scan,
+        face_scale=face_scale,
+        rmse_mm=rms_mm(samples, Template.of(model, 0), pose),
+        plan=registration.plan + (step,),
     )

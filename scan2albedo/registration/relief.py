@@ -6,32 +6,27 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.alignment import NearestGrid
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.registration.scan_noise import SurfaceNoise
-from scan2albedo.registration.scan_preparation import NearestGrid
-
-Mask = BoolArray
+from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.geometry.surface_noise import SurfaceNoise
 
 _NEAR_SAMPLE_MM = 15.0
 _LEAST_NORMAL_Z = 0.3
 _FEWEST_SAMPLES = 60
 _SIZE = 72
-_LOOK_THROUGH_MM = 30.0
-_SAME_SURFACE_MM = 20.0
-_SAME_POINT_MM = 10.0
-"""A vertex as near to the depth image as that is on the surface it shows, steep and noisy as it may be."""
+LOOK_THROUGH_MM = 30.0
+"""What lies farther before the model is no face: a hand, a lock of hair."""
+_SAME_SURFACE_MM, _SAME_POINT_MM = 20.0, 10.0
+"""A vertex this near to the depth image is on the surface it shows, however steep and noisy that is."""
 _STEEPEST_SLOPE = 1.5
-_SMOOTHING_PIXELS = 1.5
-_WINDOW_PIXELS = 4.0
-_FEATURE_PIXELS = 5.0
+_SMOOTHING_PIXELS, _WINDOW_PIXELS = 1.5, 4.0
 _FLAT_SLOPE_SQUARED = 0.01
-_FEWEST_PIXELS = 64
-_ALLOWED_RMS_MM = 7.0
 _NOISE_LEFT = 4.0
 """Noise of blurred slopes, relative to that of independent depths of the vertices: those between vertices are
 interpolated, so that a blur lessens it less. Chosen so that people agree as much with noise
@@ -41,7 +36,6 @@ _LEAST_VARIANCE = 0.1
 """Of slopes that noise is compared with: a third of a face's, so that a flat scrap is not excused."""
 _LEAST_SIGNAL = 0.5
 """Noise excuses no more than this: most of what it hides is not known to be there."""
-_ON_EDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -61,136 +55,45 @@ class DepthFrame:
         """Side of a pixel."""
         return self.width / self.size
 
+    def pixels(self, points: FloatArray) -> FloatArray:
+        """Return the places (N, 2), column and row, of points (N, 3)."""
+        offset = (points[:, :2] - self.center) / [self.pixel, -self.pixel]
+        return offset + (self.size - 1) / 2
+
 
 def depth_image(
-    vertices: ArrayLike,
+    vertices: FloatArray,
     faces: ArrayLike,
     frame: DepthFrame,
-    view_from_mesh: ArrayLike | None = None,
+    view_from_mesh: FloatArray | None = None,
     *,
     z_limit: float = np.inf,
 ) -> FloatArray:
     """Return (size, size) greatest z at each pixel centre, -inf where the mesh is not seen.
 
-    Both sides of `faces` (F, 3) are seen, after the rigid `view_from_mesh` (4, 4) of the vertices (V, 3).
-    Surface above `z_limit` is ignored (a hand or a lock of hair before the face).
+    Both sides of `faces` (F, 3) are seen, after the affine `view_from_mesh` (4, 4) of the vertices (V, 3).
+    Faces that reach above `z_limit` are ignored.
     """
-    pose = np.eye(4) if view_from_mesh is None else np.asarray(view_from_mesh, np.float64)
-    image = np.empty((frame.size, frame.size))
-    vertices = np.ascontiguousarray(vertices, np.float64)
-    render_depth(
-        vertices,
-        np.ascontiguousarray(faces, np.int64),
-        np.ascontiguousarray(pose),
-        (float(frame.center[0]), float(frame.center[1]), frame.pixel),
-        float(z_limit),
-        np.empty_like(vertices),
-        image,
-    )
-    return image
-
-
-@njit(cache=True, nogil=True)
-def render_depth(vertices, faces, pose, view, z_limit, projected, image):  # type: ignore[no-untyped-def]
-    """Fill `image` (S, S) with depths; `projected` (V, 3) is scratch, `view` is (x, y, pixel side)."""
-    height, width = image.shape
-    image[:] = -np.inf
-    for v in range(vertices.shape[0]):
-        x, y, z = vertices[v, 0], vertices[v, 1], vertices[v, 2]
-        projected[v, 0] = (pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3] - view[0]) / view[
-            2
-        ] + (width - 1) / 2
-        projected[v, 1] = (height - 1) / 2 - (
-            pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3] - view[1]
-        ) / view[2]
-        projected[v, 2] = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
-    for f in range(faces.shape[0]):
-        _fill(projected, faces[f, 0], faces[f, 1], faces[f, 2], z_limit, image)
-
-
-@njit(cache=True, nogil=True)
-def _fill(projected, a, b, c, z_limit, image):  # type: ignore[no-untyped-def]
-    ax, ay, az = projected[a, 0], projected[a, 1], projected[a, 2]
-    bx, by, bz = projected[b, 0], projected[b, 1], projected[b, 2]
-    cx, cy, cz = projected[c, 0], projected[c, 1], projected[c, 2]
-    height, width = image.shape
-    first_row, last_row = max(np.ceil(min(ay, by, cy)), 0.0), min(np.floor(max(ay, by, cy)), height - 1.0)
-    first_column, last_column = (
-        max(np.ceil(min(ax, bx, cx)), 0.0),
-        min(np.floor(max(ax, bx, cx)), width - 1.0),
-    )
-    if first_row > last_row or first_column > last_column:
-        return
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    if area == 0.0:
-        return
-    # z = az + slope_x (column - ax) + slope_y (row - ay) on the plane of the face.
-    slope_x = ((bz - az) * (cy - ay) - (cz - az) * (by - ay)) / area
-    slope_y = ((cz - az) * (bx - ax) - (bz - az) * (cx - ax)) / area
-    # The edges bound the columns of every row; testing pixel by pixel costs mispredicted branches.
-    side = 1.0 if area > 0 else -1.0
-    low_a, low_step_a, high_a, high_step_a = _bounds(ax, ay, bx, by, side)
-    low_b, low_step_b, high_b, high_step_b = _bounds(bx, by, cx, cy, side)
-    low_c, low_step_c, high_c, high_step_c = _bounds(cx, cy, ax, ay, side)
-    for row in range(int(first_row), int(last_row) + 1):
-        low = max(low_a + low_step_a * row, low_b + low_step_b * row, low_c + low_step_c * row, first_column)
-        high = min(
-            high_a + high_step_a * row, high_b + high_step_b * row, high_c + high_step_c * row, last_column
-        )
-        from_z = az - slope_x * ax + slope_y * (row - ay)
-        for column in range(int(np.ceil(low)), int(np.floor(high)) + 1):
-            z = from_z + slope_x * column
-            if z > image[row, column] and z <= z_limit:
-                image[row, column] = z
-
-
-@njit(cache=True, nogil=True)
-def _bounds(px, py, qx, qy, side):  # type: ignore[no-untyped-def]
-    """Return least and greatest column as functions of the row (value, step, value, step) beside an edge."""
-    rise = qy - py
-    if abs(rise) < 1e-12:
-        return -np.inf, 0.0, np.inf, 0.0
-    step = (qx - px) / rise
-    at_zero = px - step * py
-    if side * rise < 0:
-        return at_zero - _ON_EDGE, step, np.inf, 0.0
-    return -np.inf, 0.0, at_zero + _ON_EDGE, step
-
-
-@dataclass(frozen=True)
-class FaceScores:
-    """Agreement of the depth images of the posed scan and the model.
-
-    `coverage` is the part of the model's features with scan within 20 mm, `rms_mm` the RMS distance of the
-    model's inlying samples to the scan. `relief_correlation` is the correlation of the depth derivatives in
-    windows of about 3 cm, averaged over the features, after a quadratic fit is taken out of each: the bulge
-    that a head shares with a ball does not count, and nose, orbits and mouth must each be there.
-    """
-
-    coverage: float
-    relief_correlation: float
-    rms_mm: float
-
-    @property
-    def likeness(self) -> float:
-        """Relief correlation times exp(-(rms / 7 mm)^2); 0.9 for the model itself."""
-        return self.relief_correlation * float(np.exp(-((self.rms_mm / _ALLOWED_RMS_MM) ** 2)))
-
-    @property
-    def ranking(self) -> float:
-        """Likeness, lessened where little of the face is covered: ranks poses."""
-        return self.likeness * min(1.0, self.coverage / 0.6) ** 0.5
+    points = vertices if view_from_mesh is None else transform_points(view_from_mesh, vertices)
+    index, depth = np.asarray(faces), np.ascontiguousarray(points[:, 2])
+    if depth.max(initial=-np.inf) > z_limit:
+        index = index[(depth[index] <= z_limit).all(1)]
+    raster = rasterize(frame.pixels(points), depth, index, (frame.size, frame.size))
+    return np.where(raster.covered, interpolate(raster, index, depth), -np.inf)
 
 
 @dataclass(frozen=True)
 class ReliefAgreement:
-    """How the depth image of a scan agrees with that of the template in the same shape.
+    """How the depth image of a scan agrees with the model's.
 
-    `local` is the correlation of the depth derivatives, less their quadratic trend, averaged over windows of
-    about 3 cm, `whole` that over all windows together. `noise_mm` is that of the scan's vertices there, and
-    `signal` the part of the variance of its slopes that it does not explain, 0.5 at least.
+    `coverage` is the part of the model's features with scan within 20 mm. `local` is the correlation of the
+    depth derivatives, less their quadratic trend, averaged over windows of about 3 cm, `whole` that over all
+    windows together: the bulge that a head shares with a ball does not count, and nose, orbits and mouth must
+    each be there. `noise_mm` is that of the scan's vertices there, and `signal` the part of the variance of
+    its slopes that it does not explain, 0.5 at least.
     """
 
+    coverage: float
     local: float
     whole: float
     noise_mm: float = 0.0
@@ -214,48 +117,33 @@ class FaceImage:
         low, high = vertices.min(0), vertices.max(0)
         center = (low + high) / 2
         self.frame = DepthFrame((float(center[0]), float(center[1])), 1.02 * float(np.max(high - low)), _SIZE)
-        self.depth = depth_image(vertices, faces, self.frame)
-        self._inside = np.isfinite(self.depth)
-        self._highest_mm = float(high[2]) + _LOOK_THROUGH_MM
-        relief, _ = self._relief(self.depth, self._inside, 0.0)
-        self._weights = self._inside * np.sqrt(gaussian_filter((relief**2).sum(0), _FEATURE_PIXELS))
-
-    def scores(
-        self,
-        vertices: FloatArray,
-        faces: IntArray,
-        model_from_scan: FloatArray,
-        rms_mm: float = 0.0,
-    ) -> FaceScores:
-        """Score a scan under a (4, 4) transform into the model's frame (rigid or similarity)."""
-        seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
-        difference = np.where(self._inside, seen, np.inf) - np.where(self._inside, self.depth, 0.0)
-        common = np.abs(difference) < _SAME_SURFACE_MM
-        coverage = float(self._weights[common].sum() / self._weights.sum())
-        if common.sum() < _FEWEST_PIXELS:
-            return FaceScores(coverage, 0.0, rms_mm)
-        scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
-        model, _ = self._relief(self.depth, common, _SMOOTHING_PIXELS)
-        correlation = _local_correlation(scan, model, used, self._weights)
-        return FaceScores(coverage, correlation, rms_mm)
+        self._depth = depth_image(vertices, faces, self.frame)
+        inside = np.isfinite(self._depth)
+        self._highest_mm = float(high[2]) + LOOK_THROUGH_MM
+        relief, _ = self._relief(self._depth, inside, 0.0)
+        self._weights = inside * np.sqrt(gaussian_filter((relief**2).sum(0), _WINDOW_PIXELS))
 
     def agreement(
         self,
         vertices: FloatArray,
         faces: IntArray,
-        noise: SurfaceNoise,
         model_from_scan: FloatArray,
-        surface: FloatArray,
+        surface: FloatArray | None = None,
+        noise: SurfaceNoise | None = None,
     ) -> ReliefAgreement:
-        """Compare a scan under a (4, 4) transform with the model's mesh moved to `surface` (V, 3)."""
+        """Compare a scan under a (4, 4) similarity into the model's frame with the model.
+
+        `surface` (V, 3) are the vertices of the model in another shape. The scan's `noise` is measured where
+        it lies at the model, when given.
+        """
         seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
-        depth = depth_image(surface, self._faces, self.frame)
-        inside = self._inside & np.isfinite(depth)
+        depth = self._depth if surface is None else depth_image(surface, self._faces, self.frame)
+        inside = (self._weights > 0) & np.isfinite(depth)
         depth = np.where(inside, depth, 0.0)
-        distance = np.abs(np.where(inside, seen, np.inf) - depth)
-        common = distance < _SAME_SURFACE_MM
-        if common.sum() < _FEWEST_PIXELS:
-            return ReliefAgreement(0.0, 0.0)
+        common = np.abs(np.where(inside, seen, np.inf) - depth) < _SAME_SURFACE_MM
+        coverage = float(self._weights[common].sum() / self._weights.sum())
+        if common.sum() < _FEWEST_SAMPLES:
+            return ReliefAgreement(coverage, 0.0, 0.0)
         scan, used = self._relief(seen, common, _SMOOTHING_PIXELS)
         model, _ = self._relief(depth, common, _SMOOTHING_PIXELS)
         weights = self._weights * used
@@ -263,37 +151,30 @@ class FaceImage:
             float((weights * (a * b).sum(0)).sum()) + 1e-12
             for a, b in ((scan, model), (scan, scan), (model, model))
         )
-        local = _local_correlation(scan, model, used, self._weights)
-        on_face = self._shown(vertices, model_from_scan, np.where(common, seen, np.inf))
-        noise_mm, area_mm2 = noise.among(on_face)
-        scale = float(np.linalg.norm(model_from_scan[0, :3]))
-        of_noise = self._slope_noise(noise_mm * scale, area_mm2 * scale**2)
-        variance = max(of_scan / float(weights.sum()), _LEAST_VARIANCE)
-        signal = max(1 - of_noise / variance, _LEAST_SIGNAL)
-        return ReliefAgreement(local, both / float(np.sqrt(of_scan * of_model)), noise_mm, signal)
-
-    def _slope_noise(self, noise_mm: float, area_mm2: float) -> float:
-        """Return the variance of blurred slopes (both axes) that noise of vertices, one in an area, makes.
-
-        Of independent depths under a Gaussian blur s it would be noise^2 area / (4 pi s^4).
-        """
-        blur_mm = _SMOOTHING_PIXELS * self.frame.pixel
-        return float(_NOISE_LEFT * noise_mm**2 * area_mm2 / (4 * np.pi * blur_mm**4))
-
-    def _shown(self, vertices: FloatArray, model_from_scan: FloatArray, seen: FloatArray) -> Mask:
-        """Return which vertices (V,) lie on the surface that a depth image (S, S) shows."""
-        points = vertices @ model_from_scan[:3, :3].T + model_from_scan[:3, 3]
-        middle = (_SIZE - 1) / 2
-        column = np.rint((points[:, 0] - self.frame.center[0]) / self.frame.pixel + middle)
-        row = np.rint(middle - (points[:, 1] - self.frame.center[1]) / self.frame.pixel)
+        whole, local = both / float(np.sqrt(of_scan * of_model)), _local_correlation(scan, model, weights)
+        if noise is None:
+            return ReliefAgreement(coverage, local, whole)
+        # Noise of the vertices that lie on the surface which the image shows.
+        points = transform_points(model_from_scan, vertices)
+        column, row = np.rint(self.frame.pixels(points)).astype(np.int64).T
         shown = (column >= 0) & (column < _SIZE) & (row >= 0) & (row < _SIZE)
-        at = seen[row[shown].astype(int), column[shown].astype(int)]
+        at = np.where(common, seen, np.inf)[row[shown], column[shown]]
         shown[shown] = np.abs(points[shown, 2] - at) < _SAME_POINT_MM
-        return shown
+        noise_mm, area_mm2 = noise.among(shown)
+        # Variance of blurred slopes (both axes). Of independent depths, one in an area, under a Gaussian
+        # blur s it would be noise^2 area / (4 pi s^4).
+        scale = float(np.linalg.norm(model_from_scan[0, :3]))
+        blur_mm = _SMOOTHING_PIXELS * self.frame.pixel / scale
+        of_noise = _NOISE_LEFT * noise_mm**2 * area_mm2 / (4 * np.pi * blur_mm**4)
+        variance = max(of_scan / float(weights.sum()), _LEAST_VARIANCE)
+        return ReliefAgreement(coverage, local, whole, noise_mm, max(1 - of_noise / variance, _LEAST_SIGNAL))
 
-    def _relief(self, depth: FloatArray, mask: Mask, smoothing: float) -> tuple[FloatArray, Mask]:
+    def _relief(self, depth: FloatArray, mask: BoolArray, smoothing: float) -> tuple[FloatArray, BoolArray]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
-        smooth = _smoothed(depth, mask, smoothing)
+        smooth = np.where(mask, depth, 0.0)
+        if smoothing > 0:
+            weight = np.maximum(gaussian_filter(mask.astype(np.float64), smoothing), 1e-9)
+            smooth = np.where(mask, gaussian_filter(smooth, smoothing) / weight, 0.0)
         used = np.zeros_like(mask)
         used[:-1, :-1] = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1]
         position = np.argwhere(used) / _SIZE - 0.5
@@ -305,26 +186,16 @@ class FaceImage:
         return relief, used
 
 
-def _smoothed(depth: FloatArray, mask: Mask, sigma: float) -> FloatArray:
-    """Return the depth blurred within the mask, 0 outside."""
-    filled = np.where(mask, depth, 0.0)
-    if sigma == 0:
-        return filled
-    weight = gaussian_filter(mask.astype(np.float64), sigma)
-    return np.where(mask, gaussian_filter(filled, sigma) / np.maximum(weight, 1e-9), 0.0)
-
-
-def _local_correlation(a: FloatArray, b: FloatArray, used: Mask, weights: FloatArray) -> float:
+def _local_correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
     """Return the weighted mean over pixels of the correlation of a and b (2, S, S) in Gaussian windows."""
 
     def window(values: NDArray[Any]) -> FloatArray:
         return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
 
     # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
-    floor = _FLAT_SLOPE_SQUARED * (window(used) + 1e-9)
+    floor = _FLAT_SLOPE_SQUARED * (window(weights > 0) + 1e-9)
     norm = np.sqrt((window((a * a).sum(0)) + floor) * (window((b * b).sum(0)) + floor))
-    counted = weights * used
-    return float((counted * window((a * b).sum(0)) / norm).sum() / max(counted.sum(), 1e-300))
+    return float((weights * window((a * b).sum(0)) / norm).sum() / max(weights.sum(), 1e-300))
 
 
 def normal_relief(
@@ -347,14 +218,10 @@ def normal_relief(
         return 0.0
     position = model.points[used, :2] / np.abs(model.points[:, :2]).max()
     weights = model.areas[used]
-    slopes = np.concatenate([_slopes(model.normals[used]), _slopes(normals[used])], 1)
-    relief = without_quadratic_trend(slopes, position, weights)
+    slopes = [n[:, :2] / np.maximum(n[:, 2:], _LEAST_NORMAL_Z) for n in (model.normals[used], normals[used])]
+    relief = without_quadratic_trend(np.concatenate(slopes, 1), position, weights)
     alike = correlation(relief[:, :2].ravel(), relief[:, 2:].ravel(), np.repeat(weights, 2))
     return alike * float(np.sqrt(used.sum() / front.sum()))
-
-
-def _slopes(normals: FloatArray) -> FloatArray:
-    return normals[:, :2] / np.maximum(normals[:, 2:], _LEAST_NORMAL_Z)
 
 
 def without_quadratic_trend(values: FloatArray, position: FloatArray, weights: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The face model as registration sees it: samples with weights and its depth image."""
+"""The face model as registration sees it: samples with weights and modes, and its depth image."""
 
 from __future__ import annotations
 
@@ -17,33 +17,9 @@ from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.relief import FaceImage
 
-_LEVELS = 1
+_SPACING_MM = 6.0
 _FEWEST_CONTROL_VERTICES = 20
 _WEIGHT_RANGE = (0.2, 3.0)
-
-
-@dataclass(frozen=True)
-class Modes:
-    """How people differ from the model: `shape_modes` at the samples (N, 3, K) and control points (K, C, 3).
-
-    `surface_from_control` (V, C) and `coarse_from_control` (C, C) give the surfaces of moved control points.
-    """
-
-    at_samples: FloatArray
-    control: FloatArray
-    surface_from_control: csr_matrix
-    coarse_from_control: csr_matrix
-
-    def __len__(self) -> int:
-        return self.at_samples.shape[2]
-
-    def of_surface(self, coefficients: FloatArray) -> FloatArray:
-        """Return by how much (V, 3) coefficients (K,) move the surface's points."""
-        return self.surface_from_control @ np.tensordot(coefficients, self.control, 1)
-
-    def of_coarse(self, coefficients: FloatArray) -> FloatArray:
-        """Return by how much (C, 3) coefficients (K,) move the coarse surface's points."""
-        return self.coarse_from_control @ np.tensordot(coefficients, self.control, 1)
 
 
 @dataclass(frozen=True)
@@ -51,85 +27,90 @@ class Template:
     """Samples of the face model, in its frame, mm, in random order (a prefix is a fair sample).
 
     `rigidity` (M,) is area times stiffness relative to the mean: large on forehead and nose, small on lips
-    and jaw. `front` (3,) is the model's; `image` scores posed scans. `coarse_vertices`
-    (C, 3) and `coarse_faces` (F, 3) are the limit surface at the control vertices, small enough to be drawn
-    thousands of times, `coarse_stiffness` (C,) the relative stiffness there, clipped. `modes` are how people
-    differ.
+    and jaw. `modes` (M, 3, K) are how people differ there, `control_modes` (K, C, 3) at the control points,
+    which `surface_from_control` (V, C) takes to the vertices of `image`; that scores posed scans. `front`
+    (3,) is the model's. `coarse_vertices` (C, 3) and `coarse_faces` (F, 3) are the limit surface at the
+    control vertices, small enough to be drawn thousands of times, `coarse_stiffness` (C,) the relative
+    stiffness there, clipped.
     """
 
     samples: OrientedPoints
     rigidity: FloatArray
+    modes: FloatArray
     front: FloatArray
     image: FaceImage
     coarse_vertices: FloatArray
     coarse_faces: IntArray
     coarse_stiffness: FloatArray
-    modes: Modes
+    control_modes: FloatArray
+    surface_from_control: csr_matrix
+    coarse_from_control: csr_matrix
 
     @classmethod
-    def of(cls, model: AnnotatedSurface, spacing_mm: float, seed: int) -> Template:
-        """Sample a model about every `spacing_mm`; too few control vertices raise a `RegistrationError`.
+    def of(cls, model: AnnotatedSurface, seed: int) -> Template:
+        """Sample a model about every 6 mm; too few control vertices raise a `RegistrationError`.
 
         The answer is kept for as long as the model is.
         """
-        key = (id(model), spacing_mm, seed)
-        if key not in _KNOWN:
-            _KNOWN[key] = cls._sampled(model, spacing_mm, seed)
-            weakref.finalize(model, _KNOWN.pop, key, None)
-        return _KNOWN[key]
-
-    @classmethod
-    def _sampled(cls, model: AnnotatedSurface, spacing_mm: float, seed: int) -> Template:
+        key = (id(model), seed)
+        if key in _KNOWN:
+            return _KNOWN[key]
         if len(model.control_vertices) < _FEWEST_CONTROL_VERTICES:
             raise RegistrationError(
                 f"{model.name}: a model of {len(model.control_vertices)} control vertices has no relief "
                 f"to find a face by; it needs at least {_FEWEST_CONTROL_VERTICES}, better some hundred"
             )
-        vertices, faces = model.surface(_LEVELS)
-        samples = oriented_points(vertices, faces, spacing_mm)
+        vertices, faces = model.surface(1)
+        samples = oriented_points(vertices, faces, _SPACING_MM)
         samples = samples.subset(np.random.default_rng(seed).permutation(len(samples)))
         coarse_vertices, coarse_faces = model.surface(0)
-        stiffness = _vertex_stiffness(model, len(coarse_vertices), coarse_faces)
+        stiffness, of_face = np.ones(len(coarse_vertices)), model.region_values("stiffness")[model.region]
+        if (mean := of_face.mean()) > 0:
+            relative = np.clip(of_face / mean, *_WEIGHT_RANGE)
+            stiffness = vertex_average(len(coarse_vertices), coarse_faces, relative)
         _, nearest = cKDTree(coarse_vertices).query(samples.points)
         rigidity = samples.areas * stiffness[nearest]
         # Its square: what moves with an expression shall not turn the rest, however large it is.
         steadiness = np.zeros(len(coarse_vertices))
         np.add.at(steadiness, nearest, rigidity * stiffness[nearest])
-        modes, matrix = shape_modes(model, steadiness), model.subdivision(_LEVELS).matrix
+        modes, matrix = shape_modes(model, steadiness), model.subdivision(1).matrix
         _, point = cKDTree(vertices).query(samples.points)
-        at_samples = (matrix[point] @ modes.transpose(1, 2, 0).reshape(len(coarse_vertices), -1)).reshape(
-            len(samples), 3, len(modes)
-        )
-        return cls(
+        at_samples = matrix[point] @ modes.transpose(1, 2, 0).reshape(len(coarse_vertices), -1)
+        _KNOWN[key] = cls(
             samples,
             rigidity,
+            at_samples.reshape(len(samples), 3, len(modes)),
             model.front,
             FaceImage(vertices, faces),
             coarse_vertices,
             coarse_faces,
             stiffness,
-            Modes(at_samples, modes, matrix, model.subdivision(0).matrix),
+            modes,
+            matrix,
+            model.subdivision(0).matrix,
         )
+        weakref.finalize(model, _KNOWN.pop, key, None)
+        return _KNOWN[key]
 
     def in_shape(self, coefficients: FloatArray) -> Template:
         """Return the template moved by its modes times coefficients (K,); normals and image stay."""
+        moved = np.tensordot(coefficients, self.control_modes, 1)
         return replace(
             self,
-            samples=replace(self.samples, points=self.samples.points + self.modes.at_samples @ coefficients),
-            coarse_vertices=self.coarse_vertices + self.modes.of_coarse(coefficients),
+            samples=replace(self.samples, points=self.samples.points + self.modes @ coefficients),
+            coarse_vertices=self.coarse_vertices + self.coarse_from_control @ moved,
         )
 
-    def first(self, count: int) -> OrientedPoints:
-        """Return the first `count` samples."""
-        return self.samples.subset(np.arange(min(count, len(self.samples))))
+    def first(self, count: int) -> Template:
+        """Return the template with its first `count` samples."""
+        chosen = np.arange(min(count, len(self.samples)))
+        return replace(
+            self,
+            samples=self.samples.subset(chosen),
+            rigidity=self.rigidity[chosen],
+            modes=self.modes[chosen],
+        )
 
 
-_KNOWN: dict[tuple[int, float, int], Template] = {}
-"""By the identity of the model, spacing and seed: thousands of scans are registered with one model."""
-
-
-def _vertex_stiffness(model: AnnotatedSurface, vertex_count: int, faces: IntArray) -> FloatArray:
-    of_face = model.region_values("stiffness")[model.region]
-    if of_face.mean() <= 0:
-        return np.ones(vertex_count)
-    return vertex_average(vertex_count, faces, np.clip(of_face / of_face.mean(), *_WEIGHT_RANGE))
+_KNOWN: dict[tuple[int, int], Template] = {}
+"""By the identity of the model and seed: thousands of scans are registered with one model."""

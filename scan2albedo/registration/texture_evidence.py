@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.geometry.nearest_surface import NearestSurface
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.polylines import polyline_distance
 from scan2albedo.geometry.rigid import invert_rigid, transform_points

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.mesh_filling import filled_over_mesh
+from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb

@@ -12,7 +12,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.pinhole import camera_centers, fit_camera
-from scan2albedo.geometry.seams import split_at_seams
+from scan2albedo.geometry.tangents import split_at_seams
 
 _LEAST_PART, _LEAST_FACES = 0.02, 100
 """Faces of a piece of the texture from which a camera is fitted: as a part of all, and their number."""

@@ -26,7 +26,7 @@ from scan2albedo.applications.expression_transfer import (
 from scan2albedo.applications.personal_model import limit_control_points, refinement_level
 from scan2albedo.cli.commands import app
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.nearest_surface import surface_query
+from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import face_shape

@@ -31,3 +31,13 @@ def test_stage_selects_itself_and_what_lies_below_but_no_namesake():
 def test_rows_cannot_be_changed():
     with pytest.raises(dataclasses.FrozenInstanceError):
         LIGHTS.ran = False
+
+
+def test_level_follows_from_ran_unless_it_is_a_doubt_or_a_fault():
+    gap, halves = PlanStep.doubt("fit", "the mouth may be open", "3 mm"), PlanStep.wrong("load", "empty")
+    assert [step.level for step in (SHADOWS, LIGHTS, gap, halves)] == ["left out", "did", "doubt", "wrong"]
+    assert not gap.ran
+    assert gap.text == "the mouth may be open (3 mm)"
+    assert halves.text == "empty"
+    assert Plan((SHADOWS, gap, LIGHTS, halves)).doubts().steps == (gap, halves)
+    assert Plan() + [gap] == Plan((gap,))

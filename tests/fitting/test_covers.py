@@ -11,8 +11,8 @@ from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.covers import uncovered
 from scan2albedo.fitting.plausibility import doubts
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
-from scan2albedo.geometry.nearest_surface import NearestSurface
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic import raw_like
 from scan2albedo.synthetic.face_shape import face_surface, person

@@ -2,7 +2,7 @@
 
 import pytest
 
-from scan2albedo.geometry.blocks import blocks, each_block
+from scan2albedo.geometry.rays import blocks, each_block
 
 
 def test_blocks_cover_all_rows_once():

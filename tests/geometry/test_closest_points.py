@@ -2,10 +2,8 @@ import igl
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.closest_points import ClosestPointQuery, NearestSurface, weights_nearest_origin
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.nearest_surface import NearestSurface
-from scan2albedo.geometry.triangle_tree import weights_nearest_origin
 
 
 def bumpy_grid(size: int = 30) -> tuple[np.ndarray, np.ndarray]:

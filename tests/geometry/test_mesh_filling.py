@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.mesh_filling import filled_over_mesh
+from scan2albedo.geometry.operators import filled_over_mesh
 
 
 def grid(side):

@@ -44,12 +44,6 @@ def test_inverse_and_composition():
     np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(points, axis=1))
 
 
-def test_quaternions_of_half_turns():
-    turns = rigid.rotation_from_quaternion([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
-    diagonals = [np.diag(turn).tolist() for turn in turns]
-    assert diagonals == [[1, -1, -1], [-1, 1, -1], [-1, -1, 1]]
-
-
 def test_super_fibonacci_rotations_leave_no_gap_and_do_not_crowd():
     rotations = rigid.super_fibonacci_rotations(300)
     np.testing.assert_allclose(np.einsum("nij,nkj->nik", rotations, rotations), [np.eye(3)] * 300, atol=1e-12)

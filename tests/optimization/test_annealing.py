@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.core import Budget, Meter
-from scan2albedo.optimization import AnnealingOptions, simulated_annealing
+from scan2albedo.optimization import simulated_annealing
 
 
 def rastrigin(x):
@@ -16,9 +16,8 @@ BOX = [-5.0, -5.0], [5.0, 5.0]
 
 def test_leaves_local_minima():
     # A descent from the start ends in the minimum near (4, 4), at a cost of 32.
-    options = AnnealingOptions(evaluations=4000)
     costs = [
-        simulated_annealing(rastrigin, [4, 4], *BOX, seed=seed, options=options).cost for seed in range(5)
+        simulated_annealing(rastrigin, [4, 4], *BOX, seed=seed, evaluations=4000).cost for seed in range(5)
     ]
     assert np.median(costs) < 1.1
     assert max(costs) < 8
@@ -76,6 +75,6 @@ def test_a_start_where_the_cost_is_not_a_number_is_left():
     def cost(x):
         return float("nan") if x[0] > 0.5 else float((x[0] + 0.2) ** 2)
 
-    result = simulated_annealing(cost, [0.9], [-1], [1], options=AnnealingOptions(evaluations=500))
+    result = simulated_annealing(cost, [0.9], [-1], [1], evaluations=500)
     assert abs(result.x[0] + 0.2) < 0.05
     assert np.isfinite(result.cost)

@@ -29,7 +29,7 @@ from scan2albedo.pipeline import process as pipeline_process
 from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
 from scan2albedo.pipeline.options import FORCEABLE, process_options
-from scan2albedo.registration.refined_pose import refined_registration
+from scan2albedo.registration.register import refined_registration
 from scan2albedo.synthetic.raw_scan import RawScanOptions, raw_scan
 
 SIZE = 128
@@ -174,7 +174,7 @@ def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result,
     anew = refined_registration(
         searched, case[0], model, result.fitted.model_from_scan, registration.face_scale
     )
-    assert (anew.rmse_mm, anew.notes) == (registration.rmse_mm, registration.notes)
+    assert (anew.rmse_mm, anew.plan) == (registration.rmse_mm, registration.plan)
     (row,) = result.plan.of_stage("register.refined_pose")
     assert "degrees and" in row.evidence
 

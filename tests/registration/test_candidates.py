@@ -18,7 +18,7 @@ from scan2albedo.geometry.rigid import (
 from scan2albedo.registration.candidates import Candidate, Colors, ScanTarget
 from scan2albedo.registration.evidence import Evidence
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.relief import FaceScores, ReliefAgreement
+from scan2albedo.registration.relief import ReliefAgreement
 from scan2albedo.registration.scan_preparation import prepared_scan
 
 
@@ -26,9 +26,7 @@ def test_it_refines_and_repeats_its_bits(model):
     samples = oriented_points(*model.surface(1), 4.0)
     target = ScanTarget(samples)
     start = compose(rotation_from_vector([0.1, -0.05, 0.08]), [6.0, -4.0, 5.0])
-    poses = [
-        target.refine(samples, start, max_distance_mm=20.0, scale_mm=8.0, iterations=30) for _ in range(4)
-    ]
+    poses = [target.refine(samples, start) for _ in range(4)]
     assert np.degrees(rotation_angle_rad(poses[0][:3, :3])) < 0.1
     assert np.linalg.norm(poses[0][:3, 3]) < 0.1
     assert all(np.array_equal(poses[0], pose) for pose in poses[1:])
@@ -56,8 +54,8 @@ def test_a_missing_system_library_is_one_line_with_the_command(monkeypatch, erro
 
 
 def looked_at(pose, relief):
-    found = Evidence(pose, np.zeros(65), 1.0, 1.0, ReliefAgreement(relief, relief), np.zeros(3))
-    return Candidate(pose, FaceScores(1.0, relief, 1.0), found)
+    agreement = ReliefAgreement(1.0, relief, relief)
+    return Candidate(pose, agreement, 1.0, Evidence(pose, np.zeros(65), 1.0, 1.0, agreement, np.zeros(3)))
 
 
 def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(model):
@@ -68,9 +66,9 @@ def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(
     upright = Similarity(truth[:3, :3], truth[:3, 3])
     flipped = Similarity(truth[:3, :3] @ np.diag([-1.0, -1.0, 1.0]), truth[:3, 3])
     sure = (looked_at(flipped, 0.9), looked_at(upright, 0.3))
-    assert colors.heard(sure) is sure
+    assert colors.rescored(sure) is sure
     doubtful = (looked_at(flipped, 0.3), looked_at(upright, 0.3))
-    best, other = colors.heard(doubtful)
+    best, other = colors.rescored(doubtful)
     assert best.pose is upright
     assert best.color_log_odds > 1
     assert other.color_log_odds < 0
@@ -81,4 +79,4 @@ def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
     bare = prepared_scan(RawScan(scan.vertices, scan.faces), RegistrationOptions())
     rest = Similarity(np.eye(3), np.zeros(3))
     doubtful = (looked_at(rest, 0.3),)
-    assert Colors(bare, model).heard(doubtful) is doubtful
+    assert Colors(bare, model).rescored(doubtful) is doubtful

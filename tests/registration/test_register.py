@@ -57,7 +57,7 @@ def test_the_pose_is_rigid_and_the_size_is_told_apart(registered):
     assert 0.85 < registration.face_scale < 1.15
 
 
-def test_the_trace_and_the_notes_tell_what_happened(registered, model):
+def test_the_trace_and_the_plan_tell_what_happened(registered, model):
     example, _ = registered
     registration = register(example.scan, model, options=RegistrationOptions(force_annealing=True))
     assert registration.trace.stages == ("icp", "shaped_icp", "tight_icp", "depth_annealing")
@@ -65,14 +65,14 @@ def test_the_trace_and_the_notes_tell_what_happened(registered, model):
     annealing = [row.error for row in registration.trace.of_stage("depth_annealing")]
     assert (np.diff(annealing) <= 0).all()
     assert annealing[-1] <= registration.depth_error <= annealing[0]
-    assert [(step, ran) for step, ran, _, _ in registration.notes] == [
-        ("search", True),
-        ("tight_icp", False),
-        ("depth_annealing", True),
+    assert [(step.stage, step.level) for step in registration.plan] == [
+        ("register.search", "did"),
+        ("register.tight_icp", "left out"),
+        ("register.depth_annealing", "did"),
     ]
-    assert "evaluations" in registration.notes[2][3]
+    assert "evaluations" in registration.plan[2].evidence
     assert registration.iterations >= 400
-    assert registration.notes[2][2].startswith("its pose is ")
+    assert registration.plan[2].reason.startswith("its pose is ")
 
 
 @pytest.mark.slow
@@ -87,7 +87,7 @@ def test_the_trace_and_the_notes_tell_what_happened(registered, model):
 def test_a_template_of_the_same_person_is_laid_on_exactly(ict_scan_of_template, shape, degrees, millimetres):
     template, example = ict_scan_of_template(shape, 3)
     registration = register(example.scan, template)
-    assert {step: ran for step, ran, _, _ in registration.notes}["tight_icp"]
+    assert registration.plan.ran("register.tight_icp")
     off = example.error(registration.model_from_scan)
     assert off[0] < degrees
     assert off[1] < millimetres
@@ -96,9 +96,9 @@ def test_a_template_of_the_same_person_is_laid_on_exactly(ict_scan_of_template, 
 @pytest.mark.slow
 def test_annealing_is_left_out_by_default_with_the_reason(ict_scan, model):
     for seed, shape in enumerate(("generic_neutral", "person2", "person4")):
-        step, ran, reason, _ = register(ict_scan(shape, seed).scan, model).notes[2]
-        assert (step, ran) == ("depth_annealing", False)
-        assert "no gain measured" in reason
+        step = register(ict_scan(shape, seed).scan, model).plan[2]
+        assert (step.stage, step.ran) == ("register.depth_annealing", False)
+        assert "no gain measured" in step.reason
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_the_same_pose(registered, model):
@@ -133,7 +133,7 @@ def test_annealing_can_be_left_out_and_progress_is_reported_as_it_is_recorded(re
     )
     assert tuple(rows) == registration.trace.rows
     assert registration.depth_error is None
-    assert registration.notes[2][:2] == ("depth_annealing", False)
+    assert not registration.plan.ran("register.depth_annealing")
     assert registration.trace.stages == ("icp", "shaped_icp", "tight_icp")
     assert example.error(registration.model_from_scan)[0] < 4
 
@@ -196,7 +196,7 @@ def test_a_million_vertices_are_sampled(ict, model):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"candidates": 0}, {"coarse_iterations": (4, 0)}, {"icp_iterations": -1}, {"kept_starts": 0}],
+    [{"candidates": 0}, {"settling_iterations": -1}, {"kept_starts": 0}, {"anchor_spacing_mm": np.inf}],
 )
 def test_options_that_search_nothing_are_refused(changes):
     with pytest.raises(ValueError, match=f"{next(iter(changes))} must be "):

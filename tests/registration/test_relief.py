@@ -6,7 +6,15 @@ import trimesh
 
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import (
+    Similarity,
+    compose,
+    random_rotation,
+    rotation_from_vector,
+    transform_points,
+)
+from scan2albedo.geometry.surface_noise import SurfaceNoise
+from scan2albedo.registration.candidates import Candidate
 from scan2albedo.registration.relief import (
     DepthFrame,
     FaceImage,
@@ -14,7 +22,8 @@ from scan2albedo.registration.relief import (
     depth_image,
     without_quadratic_trend,
 )
-from scan2albedo.registration.scan_noise import SurfaceNoise
+
+POSE = Similarity(np.eye(3), np.zeros(3))
 
 
 def pixel_centres(frame):
@@ -90,15 +99,15 @@ def image(model) -> FaceImage:
 
 
 def test_the_model_is_its_own_perfect_face(image, model):
-    scores = image.scores(*model.surface(2), np.eye(4))
-    assert scores.relief_correlation > 0.9
+    scores = image.agreement(*model.surface(2), np.eye(4))
+    assert scores.local > 0.9
     assert scores.coverage > 0.98
 
 
 def test_depth_along_the_view_does_not_matter(image, model):
     vertices, faces = model.surface(1)
-    near = image.scores(vertices, faces, compose(np.eye(3), [0, 0, 5.0]))
-    assert near.relief_correlation > 0.9
+    near = image.agreement(vertices, faces, compose(np.eye(3), [0, 0, 5.0]))
+    assert near.local > 0.9
 
 
 @pytest.mark.parametrize(
@@ -107,7 +116,7 @@ def test_depth_along_the_view_does_not_matter(image, model):
 def test_a_wrongly_turned_model_is_no_face(image, model, turn):
     vertices, faces = model.surface(1)
     pose = compose(rotation_from_vector(turn), np.zeros(3))
-    assert image.scores(vertices, faces, pose).ranking < 0.5
+    assert Candidate(POSE, image.agreement(vertices, faces, pose), 0.0).ranking < 0.5
 
 
 def test_smooth_bodies_have_no_relief(image, model):
@@ -115,20 +124,20 @@ def test_smooth_bodies_have_no_relief(image, model):
     for mesh in (trimesh.creation.icosphere(5, 90.0), trimesh.creation.cylinder(70, 300, sections=90)):
         body = np.asarray(mesh.vertices)
         pose = compose(np.eye(3), [0, 0, front - body[:, 2].max()])
-        assert image.scores(body, np.asarray(mesh.faces), pose).relief_correlation < 0.4
+        assert image.agreement(body, np.asarray(mesh.faces), pose).local < 0.4
 
 
 def test_far_away_there_is_neither_coverage_nor_relief(image, model):
-    scores = image.scores(*model.surface(1), compose(np.eye(3), [0, 0, 300.0]))
-    assert (scores.coverage, scores.relief_correlation, scores.ranking) == (0, 0, 0)
+    scores = image.agreement(*model.surface(1), compose(np.eye(3), [0, 0, 300.0]))
+    assert (scores.coverage, scores.local) == (0, 0)
 
 
 def test_half_a_face_scores_nearly_as_a_whole_one(image, model):
     vertices, faces = model.surface(1)
     half = faces[(vertices[faces][..., 0] > 0).all(1)]
-    scores = image.scores(vertices, half, np.eye(4))
+    scores = image.agreement(vertices, half, np.eye(4))
     assert 0.4 < scores.coverage < 0.6
-    assert scores.ranking > 0.7
+    assert Candidate(POSE, scores, 0.0).ranking > 0.7
 
 
 def test_trend_removal_leaves_nothing_of_a_quadratic():
@@ -150,10 +159,10 @@ def test_correlation_of_nothing_is_zero():
 def test_the_model_agrees_with_itself_and_its_back_does_not(image, model):
     vertices, faces = model.surface(2)
     noise = SurfaceNoise.of(vertices, faces)
-    same = image.agreement(vertices, faces, noise, np.eye(4), image.vertices)
+    same = image.agreement(vertices, faces, np.eye(4), noise=noise)
     assert same.whole > 0.99
     assert same.local > 0.9
-    other = image.agreement(vertices * [1, -1, 1], faces, noise, np.eye(4), image.vertices)
+    other = image.agreement(vertices * [1, -1, 1], faces, np.eye(4), noise=noise)
     assert other.whole < 0.6
     assert other.local < 0.6
 
@@ -162,7 +171,7 @@ def test_a_ball_agrees_little(image):
     ball = trimesh.creation.icosphere(5, 95.0)
     points = np.asarray(ball.vertices) + [0, 0, image.vertices[:, 2].max() - 105]
     faces = np.asarray(ball.faces)
-    found = image.agreement(points, faces, SurfaceNoise.of(points, faces), np.eye(4), image.vertices)
+    found = image.agreement(points, faces, np.eye(4), noise=SurfaceNoise.of(points, faces))
     assert found.whole < 0.4
     assert found.local < 0.4
 
@@ -170,17 +179,17 @@ def test_a_ball_agrees_little(image):
 def test_nothing_common_is_no_agreement(image, model):
     vertices, faces = model.surface(1)
     noise = SurfaceNoise.of(vertices, faces)
-    found = image.agreement(vertices + [500, 0, 0], faces, noise, np.eye(4), image.vertices)
+    found = image.agreement(vertices + [500, 0, 0], faces, np.eye(4), noise=noise)
     assert (found.local, found.whole) == (0, 0)
 
 
 @pytest.mark.parametrize("noise_mm", [0.5, 1.0, 2.0, 4.0])
 def test_what_noise_takes_from_the_agreement_is_given_back(image, model, noise_mm):
     vertices, faces = model.surface(1)
-    clean = image.agreement(vertices, faces, SurfaceNoise.of(vertices, faces), np.eye(4), image.vertices)
+    clean = image.agreement(vertices, faces, np.eye(4), noise=SurfaceNoise.of(vertices, faces))
     rng = np.random.default_rng(4)
     noisy = vertices + rng.normal(scale=noise_mm, size=(len(vertices), 1)) * vertex_normals(vertices, faces)
-    found = image.agreement(noisy, faces, SurfaceNoise.of(noisy, faces), np.eye(4), image.vertices)
+    found = image.agreement(noisy, faces, np.eye(4), noise=SurfaceNoise.of(noisy, faces))
     assert found.whole < clean.whole
     local, whole = found.without_noise()
     assert whole > 0.99
@@ -192,6 +201,6 @@ def test_noise_excuses_no_other_shape(image):
     points, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
     points = points * (1 + np.random.default_rng(2).normal(scale=3 / 95, size=(len(points), 1)))
     points = points + [0, 0, image.vertices[:, 2].max() - 105]
-    found = image.agreement(points, faces, SurfaceNoise.of(points, faces), np.eye(4), image.vertices)
+    found = image.agreement(points, faces, np.eye(4), noise=SurfaceNoise.of(points, faces))
     assert found.noise_mm > 1.5
     assert max(found.without_noise()) < 0.5

@@ -1,16 +1,22 @@
-"""The tight ICP finds pose and size, and outliers do not move it."""
+"""ICP finds pose and size, and outliers do not move it."""
 
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, random_rotation, rotation_angle_rad, rotation_from_vector
-from scan2albedo.registration.robust_icp import residuals, robust_icp, settled_icp
+from scan2albedo.registration.icp import icp, residuals
+from scan2albedo.registration.template import Template
 
 
 @pytest.fixture(scope="module")
-def samples(model) -> OrientedPoints:
-    return oriented_points(*model.surface(1), 5.0)
+def template(model) -> Template:
+    return Template.of(model, 0)
+
+
+@pytest.fixture(scope="module")
+def samples(template) -> OrientedPoints:
+    return template.samples
 
 
 def scan_of(samples: OrientedPoints, pose: Similarity) -> OrientedPoints:
@@ -19,27 +25,27 @@ def scan_of(samples: OrientedPoints, pose: Similarity) -> OrientedPoints:
 
 
 @pytest.mark.parametrize("scale", [0.9, 1.0, 1.1])
-def test_pose_and_size_are_recovered(samples, scale):
+def test_pose_and_size_are_recovered(template, samples, scale):
     truth = Similarity(random_rotation(np.random.default_rng(0)), np.array([3.0, -9.0, 4.0]), scale)
     scan = scan_of(samples, truth)
     start = Similarity(
         rotation_from_vector([0.05, -0.06, 0.04]) @ truth.rotation, truth.translation + [3.0, 2.0, -4.0]
     )
-    found = robust_icp(scan, samples, samples.areas, start, iterations=40, sigma_mm=(6.0, 1.0))
+    found = icp(scan, template, start, np.geomspace(6.0, 1.0, 40)).pose
     assert np.degrees(rotation_angle_rad(found.rotation @ truth.rotation.T)) < 0.3
     assert np.linalg.norm(found.translation - truth.translation) < 0.5
     assert found.scale == pytest.approx(scale, abs=0.01)
     assert residuals(scan, samples, found).trimmed_rms_mm(samples.areas) < 0.2
 
 
-def test_a_raised_tenth_of_the_surface_does_not_pull(samples):
+def test_a_raised_tenth_of_the_surface_does_not_pull(template, samples):
     truth = Similarity(np.eye(3), np.zeros(3))
     scan = scan_of(samples, truth)
     raised = scan.points[:, 1] > np.quantile(scan.points[:, 1], 0.9)
     points = scan.points + 12 * raised[:, None] * scan.normals
     target = OrientedPoints(points, scan.normals, scan.areas)
     start = Similarity(rotation_from_vector([0.03, 0.02, 0.0]), np.array([2.0, 1.0, 2.0]))
-    found = robust_icp(target, samples, samples.areas, start, iterations=30, sigma_mm=(4.0, 1.0))
+    found = icp(target, template, start, np.geomspace(4.0, 1.0, 30)).pose
     assert np.degrees(rotation_angle_rad(found.rotation)) < 0.7
     assert np.linalg.norm(found.translation) < 1.0
 
@@ -67,16 +73,17 @@ def test_nothing_near_is_an_infinite_rms_and_the_worst_cost(samples):
     assert far.robust_cost(samples.areas, 2.0) == pytest.approx(6.0)
 
 
-def test_a_settled_pose_does_not_depend_on_where_it_began(samples):
+def test_a_settled_pose_does_not_depend_on_where_it_began(template, samples):
     truth = Similarity(random_rotation(np.random.default_rng(4)), np.array([1.0, 5.0, -2.0]))
     scan = scan_of(samples, truth)
     ends = []
     for turn, shift in ([0.02, -0.01, 0.0], [1.0, 0, 0]), ([-0.01, 0.02, 0.01], [0, -1.0, 0.5]):
         start = Similarity(rotation_from_vector(turn) @ truth.rotation, truth.translation + shift)
-        pose, steps, last = settled_icp(scan, samples, samples.areas, start, sigma_mm=3.0, iterations=60)
-        assert steps < 60
-        assert last < 1e-3
-        ends.append(pose)
+        found = icp(scan, template, start, 60 * [3.0], settled=1e-3)
+        assert found.converged
+        assert found.steps < 60
+        assert found.moved < 1e-3
+        ends.append(found.pose)
     assert np.degrees(rotation_angle_rad(ends[0].rotation @ ends[1].rotation.T)) < 0.01
     assert np.linalg.norm(ends[0].translation - ends[1].translation) < 0.01
 

@@ -8,8 +8,7 @@ import pytest
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.nearest_surface import MAX_EXACT_FACES
+from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
 from scan2albedo.sampling import LookupOptions, geometry_image

@@ -14,8 +14,8 @@ from benchmarks.landmark_cases import INNER, LightStage, cases, expressions_of_l
 from scan2albedo.errors import NoFaceError
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.openings import EYES
+from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.nearest_surface import NearestSurface
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import raw_like, raw_scan
 from scan2albedo.synthetic.face_shape import Expression

@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay
 from face_model_generator.key_points import HalfFace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_areas
-from scan2albedo.geometry.parametrization import ChartOptions, flatten_disc
+from scan2albedo.geometry.parametrization import flatten_disc
 
 CYLINDER_DEPTH_MM = -45.0
 """Depth of the vertical axis about which key points are unrolled before flattening."""
@@ -63,7 +63,7 @@ def layout_of(half: HalfFace) -> FaceLayout:
     faces = faces[inside_polygon(unrolled[faces].mean(1), polygon)]
     faces = _counter_clockwise(unrolled, faces)
     whole, mirrored, mirror = mirrored_mesh(points, faces, middle)
-    flat = flatten_disc(whole, mirrored, mirror=mirror, options=ChartOptions(boundary_weight=1e-3))
+    flat = flatten_disc(whole, mirrored, mirror=mirror, boundary_weight=1e-3)
     flat *= np.sqrt(face_areas(whole, mirrored).sum())
     half_flat = np.round(flat[: len(points)], 4)
     half_flat[middle, 0] = 0.0

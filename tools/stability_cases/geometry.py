@@ -6,10 +6,9 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.closest_points import ClosestPointQuery, NearestSurface
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import turned_against_neighbours
-from scan2albedo.geometry.nearest_surface import NearestSurface
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
 from stability_cases.case import Cases, assert_finite, naming

@@ -261,8 +261,8 @@ def _() -> str:
 
 @CASES.extreme(STAGE, "options without a spacing", "named error")
 def _() -> str:
-    with naming("scan_spacing_mm must be finite and above 0"):
-        return found(person(), options=RegistrationOptions(scan_spacing_mm=0.0))[1]
+    with naming("anchor_spacing_mm must be finite and above 0"):
+        return found(person(), options=RegistrationOptions(anchor_spacing_mm=0.0))[1]
 
 
 @CASES.extreme(STAGE, "a model of 4 control vertices", "named error")

@@ -15,7 +15,7 @@ from scan2albedo.eyeglasses.lenses.lens_scene import LensScene
 from scan2albedo.eyeglasses.lenses.light_kernels import shade
 from scan2albedo.eyeglasses.lenses.light_paths import all_at_once, light_paths, pixel_stages
 from scan2albedo.eyeglasses.lenses.traced_rays import Illumination, RayColors, SceneRays, Surroundings
-from scan2albedo.geometry.blocks import blocks, each_block
+from scan2albedo.geometry.rays import blocks, each_block
 
 _MATTE = (0.0, 0.0, 1.0)
 """Roughness, highlight and exponent of painted tints."""

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.registration.scan_noise import SurfaceNoise
+from scan2albedo.geometry.surface_noise import SurfaceNoise
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_noise_is_measured(ball, noise_mm):
     noise = SurfaceNoise.of(_noisy(ball, noise_mm), ball[1])
     found_mm, area_mm2 = noise.among(np.ones(len(ball[0]), bool))
     assert found_mm == pytest.approx(noise_mm, rel=0.15)
-    assert area_mm2 * len(ball[0]) == pytest.approx(noise.area_mm2.sum())
+    assert area_mm2 * len(ball[0]) == pytest.approx(noise.area.sum())
 
 
 def test_a_smooth_surface_has_hardly_any(ball):
@@ -47,5 +47,5 @@ def test_few_vertices_say_nothing(ball):
 def test_loose_triangles_say_nothing():
     points = np.random.default_rng(1).normal(scale=50, size=(90, 3))
     noise = SurfaceNoise.of(points, np.arange(90).reshape(30, 3))
-    assert np.isnan(noise.gap_mm).all()
+    assert np.isnan(noise.gap).all()
     assert noise.among(np.ones(90, bool)) == (0.0, 0.0)

@@ -1,0 +1,350 @@
+"""Align a surface with another: robust Gauss-Newton over pose, size and modes of shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.geometry.oriented_points import OrientedPoints
+from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
+from scan2albedo.optimization.least_squares import NormalEquations, damped_step
+
+_RIDGE = 1e-9
+"""Part of the normal equations' diagonal that is added to it: what nothing determines stays."""
+_INDEPENDENT = 300
+"""Neighbouring pairs err together: all of them count as this many against the prior."""
+_LARGEST_GROWTH = 0.05
+"""Of the logarithm of the size in one step."""
+_MOST_CELLS = 1_500_000
+_LARGEST_TURN_RAD = 0.5
+"""Linearisations about a far pose are trusted no further."""
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Where the N points of a source shall go, as seen from where they are.
+
+    `offset` (N, 3) leads to the target; its part along the unit `normal` (N, 3) counts with the `trust` (N,)
+    of the pair, the part `along` (N,) of this in every direction. `noise` is the residuals' standard
+    deviation where the source is right.
+    """
+
+    offset: FloatArray
+    normal: FloatArray
+    trust: FloatArray
+    along: FloatArray | float = 0.0
+    noise: float = 0.0
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """x -> s R (x + B c) + t: `pose` (s, R, t), and `coefficients` c (K,) of the modes B.
+
+    `steps` were taken, the last of which turned the pose by `moved` degrees or moved it by as many units,
+    whichever is more; `converged` is True where it was shorter than asked.
+    """
+
+    pose: Similarity
+    coefficients: FloatArray
+    steps: int = 0
+    moved: float = np.inf
+    converged: bool = False
+
+
+def align(
+    points: FloatArray,
+    weights: FloatArray,
+    pairs: Callable[[Alignment, FloatArray], Pairs | None],
+    start: Alignment | Similarity,
+    *,
+    steps: int,
+    modes: FloatArray | None = None,
+    precision: FloatArray | None = None,
+    scale_range: tuple[float, float] = (0.0, np.inf),
+    settled: float = 0.0,
+) -> Alignment:
+    """Return where reweighted Gauss-Newton steps take points (N, 3) with modes (N, 3, K) of their shape.
+
+    Each step lowers, over rotation, translation, log s and c,
+
+        sum_i w_i r_i [(1 - a_i) (n_i . e_i)^2 + a_i |e_i|^2] + noise^2 W (log s, c) P (log s, c)^T / 300,
+        e_i = s R (x_i + B_i c) + t - y_i,
+
+    with the targets y_i, normals n_i and robust weights r_i that `pairs` finds anew for the points (N, 3)
+    where the present alignment puts them; None ends the search, as does a step shorter than `settled`.
+    `weights` w (N,) have the sum W. `precision` P (K + 1, K + 1) is that of log s and c before the target is
+    seen, 0 by default; `scale_range` bounds s, and fixes it where both ends are the same. One step costs
+    O(N (K + 7)^2).
+    """
+    count = 0 if modes is None else modes.shape[2]
+    known = np.zeros((count + 1, count + 1)) if precision is None else precision
+    now = Alignment(start, np.zeros(count)) if isinstance(start, Similarity) else replace(start, steps=0)
+    for step in range(steps):
+        pose, c = now.pose, now.coefficients
+        shape = points if modes is None else points + modes @ c
+        moved = pose.apply(shape)
+        found = pairs(now, moved)
+        if found is None:
+            break
+        weight = weights * found.trust
+        spread = weight * found.along
+        index, normal, weight, by = np.arange(len(points)), found.normal, weight - spread, modes
+        if len(light := np.flatnonzero(spread)):
+            # A distance in every direction is that along three axes.
+            index = np.concatenate([index, np.repeat(light, 3)])
+            normal = np.concatenate([normal, np.tile(np.eye(3), (len(light), 1))])
+            weight = np.concatenate([weight, np.repeat(spread[light], 3)])
+            by = None if modes is None else modes[index]
+        turned = (moved - pose.translation)[index]
+        rows = np.empty((len(index), 7 + count))
+        rows[:, :3], rows[:, 3:6] = np.cross(turned, normal), normal
+        rows[:, 6] = np.einsum("ij,ij->i", turned, normal)
+        if by is not None:
+            rows[:, 7:] = ((pose.scale * normal @ pose.rotation)[:, None, :] @ by)[:, 0]
+        weighted = weight[:, None] * rows
+        matrix = weighted.T @ rows
+        gradient = -(weighted.T @ np.einsum("ij,ij->i", found.offset[index], normal))
+        size = np.log(pose.scale)
+        prior = found.noise**2 * weights.sum() / _INDEPENDENT * known
+        matrix[6:, 6:] += prior
+        gradient[6:] += prior @ np.concatenate([[size], c])
+        upper, lower = np.full(7 + count, np.inf), np.full(7 + count, -np.inf)
+        low, high = np.log(np.maximum(scale_range, 1e-300)) - size
+        lower[6], upper[6] = max(-_LARGEST_GROWTH, min(low, 0.0)), min(_LARGEST_GROWTH, max(high, 0.0))
+        change = damped_step(NormalEquations(matrix, gradient, lower, upper), _RIDGE)
+        pose = Similarity(
+            rotation_from_vector(change[:3]) @ pose.rotation,
+            pose.translation + change[3:6],
+            pose.scale * float(np.exp(change[6])),
+        )
+        length = max(float(np.rad2deg(np.linalg.norm(change[:3]))), float(np.linalg.norm(change[3:6])))
+        now = Alignment(pose, c + change[7:], step + 1, length, length < settled)
+        if now.converged:
+            break
+    return now
+
+
+@dataclass(frozen=True)
+class NearestGrid:
+    """A voxel grid over a point cloud.
+
+    `nearest` (X, Y, Z) holds the index of (nearly) the nearest sample to each cell's centre, `origin` (3,) is
+    the corner of cell (0, 0, 0), `cell` the side of a cell.
+    """
+
+    samples: OrientedPoints
+    nearest: NDArray[np.int32]
+    origin: FloatArray
+    cell: float
+
+    @classmethod
+    def of(cls, samples: OrientedPoints, *, cell: float, margin: float) -> NearestGrid:
+        """Build the grid over the samples' box widened by `margin`; huge boxes get larger cells."""
+        low, high = samples.points.min(0) - margin, samples.points.max(0) + margin
+        cell = max(cell, float(np.cbrt(np.prod(high - low) / _MOST_CELLS)))
+        shape = np.ceil((high - low) / cell).astype(np.int64) + 1
+        nearest = _nearest_by_sweeps(samples.points, low, cell, shape[0], shape[1], shape[2])
+        return cls(samples, nearest, low, cell)
+
+    def nearest_samples(self, points: FloatArray) -> IntArray:
+        """Return the index of (nearly) the nearest sample of each (N, 3) point, -1 outside the grid."""
+        cell = np.floor((points - self.origin) / self.cell).astype(np.int64)
+        inside = np.all((cell >= 0) & (cell < np.array(self.nearest.shape)), axis=1)
+        x, y, z = np.where(inside[:, None], cell, 0).T
+        return np.where(inside, self.nearest[x, y, z], -1)
+
+
+def align_on_grid(
+    grid: NearestGrid,
+    model: OrientedPoints,
+    rotations: FloatArray,
+    translations: FloatArray,
+    *,
+    steps: int,
+    sigma: tuple[float, float],
+) -> FloatArray:
+    """Align the (M,) model samples with a grid from thousands of rigid poses, which change in place.
+
+    Takes the steps of `align`, compiled, with w_i = areas rho_i and a tenth of it in every direction. The
+    target of a sample is the nearest of the grid, n_i the mean of both normals [1]_; rho_i falls with
+    distance (Geman-McClure, scale geometric between the two of `sigma`) and with the normals' angle.
+    `rotations` (N, 3, 3) and `translations` (N, 3) are overwritten. Returns (N,) scores at the final poses
+    with the last scale: the weighted mean of rho_i, 0 (nothing near) ... 1.
+
+    .. [1] S. Rusinkiewicz, "A symmetric objective function for ICP", SIGGRAPH 2019 (mean normals).
+    """
+    scores = np.zeros(len(rotations))
+    _align_all(
+        (grid.nearest, grid.origin, grid.cell, grid.samples.points, grid.samples.normals),
+        (model.points, model.normals, model.areas / model.areas.sum()),
+        rotations,
+        translations,
+        np.append(np.geomspace(*sigma, steps), sigma[1]),
+        scores,
+    )
+    return scores
+
+
+@njit(cache=True, nogil=True)
+def _align_all(grid, model, rotations, translations, sigmas, scores):  # type: ignore[no-untyped-def]
+    matrix, gradient = np.zeros((6, 6)), np.zeros(6)
+    for start in range(len(rotations)):
+        rotation, translation = rotations[start], translations[start]
+        for i, sigma in enumerate(sigmas):
+            scores[start] = _linearize(grid, model, rotation, translation, sigma, matrix, gradient)
+            if scores[start] == 0.0:
+                break
+            if i + 1 < len(sigmas):
+                for k in range(6):
+                    matrix[k, k] += 1e-9
+                _move(rotation, translation, np.linalg.solve(matrix, gradient))
+
+
+@njit(cache=True, nogil=True)
+def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # type: ignore[no-untyped-def]
+    """Fill in the normal equations (6, 6), (6,) of one pose, and return its score."""
+    nearest, origin, cell, q, qn = grid
+    p, pn, weights = model
+    matrix[:] = 0.0
+    gradient[:] = 0.0
+    score = 0.0
+    row = np.zeros(6)
+    nx, ny, nz = nearest.shape
+    for m in range(p.shape[0]):
+        # x is the rotated point, about whose translation the small rotation is taken.
+        x0 = rotation[0, 0] * p[m, 0] + rotation[0, 1] * p[m, 1] + rotation[0, 2] * p[m, 2]
+        x1 = rotation[1, 0] * p[m, 0] + rotation[1, 1] * p[m, 1] + rotation[1, 2] * p[m, 2]
+        x2 = rotation[2, 0] * p[m, 0] + rotation[2, 1] * p[m, 1] + rotation[2, 2] * p[m, 2]
+        i = int(np.floor((x0 + translation[0] - origin[0]) / cell))
+        j = int(np.floor((x1 + translation[1] - origin[1]) / cell))
+        k = int(np.floor((x2 + translation[2] - origin[2]) / cell))
+        if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
+            continue
+        s = nearest[i, j, k]
+        n0 = rotation[0, 0] * pn[m, 0] + rotation[0, 1] * pn[m, 1] + rotation[0, 2] * pn[m, 2]
+        n1 = rotation[1, 0] * pn[m, 0] + rotation[1, 1] * pn[m, 1] + rotation[1, 2] * pn[m, 2]
+        n2 = rotation[2, 0] * pn[m, 0] + rotation[2, 1] * pn[m, 1] + rotation[2, 2] * pn[m, 2]
+        agreement = n0 * qn[s, 0] + n1 * qn[s, 1] + n2 * qn[s, 2]
+        if agreement <= 0.0:
+            continue
+        e0 = x0 + translation[0] - q[s, 0]
+        e1 = x1 + translation[1] - q[s, 1]
+        e2 = x2 + translation[2] - q[s, 2]
+        near = sigma * sigma / (sigma * sigma + e0 * e0 + e1 * e1 + e2 * e2)
+        rho = weights[m] * near * near * agreement * agreement
+        score += rho
+        n0, n1, n2 = n0 + qn[s, 0], n1 + qn[s, 1], n2 + qn[s, 2]
+        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        _add_plane(matrix, gradient, row, rho, n0 / length, n1 / length, n2 / length, x0, x1, x2, e0, e1, e2)
+        _add_point(matrix, gradient, 0.1 * rho, x0, x1, x2, e0, e1, e2)
+    for a in range(6):
+        for b in range(a):
+            matrix[b, a] = matrix[a, b]
+    return score
+
+
+@njit(cache=True, nogil=True)
+def _add_plane(matrix, gradient, row, weight, n0, n1, n2, x0, x1, x2, e0, e1, e2):  # type: ignore[no-untyped-def]
+    row[0] = x1 * n2 - x2 * n1
+    row[1] = x2 * n0 - x0 * n2
+    row[2] = x0 * n1 - x1 * n0
+    row[3], row[4], row[5] = n0, n1, n2
+    residual = n0 * e0 + n1 * e1 + n2 * e2
+    for a in range(6):
+        gradient[a] -= weight * row[a] * residual
+        for b in range(a + 1):
+            matrix[a, b] += weight * row[a] * row[b]
+
+
+@njit(cache=True, nogil=True)
+def _add_point(matrix, gradient, weight, x0, x1, x2, e0, e1, e2):  # type: ignore[no-untyped-def]
+    """Add the planes of the three axes, rows (x cross e_i, e_i), summed in closed form."""
+    xx, yy, zz = x0 * x0, x1 * x1, x2 * x2
+    matrix[0, 0] += weight * (yy + zz)
+    matrix[1, 1] += weight * (xx + zz)
+    matrix[2, 2] += weight * (xx + yy)
+    matrix[1, 0] -= weight * x0 * x1
+    matrix[2, 0] -= weight * x0 * x2
+    matrix[2, 1] -= weight * x1 * x2
+    matrix[3, 1] += weight * x2
+    matrix[3, 2] -= weight * x1
+    matrix[4, 0] -= weight * x2
+    matrix[4, 2] += weight * x0
+    matrix[5, 0] += weight * x1
+    matrix[5, 1] -= weight * x0
+    for axis in range(3):
+        matrix[3 + axis, 3 + axis] += weight
+    gradient[0] -= weight * (x1 * e2 - x2 * e1)
+    gradient[1] -= weight * (x2 * e0 - x0 * e2)
+    gradient[2] -= weight * (x0 * e1 - x1 * e0)
+    gradient[3] -= weight * e0
+    gradient[4] -= weight * e1
+    gradient[5] -= weight * e2
+
+
+@njit(cache=True, nogil=True)
+def _move(rotation, translation, step):  # type: ignore[no-untyped-def]
+    angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+    for axis in range(3):
+        translation[axis] += step[3 + axis]
+    if angle < 1e-12:
+        return
+    limited = min(angle, _LARGEST_TURN_RAD)
+    a, b, c = step[0] / angle, step[1] / angle, step[2] / angle
+    sin, cos = np.sin(limited), np.cos(limited)
+    for column in range(3):
+        v0, v1, v2 = rotation[0, column], rotation[1, column], rotation[2, column]
+        along = (a * v0 + b * v1 + c * v2) * (1 - cos)
+        rotation[0, column] = v0 * cos + (b * v2 - c * v1) * sin + a * along
+        rotation[1, column] = v1 * cos + (c * v0 - a * v2) * sin + b * along
+        rotation[2, column] = v2 * cos + (a * v1 - b * v0) * sin + c * along
+
+
+@njit(cache=True, nogil=True)
+def _nearest_by_sweeps(points, origin, cell, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """Vector distance transform: nearest points spread to neighbours in eight ordered sweeps."""
+    nearest = np.full((nx, ny, nz), -1, np.int32)
+    squared = np.full((nx, ny, nz), np.inf)
+    for p in range(points.shape[0]):
+        i = int((points[p, 0] - origin[0]) / cell)
+        j = int((points[p, 1] - origin[1]) / cell)
+        k = int((points[p, 2] - origin[2]) / cell)
+        dx = points[p, 0] - origin[0] - (i + 0.5) * cell
+        dy = points[p, 1] - origin[1] - (j + 0.5) * cell
+        dz = points[p, 2] - origin[2] - (k + 0.5) * cell
+        d = dx * dx + dy * dy + dz * dz
+        if d < squared[i, j, k]:
+            squared[i, j, k] = d
+            nearest[i, j, k] = p
+    for sweep in range(8):
+        si = 1 if sweep & 1 else -1
+        sj = 1 if sweep & 2 else -1
+        sk = 1 if sweep & 4 else -1
+        for a in range(nx):
+            i = a if si > 0 else nx - 1 - a
+            for b in range(ny):
+                j = b if sj > 0 else ny - 1 - b
+                for c in range(nz):
+                    k = c if sk > 0 else nz - 1 - c
+                    for axis in range(3):
+                        u = i - si if axis == 0 else i
+                        v = j - sj if axis == 1 else j
+                        w = k - sk if axis == 2 else k
+                        if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
+                            continue
+                        p = nearest[u, v, w]
+                        if p < 0 or p == nearest[i, j, k]:
+                            continue
+                        dx = points[p, 0] - origin[0] - (i + 0.5) * cell
+                        dy = points[p, 1] - origin[1] - (j + 0.5) * cell
+                        dz = points[p, 2] - origin[2] - (k + 0.5) * cell
+                        d = dx * dx + dy * dy + dz * dz
+                        if d < squared[i, j, k]:
+                            squared[i, j, k] = d
+                            nearest[i, j, k] = p
+    return nearest

@@ -1,0 +1,64 @@
+"""How noisy a surface is: how its vertices scatter about their neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.mesh import neighbour_lists, vertex_areas, vertex_normals
+
+_FEWEST_NEIGHBOURS, _FEWEST_VERTICES = 4, 20
+_NORMAL_MAD = 1.4826
+"""Standard deviation of a normal distribution, relative to its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class SurfaceNoise:
+    """What every vertex says of the noise.
+
+    `gap` (V,) is the height along the normal above the mean of the n neighbours, relative to that of noise of
+    1, sqrt(1 + 1 / n); nan where there are few. `area` (V,) is the vertex's part of the surface.
+    """
+
+    gap: FloatArray
+    area: FloatArray
+
+    @classmethod
+    def of(cls, vertices: FloatArray, faces: IntArray) -> SurfaceNoise:
+        """Measure a mesh (V, 3), (F, 3)."""
+        begins, neighbours = neighbour_lists(len(vertices), faces)
+        height = np.einsum(
+            "ij,ij->i", above_neighbours(vertices, begins, neighbours), vertex_normals(vertices, faces)
+        )
+        degree = np.diff(begins)
+        gap = np.where(degree >= _FEWEST_NEIGHBOURS, height / np.sqrt(1 + 1 / np.maximum(degree, 1)), np.nan)
+        return cls(gap, vertex_areas(vertices, faces))
+
+    def among(self, chosen: BoolArray) -> tuple[float, float]:
+        """Return the noise's standard deviation among some vertices (V,), and the area of one of them.
+
+        Robustly about the median, so that neither curvature nor creases count. No noise among few vertices.
+        """
+        chosen = chosen & np.isfinite(self.gap)
+        if chosen.sum() < _FEWEST_VERTICES:
+            return 0.0, 0.0
+        gap = self.gap[chosen]
+        noise = _NORMAL_MAD * np.median(np.abs(gap - np.median(gap)))
+        return float(noise), float(self.area[chosen].mean())
+
+
+@njit(cache=True, nogil=True)
+def above_neighbours(vertices, begins, neighbours):  # type: ignore[no-untyped-def]
+    """Return (V, 3) offsets of the vertices from the mean of their neighbours (`neighbour_lists`)."""
+    offset = np.empty(vertices.shape)
+    for v in range(len(vertices)):
+        degree = max(begins[v + 1] - begins[v], 1)
+        for k in range(3):
+            total = 0.0
+            for n in neighbours[begins[v] : begins[v + 1]]:
+                total += vertices[n, k]
+            offset[v, k] = vertices[v, k] - total / degree
+    return offset
