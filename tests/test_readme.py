@@ -185,8 +185,6 @@ PLACES = {
     "reflectance": ["OlatOptions", "SamplingOptions", "ReflectanceFitOptions"]
     + ["ImageFitOptions", "PhotographOptions", "FineTuneOptions", "FaceFitOptions", "DetailOptions"],
     "registration": ["RegistrationOptions"],
-    "sampling": ["LookupOptions"],
-    "sampling.model_free": ["ModelFreeOptions"],
 }
 """Where the options that pages name are."""
 BARE = {"registration": "RegistrationOptions", "fitting": "FitOptions", "light_and_albedo": "EstimateOptions"}

@@ -5,6 +5,5 @@
 
 from scan2albedo.sampling.fitted_face import geometry_image
 from scan2albedo.sampling.model_free import geometry_image_of_scan
-from scan2albedo.sampling.texture_lookup import LookupOptions
 
-__all__ = ["LookupOptions", "geometry_image", "geometry_image_of_scan"]
+__all__ = ["geometry_image", "geometry_image_of_scan"]

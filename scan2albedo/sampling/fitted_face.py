@@ -18,7 +18,6 @@ from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.sampling.skin import skin_weight
 from scan2albedo.sampling.texture_lookup import (
-    LookupOptions,
     texel_steps,
     texture_on_chart,
 )
@@ -65,7 +64,7 @@ class Fitted(Protocol):
 
 
 def geometry_image(
-    fitted: Fitted, scan: RawScan | None, size: int = 512, *, options: LookupOptions = LookupOptions()
+    fitted: Fitted, scan: RawScan | None, size: int = 512, *, taps: int | None = None
 ) -> GeometryImage:
     """Sample a fitted face on a regular grid over its chart.
 
@@ -81,8 +80,8 @@ def geometry_image(
         The raw scan in its own frame; None gives geometry without texture.
     size : int
         Height and width in texels, at least 8.
-    options : LookupOptions
-        How the photograph is filtered.
+    taps : int, optional
+        Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel.
 
     Returns
     -------
@@ -139,7 +138,7 @@ def geometry_image(
         transform_points(scan_from_model, position[inside]),
         transform_directions(scan_from_model, normal[inside]),
         np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
-        options,
+        taps,
     )
     cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)

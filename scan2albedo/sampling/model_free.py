@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,17 +23,7 @@ _PADDING = 2
 _CHARTED_SIZE = 200.0
 
 
-@dataclass(frozen=True)
-class ModelFreeOptions:
-    """Settings of `geometry_image_of_scan`."""
-
-    max_faces: int = 15_000
-    """Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly."""
-
-
-def geometry_image_of_scan(
-    scan: RawScan, size: int = 512, *, options: ModelFreeOptions = ModelFreeOptions()
-) -> GeometryImage:
+def geometry_image_of_scan(scan: RawScan, size: int = 512, *, max_faces: int = 15_000) -> GeometryImage:
     """Sample any scanned surface on a grid over charts that xatlas cuts and packs.
 
     Parameters
@@ -44,8 +32,8 @@ def geometry_image_of_scan(
         Any object; its own frame, mm.
     size : int
         Height and width in texels, at least 8.
-    options : ModelFreeOptions
-        Simplification.
+    max_faces : int
+        Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly.
 
     Returns
     -------
@@ -59,7 +47,7 @@ def geometry_image_of_scan(
     """
     require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
     check_size(size)
-    vertices, faces = _chartable(scan, options.max_faces)
+    vertices, faces = _chartable(scan, max_faces)
     chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size)
     position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
     raster = rasterize_uv(uv, chart_faces, size)
@@ -117,7 +105,7 @@ def _simplified(
     if len(index) == 0:
         raise GeometryImageError(
             f"{name}: its {len(split)} faces cannot be simplified to the {max_faces} that charts are cut "
-            "from; give a mesh of fewer faces, or a larger ModelFreeOptions.max_faces"
+            "from; give a mesh of fewer faces, or a larger max_faces"
         )
     return np.asarray(fewer, np.float64), np.asarray(index, np.int64)
 

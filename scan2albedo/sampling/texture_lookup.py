@@ -31,14 +31,6 @@ SIDEWAYS_MM = 0.5
 
 
 @dataclass(frozen=True)
-class LookupOptions:
-    """How the photograph is filtered."""
-
-    taps: int | None = None
-    """Bilinear samples along each side of a texel's footprint in the photograph; None takes one a pixel."""
-
-
-@dataclass(frozen=True)
 class ChartTexture:
     """What the scan shows of each texel, None for scans without colour.
 
@@ -58,7 +50,7 @@ def texture_on_chart(
     points: FloatArray,
     normals: FloatArray,
     steps: FloatArray,
-    options: LookupOptions = LookupOptions(),
+    taps: int | None = None,
 ) -> ChartTexture:
     """Return the texture on a chart.
 
@@ -67,7 +59,7 @@ def texture_on_chart(
     if scan is None or not scan.has_color:
         return ChartTexture()
     linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
-    found = TextureLookup(scan, options).sample(points, normals, steps)
+    found = TextureLookup(scan, taps).sample(points, normals, steps)
     linear[inside], seen[inside] = found.color_linear, found.seen
     cameras = texture_cameras(scan)
     if cameras is None:
@@ -87,10 +79,14 @@ class Samples:
 
 
 class TextureLookup:
-    """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
+    """Looks up a scan's texture (or vertex colour) at the closest points of its surface.
 
-    def __init__(self, scan: RawScan, options: LookupOptions = LookupOptions()) -> None:
-        self._scan, self._options = scan, options
+    `taps` bilinear samples are taken along each side of a texel's footprint in the photograph; None takes one
+    for each of its pixels.
+    """
+
+    def __init__(self, scan: RawScan, taps: int | None = None) -> None:
+        self._scan, self._taps = scan, taps
 
     def sample(self, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
         """Return what the scan shows of points.
@@ -154,8 +150,8 @@ class TextureLookup:
         center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
         inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
         footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
-        taps = self._options.taps or FEWEST_TAPS
-        if self._options.taps is None and len(footprint):
+        taps = self._taps or FEWEST_TAPS
+        if self._taps is None and len(footprint):
             # So many that no pixel between them is left out.
             sides = np.linalg.norm(footprint, axis=1).max(1)
             longest = np.ceil(float(np.percentile(sides, TAPS_PERCENTILE)))

@@ -11,7 +11,7 @@ from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
-from scan2albedo.sampling import LookupOptions, geometry_image
+from scan2albedo.sampling import geometry_image
 
 
 class FlatAnnotation:
@@ -101,7 +101,7 @@ def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size):
     fitted = patch()
     checker = (np.indices((509, 509)).sum(0) % 2).astype(np.float32)
     scan = textured_scan(fitted, np.repeat(checker[..., None], 3, 2))
-    aliased = geometry_image(fitted, scan, size, options=LookupOptions(taps=1)).texture_linear
+    aliased = geometry_image(fitted, scan, size, taps=1).texture_linear
     filtered = geometry_image(fitted, scan, size).texture_linear
     assert np.abs(filtered - 0.5).max() < 0.02
     assert np.abs(aliased - 0.5).max() > 0.2
@@ -114,7 +114,7 @@ def test_the_footprint_average_agrees_with_supersampling():
     scan = textured_scan(fitted, noise)
     fine = geometry_image(fitted, scan, 1024).texture_linear.reshape(64, 16, 64, 16, 3).mean((1, 3))
     coarse = geometry_image(fitted, scan, 64).texture_linear
-    plain = geometry_image(fitted, scan, 64, options=LookupOptions(taps=1)).texture_linear
+    plain = geometry_image(fitted, scan, 64, taps=1).texture_linear
     error = np.abs(coarse - fine).mean()
     assert error < 0.01
     assert error < 0.1 * np.abs(plain - fine).mean()

@@ -9,7 +9,6 @@ from benchmarks.sweep import Setting
 from scan2albedo.eyeglasses import FaceRegistrationOptions
 from scan2albedo.eyeglasses.weighting.embedding import WeightOptions
 from scan2albedo.pipeline.quality import PRESETS
-from scan2albedo.sampling import LookupOptions
 
 STANDARD = "standard"
 GLASSES: dict[str, dict[str, Any]] = {
@@ -29,7 +28,7 @@ class SizeOptions:
     """What a geometry image is made with."""
 
     size: int = 512
-    lookup: LookupOptions = LookupOptions()
+    taps: int | None = None
 
 
 @dataclass(frozen=True)

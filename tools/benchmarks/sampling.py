@@ -18,7 +18,7 @@ from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.geometry.mesh import face_areas, face_normals
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.sampling import LookupOptions, geometry_image
+from scan2albedo.sampling import geometry_image
 from scan2albedo.sampling.texture_lookup import TextureLookup
 from scan2albedo.synthetic import RawScanOptions, raw_scan
 
@@ -69,7 +69,7 @@ def _settings(quick: bool) -> list[Setting]:
     if quick:
         return [Setting("size", str(n), SizeOptions(n)) for n in (32, 64)]
     sizes = [Setting("size", str(n), SizeOptions(n)) for n in SIZES if n != SizeOptions().size]
-    taps = [Setting("taps", str(n), SizeOptions(lookup=LookupOptions(taps=n))) for n in (1, 2, 8)]
+    taps = [Setting("taps", str(n), SizeOptions(taps=n)) for n in (1, 2, 8)]
     return [default, *preset_settings("geometry_image"), *sizes, *taps]
 
 
@@ -77,7 +77,7 @@ def _run(scene: SampledFace, setting: Setting) -> Outcome:
     made: SizeOptions = setting.options
 
     def work() -> GeometryImage:
-        return geometry_image(scene.fitted, scene.scan, made.size, options=made.lookup)
+        return geometry_image(scene.fitted, scene.scan, made.size, taps=made.taps)
 
     image, cost = timed(work)
     inside, position = _interpolated(image, image.position, scene.uv, image.mask)
