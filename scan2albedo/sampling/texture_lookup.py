@@ -78,8 +78,7 @@ class Samples:
 
 
 class TextureLookup:
-    """Looks up a scan's texture (or vertex colour) at the closest points of its surface.
-
+    """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
 
     def __init__(self, scan: RawScan) -> None:
         self._scan = scan

@@ -86,7 +86,7 @@ def _() -> str:
 @CASES.extreme(STAGE, "no stiffness at all", "measured warning")
 def _() -> str:
     with constants(MEMBRANE_MM=(0.0, 0.0)):
-        face, figure = fitted(person(), 0.6, bending_mm=(0.0, 0.0))
+        face, _ = fitted(person(), 0.6, bending_mm=(0.0, 0.0))
     assert face.metrics["flipped_faces"] + face.metrics["strain"] > 0.15
     return said(f"{face.metrics['flipped_faces']:.0f} faces flipped", face.plan)
 
