@@ -61,7 +61,7 @@ def publish(staging: Path, target: Path, dropped: Collection[str], last: Collect
     """
     made = _moves(staging, target)
     made.sort(key=lambda name: name in last)
-    with _signals_held():
+    with signals_held():
         if not os.path.lexists(target):
             target.parent.mkdir(parents=True, exist_ok=True)
             os.rename(staging, target)
@@ -181,7 +181,7 @@ def _renamed_one_by_one(staging: Path, target: Path, made: list[str], dropped: C
 
 
 @contextmanager
-def _signals_held() -> Iterator[None]:
+def signals_held() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait until the block has ended."""
     came: list[int] = []
     before = {}
