@@ -159,9 +159,7 @@ class ProcessResult:
         if self.registration is not None and self.registration.confidence < SURE:
             parts.append(f"pose unsure (confidence {self.registration.confidence:.2f})")
         stages = {"register": self.registration, "fit": self.fitted, "albedo": self.albedo}
-        if unfinished := [
-            name for name, stage in stages.items() if stage is not None and not stage.converged
-        ]:
+        if unfinished := [name for name, found in stages.items() if found and not found.converged]:
             parts.append(f"not converged: {', '.join(unfinished)}")
         if self.out is not None:
             parts.append(f"files in {self.out}")
@@ -226,11 +224,11 @@ def write_result(
             )
             write("registration.json", write_record, poses)
         in_scan = result.landmarks_scan
-        if fitted is not None and fitted.landmarks is not None and in_scan is not None:
-            if (deviation_mm := fitted.landmark_deviation_mm) is not None:
-                landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, scan.mm_per_unit)
-                write("landmarks.json", write_record, landmarks)
-                write("landmarks.csv", write_landmarks_csv, landmarks)
+        deviation_mm = None if fitted is None else fitted.landmark_deviation_mm
+        if fitted and fitted.landmarks is not None and in_scan is not None and deviation_mm is not None:
+            landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, scan.mm_per_unit)
+            write("landmarks.json", write_record, landmarks)
+            write("landmarks.csv", write_landmarks_csv, landmarks)
         if "overview.png" not in left_out:
             unlit = None if result.unlit is None else result.unlit.scan
             panels = result_panels(scan, fitted, image, estimate, preview, unlit)
