@@ -267,14 +267,7 @@ class _Run:
                         self.rows[scan.name] = finished
                 remove_leftovers(*self.layout.folders)
                 self.write(status)
-        return BatchReport(
-            self.layout.out,
-            self.progress(),
-            self.failures(),
-            self.jobs,
-            self.files_verified,
-            tuple(self.notes),
-        )
+        return self.outcome()
 
     def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
         """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
@@ -333,10 +326,16 @@ class _Run:
         return {row.name: row.reason for row in rows if row is not None and row.status == "failed"}
 
     def write(self, status: BatchStatus) -> None:
-        """Write the catalogue and the record of the batch, each whole or not at all."""
+        """Write the catalogue and the record of the batch."""
         self.written = time.monotonic()
         write_catalogue(self.layout.catalogue, catalogue_table(self.manifest, self.rows))
-        progress, failures = self.progress(), self.failures()
+        outcome, failures = self.outcome().figures(), self.failures()
+        del outcome["out"]
+        outcome["failures"] = tuple(
+            BatchFailure(name=scan.name, source=scan.source, reason=failures[scan.name])
+            for scan in self.manifest.scans
+            if scan.name in failures
+        )
         record = BatchRecord(
             scan2albedo_version=VERSION,
             versions=installed_versions(),
@@ -344,24 +343,16 @@ class _Run:
             status=status,
             manifest=str(self.manifest.path),
             options=asdict(self.options),
-            jobs=self.jobs,
             jobs_asked=self.asked,
             scheduler=self.scheduler,
             started_at=self.started_at,
             finished_at=None if status == "running" else datetime.now(UTC),
-            seconds=progress.elapsed_s,
-            scans=progress.total,
-            done=progress.done,
-            failed=progress.failed,
-            not_run=progress.left,
-            kept=progress.kept,
-            files_verified=self.files_verified,
-            scans_per_hour=progress.scans_per_hour,
-            failures=tuple(
-                BatchFailure(name=scan.name, source=scan.source, reason=failures[scan.name])
-                for scan in self.manifest.scans
-                if scan.name in failures
-            ),
-            notes=tuple(self.notes),
+            **outcome,
         )
         write_record(self.layout.record, record)
+
+    def outcome(self) -> BatchReport:
+        notes = tuple(self.notes)
+        return BatchReport(
+            self.layout.out, self.progress(), self.failures(), self.jobs, self.files_verified, notes
+        )
