@@ -16,6 +16,7 @@ from scan2albedo.errors import BatchError, needs_extra
 from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.leftovers import settle
 from scan2albedo.io.npz import read_npz
 from scan2albedo.io.result_records import column_name, metric_columns
 
@@ -156,6 +157,10 @@ def load_albedos(
             raise BatchError(
                 f"{folder}: its catalogue names {path!r}, which is no file of a scan in it; {anew}"
             )
+        try:
+            settle(file.parent)
+        except OSError as error:
+            raise BatchError(f"{file.parent}: a killed run is in the way: {error.strerror}") from error
         albedo = read_image_linear(file)
         image = file.parent / "geometry_image.npz"
         advice = "run the batch with --resume"

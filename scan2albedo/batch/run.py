@@ -38,7 +38,6 @@ from scan2albedo.pipeline.options import ProcessOptions
 CATALOGUE_INTERVAL_S = 30.0
 """Seconds between two writings of the catalogue while scans are processed."""
 
-_READERS = 4
 _POSIX = os.name == "posix"
 
 OnBatchProgress = Callable[[BatchProgress], None]
@@ -204,6 +203,7 @@ def _model_sha256(model: str) -> str | None:
 
 def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, str]:
     """Return the record of a result of an earlier run that is still valid, or None and why it is not."""
+    remove_leftovers(layout.out / task.name)
     row = layout.row(task.name)
     if row is None:
         return None, "not run"
@@ -273,7 +273,7 @@ class _Run:
         """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
         if removed := remove_leftovers(*self.layout.folders):
             self.note(f"removed {removed} half-written files and folders of a run that was killed")
-        with ThreadPoolExecutor(_READERS) as readers:
+        with ThreadPoolExecutor() as readers:
             found = list(readers.map(lambda task: _still_valid(task, self.layout), tasks))
         self.rows |= {row.name: row for row, _ in found if row is not None}
         self.kept = len(self.rows)

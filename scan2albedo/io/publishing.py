@@ -16,10 +16,6 @@ from pathlib import Path
 from scan2albedo.errors import OutputError
 from scan2albedo.io.leftovers import JOURNAL, finished, hidden_path, keep, remove_leftovers, roll_back
 
-_EXCHANGE = 2
-"""RENAME_EXCHANGE of Linux and RENAME_SWAP of macOS."""
-_AT_FDCWD = -100
-
 
 @contextmanager
 def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
@@ -140,13 +136,14 @@ def _link_others(
 def _exchange(a: Path, b: Path) -> None:
     """Exchange two paths in one step. Raises OSError where the system or file system cannot."""
     library = ctypes.CDLL(None, use_errno=True)
+    swap, current_folder = 2, -100  # RENAME_EXCHANGE of Linux and RENAME_SWAP of macOS; AT_FDCWD
     if sys.platform == "darwin":
-        failed = library.renamex_np(os.fsencode(a), os.fsencode(b), _EXCHANGE)
+        failed = library.renamex_np(os.fsencode(a), os.fsencode(b), swap)
     else:
         exchange = getattr(library, "renameat2", None)
         if exchange is None:
             raise OSError(None, "this C library exchanges no paths")
-        failed = exchange(_AT_FDCWD, os.fsencode(a), _AT_FDCWD, os.fsencode(b), _EXCHANGE)
+        failed = exchange(current_folder, os.fsencode(a), current_folder, os.fsencode(b), swap)
     if failed:
         raise OSError(ctypes.get_errno(), "paths cannot be exchanged")
 
