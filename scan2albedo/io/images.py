@@ -105,7 +105,7 @@ def _decoded(data: bytes) -> NDArray[Any] | None:
     except (OSError, SyntaxError, ValueError, LookupError, TypeError, EOFError, struct.error, zlib.error):
         return None
     # Radiance, floats, and more than 8 bits in TIFF.
-    with needs_extra("images"):
+    with needs_extra("opencv"):
         import cv2
     try:
         pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)

@@ -208,5 +208,5 @@ def test_only_formats_that_pillow_lacks_need_opencv(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "cv2", None)
     for name in ("a.png", "a.jpg", "a.tif", "b.png"):
         read_image_linear(tmp_path / name)
-    with pytest.raises(MissingDependencyError, match=r"scan2albedo\[images\]"):
+    with pytest.raises(MissingDependencyError, match=r"scan2albedo\[opencv\]"):
         read_image_linear(tmp_path / "a.hdr")
