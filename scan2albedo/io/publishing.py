@@ -135,16 +135,13 @@ def _link_others(
 
 def _exchange(a: Path, b: Path) -> None:
     """Exchange two paths in one step. Raises OSError where the system or file system cannot."""
-    library = ctypes.CDLL(None, use_errno=True)
-    swap, current_folder = 2, -100  # RENAME_EXCHANGE of Linux and RENAME_SWAP of macOS; AT_FDCWD
-    if sys.platform == "darwin":
-        failed = library.renamex_np(os.fsencode(a), os.fsencode(b), swap)
-    else:
-        exchange = getattr(library, "renameat2", None)
-        if exchange is None:
-            raise OSError(None, "this C library exchanges no paths")
-        failed = exchange(current_folder, os.fsencode(a), current_folder, os.fsencode(b), swap)
-    if failed:
+    name = "renamex_np" if sys.platform == "darwin" else "renameat2"
+    exchange = getattr(ctypes.CDLL(None, use_errno=True), name, None) if os.name == "posix" else None
+    if exchange is None:
+        raise OSError(None, "this system exchanges no paths")
+    here = () if sys.platform == "darwin" else (-100,)  # AT_FDCWD
+    swap = 2  # RENAME_SWAP of macOS and RENAME_EXCHANGE of Linux
+    if exchange(*here, os.fsencode(a), *here, os.fsencode(b), swap):
         raise OSError(ctypes.get_errno(), "paths cannot be exchanged")
 
 
