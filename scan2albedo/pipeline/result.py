@@ -49,7 +49,6 @@ FILES = OwnFiles(
         "shadow.png",
         "skin.png",
         "fitted.glb",
-        "template.obj",
         *TEMPLATE_FILES,
         *UNLIT_FILES,
         "registration.json",

@@ -9,7 +9,6 @@ import numpy as np
 from scan2albedo.applications.light_removal import UnlitScan
 from scan2albedo.applications.template_baking import (
     FIRST_TILE,
-    MOST_TILES,
     TemplateTexture,
 )
 from scan2albedo.applications.template_normals import normal_bytes
@@ -17,26 +16,26 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import encode_image, write_png
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_glb, write_textured_obj
 
-MOST_PICTURES = 100
 UNLIT_FILES = (
     "unlit.glb",
     "unlit.obj",
     "unlit.mtl",
     "unlit.png",
+    "unlit.*.png",
     "unlit_confidence.png",
-    *(f"unlit.{number}.png" for number in range(MOST_PICTURES)),
-    *(f"unlit_confidence.{number}.png" for number in range(MOST_PICTURES)),
+    "unlit_confidence.*.png",
 )
 """With several pictures each has a number, in the order of the scan's materials."""
 TEMPLATE_FILES = (
     "template.glb",
+    "template.obj",
     "template.mtl",
     "template.png",
+    "template.*.png",
     "template_normal.png",
-    *(f"template.{FIRST_TILE + number}.png" for number in range(MOST_TILES)),
-    *(f"template_normal.{FIRST_TILE + number}.png" for number in range(MOST_TILES)),
+    "template_normal.*.png",
 )
-"""Beside `template.obj`; with several tiles each has pictures with its UDIM number."""
+"""With several tiles each has pictures with its UDIM number."""
 
 
 def write_unlit(folder: Path, unlit: UnlitScan) -> None:
@@ -51,7 +50,7 @@ def write_unlit(folder: Path, unlit: UnlitScan) -> None:
     else:
         confidence = np.round(255 * np.clip(unlit.confidence, 0, 1)).astype(np.uint8)
         whole, own_uv, pictures = texture.shape[:2], uv.copy(), list[MeshPicture]()
-        tiles = scan.texture_tiles if 1 < len(scan.texture_tiles) <= MOST_PICTURES else ()
+        tiles = scan.texture_tiles if len(scan.texture_tiles) > 1 else ()
         for number, tile in enumerate(tiles):
             chosen = tile.holds(uv, whole)
             own_uv[chosen] = tile.own_uv(uv[chosen], whole)
@@ -69,7 +68,7 @@ def write_unlit(folder: Path, unlit: UnlitScan) -> None:
 
 
 def write_template(folder: Path, template: TemplateTexture) -> None:
-    """Write `template.obj` and `TEMPLATE_FILES`, mm and metres in the model's frame; alpha: seen."""
+    """Write `TEMPLATE_FILES`, mm and metres in the model's frame; alpha: seen."""
     alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
     pictures = list[MeshPicture]()
     for tile in template.tiles:
