@@ -21,16 +21,15 @@ _ACCEPTANCE = 0.44
 
 @dataclass(frozen=True)
 class AnnealingResult:
-    """Where annealing ended: the best point seen."""
+    """Where annealing ended: the best point `x` (n,) seen, the `cost` there, and the `evaluations` spent.
+
+    `converged` when the cooling schedule ran to its end, not when a budget cut it short.
+    """
 
     x: NDArray[np.float64]
-    """(n,)."""
     cost: float
-    """There."""
     evaluations: int
-    """Spent."""
     converged: bool
-    """True when the cooling schedule ran to its end, False when a budget cut it short."""
 
 
 def simulated_annealing(

@@ -148,9 +148,13 @@ def minimize(
 
 
 def damped_step(model: NormalEquations, damping: float) -> FloatArray:
-    """Return the step (P,) with `damping` times the diagonal added to the matrix, within its bounds.
+    """Return the damped step (P,) within its bounds; parameters that would leave them at once stay.
 
-    Parameters that would leave them at once stay.
+    Parameters
+    ----------
+    model : NormalEquations
+    damping : float
+        Factor of the matrix's diagonal that is added to it.
     """
     free = np.ones(len(model.gradient), bool)
     if model.lower is not None:
