@@ -82,7 +82,7 @@ def relit_errors(scene: SyntheticScene, given: ProcessedFace, unit: float) -> tu
             image.normal[mask],
             scene.albedo_linear[mask],
             [light],
-            material=scene.parameters.material,
+            material=scene.material,
             occluder=occluder,
             specular_scale=image.specular_scale[mask],
         ).radiance_linear

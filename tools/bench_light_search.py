@@ -109,7 +109,7 @@ def print_counts(size: int) -> None:
             right += same
             errors.append(error_percent(scene, found))
             angles.append(light_error_deg(found.lights, scene.lights))
-            material = scene.parameters.material
+            material = scene.material
             lacks = {
                 "near": True,
                 "rough": material.sigma_rad == 0,

@@ -35,10 +35,11 @@ REFIT = FitOptions(
     rigid_iterations=0,
     proportion_iterations=0,
     scale_range=(1.0, 1.0),
+    covers=False,
     smoothing_mm=0.0,
 )
-"""One person twice, in one frame, without noise: pose, size and proportions are known, and nothing along the
-surface is to be believed but what keeps the sheet smooth."""
+"""One person twice, in one frame, without noise or glasses: pose, size and proportions are known; nothing
+along the surface is to be believed but what keeps the sheet smooth."""
 
 
 @dataclass(frozen=True)

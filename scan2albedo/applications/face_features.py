@@ -56,10 +56,10 @@ def region_texels(
 ) -> BoolArray:
     """Return (H, W) the texels in the named regions of the model; none where they are not known."""
     template = default_model() if model is None else model
-    if face.region is None or face.model_name != template.name:
+    if face.image.region is None or face.model_name != template.name:
         return np.zeros(face.mask.shape, bool)
     known = [template.regions[name].index for name in names if name in template.regions]
-    return np.asarray(face.mask & np.isin(face.region, known))
+    return np.asarray(face.mask & np.isin(face.image.region, known))
 
 
 def taken_features(

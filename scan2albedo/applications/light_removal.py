@@ -49,11 +49,10 @@ _SPOT, _DARK_SPOT = 0.012, 0.7
 by eye, on the folded lips of a coarse template."""
 _NEAR_MM, _FAR_MM = 2.5, 5.0
 """Up to this distance from the fitted surface a vertex of the scan belongs to the face, and beyond the face
-light is found on the scan with so much between its vertices; from the second on a vertex does not belong."""
+light is found on the scan with so much between its vertices; from the second on a vertex does not belong. The
+face ends gradually over twice as much at the model's rim."""
 _FACING = 0.3
 """Cosine between a vertex's normal and the fitted surface's from which it belongs to the face; at 0 not."""
-_RIM_MM = 10.0
-"""Over this width at the model's rim the face ends gradually."""
 _TILE, _MARGIN, _GUTTER = 2048, 128, 16
 """Texels of a tile's side, of what is looked at beside it, and of the light's going on beside charts."""
 
@@ -184,7 +183,7 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
     inside = distance_transform_edt(np.pad(image.mask, 1))[1:-1, 1:-1, None]
     from_rim_mm = texel_mm * bilinear(inside, pixels_from_uv(uv[near], image.shape))[:, 0]
     weight[near] = smooth((_FAR_MM - hits.distance) / (_FAR_MM - _NEAR_MM))
-    weight[near] *= smooth(cosine / _FACING) * smooth(from_rim_mm / _RIM_MM)
+    weight[near] *= smooth(cosine / _FACING) * smooth(from_rim_mm / (2 * _FAR_MM))
     if fitted.covered_faces is not None and len(fitted.covered_faces) == len(scan.faces):
         weight[scan.faces[fitted.covered_faces]] = 0.0
     return uv, weight

@@ -56,10 +56,6 @@ class FaceMesh:
             return values
         return interpolate(rasterize_uv(self.uv, self.faces, mask.shape), self.faces, values)[mask]
 
-    def chart_normals(self, mask: BoolArray) -> FloatArray:
-        """Return (N, 3) unit normals of the masked texels."""
-        return normalized(self.on_chart(self.normals, mask))
-
 
 @dataclass(frozen=True)
 class ProcessedFace:
@@ -163,11 +159,6 @@ class ProcessedFace:
         """(H, W) texels of the surface."""
         return self.image.mask
 
-    @property
-    def region(self) -> NDArray[np.uint8] | None:
-        """(H, W) region of the model's annotation."""
-        return self.image.region
-
     def level(self) -> float:
         """Return the albedo's level: the geometric mean of V over the texels whose texture was seen."""
         value = self.albedo_linear.max(-1)[self.image.seen]
@@ -188,8 +179,8 @@ class ProcessedFace:
             Of the new face.
         """
         mask = self.image.mask
-        beyond = self.image.normal[mask] - self.mesh.chart_normals(mask)
-        normal = normalized(mesh.chart_normals(mask) + beyond)
+        old, new = (normalized(surface.on_chart(surface.normals, mask)) for surface in (self.mesh, mesh))
+        normal = normalized(new + (self.image.normal[mask] - old))
         occluder = None if self.image.occluder is None or mesh.from_chart else (mesh.vertices, mesh.faces)
         image = replace(
             self.image, position=on_grid(mask, position), normal=on_grid(mask, normal), occluder=occluder

@@ -1,7 +1,6 @@
 """Many scans: processed by local processes or a cluster, resumed, listed in one table."""
 
-from scan2albedo.batch.albedos import load_albedos
-from scan2albedo.batch.catalogue import load_catalogue
+from scan2albedo.batch.catalogue import load_albedos, load_catalogue
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan, read_manifest
 from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.run import run_batch

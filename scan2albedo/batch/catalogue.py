@@ -1,16 +1,23 @@
-"""`catalogue.parquet`: one row a scan, with columns of fixed names and types."""
+"""`catalogue.parquet`, one row a scan with columns of fixed names and types, and the albedos it lists."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from scan2albedo.batch.layout import CATALOGUE
-from scan2albedo.batch.manifest import BatchManifest, ManifestScan
+from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
 from scan2albedo.errors import BatchError, needs_extra
+from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.leftovers import settle
+from scan2albedo.io.npz import read_npz
 from scan2albedo.io.result_records import column_name, metric_columns
 
 if TYPE_CHECKING:
@@ -27,11 +34,36 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
     """
     import pyarrow as pa
 
-    lines = [_line(scan, rows.get(scan.name)) for scan in manifest.scans]
-    types = _types(manifest, lines)
-    schema = pa.schema([(name, _arrow_type(kind)) for name, kind in types.items()])
-    columns = {name: [_as(line.get(name), kind) for line in lines] for name, kind in types.items()}
-    return pa.Table.from_pydict(columns, schema=schema)
+    own = set(manifest.extra_columns)
+    types = dict(FIXED) | {f"seconds_{stage}": "float64" for stage in STAGES}
+    types |= {path_column(file): "string" for file in FILES} | METRICS
+    known = set(types) | own
+    lines = []
+    for scan in manifest.scans:
+        line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": NOT_RUN, "reason": ""}
+        line |= scan.extra
+        if (row := rows.get(scan.name)) is not None:
+            line |= {name: getattr(row, name) for name in FIXED if hasattr(row, name)}
+            line |= {"source": scan.source, "plan_ran": ", ".join(row.plan_ran)}
+            line |= {"plan_skipped": ", ".join(row.plan_skipped), "notes": "; ".join(row.notes)}
+            line["folder"] = scan.name if row.status == "done" else None
+            line |= {f"seconds_{column_name(stage)}": seconds for stage, seconds in row.timings_s.items()}
+            line |= metric_columns(row.metrics)
+            line |= {path_column(file): f"{scan.name}/{file}" for file in FILES if file in row.files}
+        lines.append(line)
+        for name, value in line.items():
+            if name not in known:
+                truth = isinstance(value, bool) and types.get(name, "bool") == "bool"
+                types[name] = "bool" if truth else "float64"
+    types |= dict.fromkeys(manifest.extra_columns, "string")
+    kinds = {"string": pa.string(), "float64": pa.float64(), "bool": pa.bool_()}
+    kinds["timestamp"] = pa.timestamp("us", tz="UTC")
+    casts = {"float64": float, "bool": bool}
+    columns = {}
+    for name, kind in types.items():
+        cells, cast = [line.get(name) for line in lines], casts.get(kind)
+        columns[name] = cells if cast is None else [None if cell is None else cast(cell) for cell in cells]
+    return pa.Table.from_pydict(columns, schema=pa.schema([(n, kinds[kind]) for n, kind in types.items()]))
 
 
 def write_catalogue(path: Path, table: pyarrow.Table) -> None:
@@ -73,41 +105,98 @@ def load_catalogue(out: str | Path) -> pyarrow.Table:
         ) from error
 
 
-def _line(scan: ManifestScan, row: BatchScanRecord | None) -> dict[str, Any]:
-    line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": NOT_RUN, "reason": ""}
-    line |= scan.extra
-    if row is None:
-        return line
-    line |= {name: getattr(row, name) for name in FIXED if hasattr(row, name)}
-    line |= {"source": scan.source, "plan_ran": ", ".join(row.plan_ran)}
-    line |= {"plan_skipped": ", ".join(row.plan_skipped), "notes": "; ".join(row.notes)}
-    line["folder"] = scan.name if row.status == "done" else None
-    line |= {f"seconds_{column_name(stage)}": seconds for stage, seconds in row.timings_s.items()}
-    line |= metric_columns(row.metrics)
-    return line | {path_column(file): f"{scan.name}/{file}" for file in FILES if file in row.files}
+def load_albedos(
+    out: str | Path, size: int | None = None
+) -> tuple[list[str], NDArray[np.float32], NDArray[np.bool_]]:
+    """Return the albedos of all scans of a batch that are done and have one.
+
+    Parameters
+    ----------
+    out : path
+        Folder of the batch.
+    size : int, optional
+        Height and width to bring them to, by averages over the texels that were seen; as stored when omitted.
+
+    Returns
+    -------
+    names : list of str
+        Of the scans, in the manifest's order.
+    albedo_linear : (N, size, size, 3) float32
+        Texels correspond between scans of one face model; those of scans without a model do not.
+    masks : (N, size, size) bool
+        Texels that the scanner saw; others have the colour of the closest point of the scan.
+
+    Raises
+    ------
+    BatchError
+        When there is no such batch, no albedo, scans of several models or sizes, or a file is missing.
+    ScanError
+        When an albedo is damaged.
+    """
+    table, anew = load_catalogue(out), "`batch --resume` makes it anew"
+    columns = ("name", "model", "status", "path_albedo_exr")
+    if missing := [name for name in columns if name not in table.column_names]:
+        raise BatchError(f"{out}: its catalogue has no column {missing[0]}; {anew}")
+    folder = Path(out) if Path(out).is_dir() else Path(out).parent
+    wanted = [
+        row for row in table.select(columns).to_pylist() if row["status"] == "done" and row["path_albedo_exr"]
+    ]
+    if not wanted:
+        raise BatchError(f"{folder}: no scan of this batch has an albedo; see the reasons in its catalogue")
+    if len(models := sorted({row["model"] for row in wanted})) > 1:
+        raise BatchError(
+            f"{folder}: scans of several models ({', '.join(models)}), whose texels do not correspond; "
+            "process them in a batch each"
+        )
+    albedos: list[NDArray[np.float32]] = []
+    masks: list[NDArray[np.bool_]] = []
+    for row in wanted:
+        path = str(row["path_albedo_exr"])
+        file = folder / path
+        if ".." in Path(path).parts or len(Path(path).parts) != 2 or file.parent.is_symlink():
+            raise BatchError(
+                f"{folder}: its catalogue names {path!r}, which is no file of a scan in it; {anew}"
+            )
+        try:
+            settle(file.parent)
+        except OSError as error:
+            raise BatchError(f"{file.parent}: a killed run is in the way: {error.strerror}") from error
+        albedo = read_image_linear(file)
+        image = file.parent / "geometry_image.npz"
+        advice = "run the batch with --resume"
+        arrays = read_npz(
+            image,
+            ("mask",),
+            optional=("texture_valid",),
+            what="geometry image",
+            advice=advice,
+            error=BatchError,
+        )
+        seen = arrays["mask"] & arrays.get("texture_valid", True)
+        if seen.shape != albedo.shape[:2]:
+            raise BatchError(
+                f"{file}: has {albedo.shape[:2]} texels, {image.name} {seen.shape}: not of one run"
+            )
+        if size is not None and albedo.shape[:2] != (size, size):
+            # Means over the texels that were seen, over all where none was.
+            weight = _resized(seen, size)
+            some = (weight > 0)[..., None]
+            weighted = _resized(albedo * seen[..., None], size) / np.where(some, weight[..., None], 1)
+            albedo = np.where(some, weighted, _resized(albedo, size)).astype(np.float32)
+            seen = weight >= 0.5
+        if albedos and albedo.shape != albedos[0].shape:
+            raise BatchError(
+                f"{folder}: {row['name']} has {albedo.shape[:2]} texels, {wanted[0]['name']} "
+                f"{albedos[0].shape[:2]}; give a size"
+            )
+        albedos.append(albedo)
+        masks.append(seen)
+    return [row["name"] for row in wanted], np.stack(albedos), np.stack(masks)
 
 
-def _types(manifest: BatchManifest, lines: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Return the columns in order, with the kind of each."""
-    types = dict(FIXED) | {f"seconds_{stage}": "float64" for stage in STAGES}
-    types |= {path_column(file): "string" for file in FILES} | METRICS
-    own = set(types) | set(manifest.extra_columns)
-    for line in lines:
-        for name, value in line.items():
-            if name not in own:
-                truth = isinstance(value, bool) and types.get(name, "bool") == "bool"
-                types[name] = "bool" if truth else "float64"
-    return types | dict.fromkeys(manifest.extra_columns, "string")
+def _resized(values: NDArray[Any], size: int) -> NDArray[np.float64]:
+    if size <= len(values):
+        return area_mean(values, (size, size))
+    from skimage.transform import resize
 
-
-def _arrow_type(kind: str) -> Any:
-    import pyarrow as pa
-
-    kinds = {"string": pa.string(), "float64": pa.float64(), "bool": pa.bool_()}
-    return kinds.get(kind) or pa.timestamp("us", tz="UTC")
-
-
-def _as(value: Any, kind: str) -> Any:
-    if value is None or kind not in ("float64", "bool"):
-        return value
-    return float(value) if kind == "float64" else bool(value)
+    return resize(values.astype(np.float64), (size, size), order=1, mode="edge", anti_aliasing=False)

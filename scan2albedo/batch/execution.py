@@ -63,7 +63,12 @@ def run_in_processes(
             if waiting.pop(name, None) is not None and isinstance(found, BatchScanRecord):
                 yield found
     for task in suspects:
-        yield _alone(task, layout)
+        try:
+            yield from _processed([task], 1)
+        except BrokenProcessPool as error:
+            again = _ended([task], layout).get(task.name)
+            reason = f"its worker died twice ({_exit_codes(error)}): {_CAUSES}"
+            yield again if isinstance(again, BatchScanRecord) else _failed(task, layout, reason)
 
 
 _DIED = "died"
@@ -95,17 +100,6 @@ def _took_too_long(task: ScanTask, begun: float) -> bool:
     return task.timeout_s is not None and time.time() - begun >= task.timeout_s
 
 
-def _alone(task: ScanTask, layout: Layout) -> BatchScanRecord:
-    try:
-        (row,) = _processed([task], 1)
-        return row
-    except BrokenProcessPool as error:
-        ended = _ended([task], layout).get(task.name)
-        if isinstance(ended, BatchScanRecord):
-            return ended
-        return _failed(task, layout, f"its worker died twice ({_exit_codes(error)}): {_CAUSES}")
-
-
 def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord]:
     """Yield the records of tasks as local processes finish them; BrokenProcessPool when a process dies."""
     from loky import ProcessPoolExecutor
@@ -117,7 +111,9 @@ def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord
     # Two a process: one that waits keeps a process busy, and few are lost track of when one dies.
     ahead = 1 if jobs == 1 else 2 * jobs
     running: dict[Future[BatchScanRecord], ScanTask] = {}
-    with _quiet():
+    with warnings.catch_warnings():
+        # loky replaces a worker whose memory grew, which is intended.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
         try:
             while True:
                 new = islice(tasks_left, ahead - len(running))
@@ -125,21 +121,18 @@ def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord
                 if not running:
                     break
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    yield _row(future, running.pop(future))
+                    task = running.pop(future)
+                    try:
+                        row = future.result()
+                    except (BrokenProcessPool, OutputError):
+                        raise
+                    # Raises whatever the task raised in its worker, of any library.
+                    except Exception as error:  # noqa: BLE001
+                        row = task.record("failed", _reason(error))
+                    yield row
         finally:
             # At once: they hold hundreds of MB each.
             executor.shutdown(kill_workers=True)
-
-
-def _row(future: Future[BatchScanRecord], task: ScanTask) -> BatchScanRecord:
-    """Return the record that a worker answers, or that of a task that raised; BrokenProcessPool passes."""
-    try:
-        return future.result()
-    except (BrokenProcessPool, OutputError):
-        raise
-    # Raises whatever the task raised in its worker, of any library.
-    except Exception as error:  # noqa: BLE001
-        return task.failed(_reason(error))
 
 
 def run_on_cluster(
@@ -167,26 +160,19 @@ def run_on_cluster(
                         raise BatchError(
                             f"the dask scheduler at {address} is gone; --resume goes on with another"
                         ) from error
-                    found = _given_up(task, layout, _reason(error))
-                    if found is None:
-                        again.append(task)
-                        continue
-                    row = found
+                    reason = _reason(error)
+                    if reason.startswith("KilledWorker"):
+                        begun = layout.started_at(task.name)
+                        if begun is None:  # it only waited at workers that died
+                            again.append(task)
+                            continue
+                        late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""
+                        reason = f"its workers died each time it was tried: {_CAUSES}{late} ({reason})"
+                    row = _failed(task, layout, reason)
                 yield row
             if len(again) == len(waiting):
                 raise BatchError(f"the workers of {address} die before they begin a scan; see their logs")
             waiting = again
-
-
-def _given_up(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord | None:
-    """Return the record of a task that raised or killed its workers; None when it only waited at some."""
-    if reason.startswith("KilledWorker"):
-        begun = layout.started_at(task.name)
-        if begun is None:
-            return None
-        late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""
-        reason = f"its workers died each time it was tried: {_CAUSES}{late} ({reason})"
-    return _failed(task, layout, reason)
 
 
 def _answered(client: Any, tasks: Sequence[ScanTask]) -> Iterator[tuple[ScanTask, Any]]:
@@ -219,7 +205,7 @@ def _client(address: str) -> Iterator[Any]:
 
 
 def _failed(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord:
-    row = task.failed(reason)
+    row = task.record("failed", reason)
     layout.keep(row)
     return row
 
@@ -232,11 +218,3 @@ def _exit_codes(error: BaseException) -> str:
 def _reason(error: BaseException) -> str:
     first = (str(error).strip().splitlines() or [""])[0]
     return f"{type(error).__name__}: {first}"
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Keep loky from warning of a worker that it replaces because its memory grew, which is intended."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
-        yield

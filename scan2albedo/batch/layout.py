@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError
@@ -56,9 +55,10 @@ class Layout:
         """The record of the batch."""
         return self.out / RECORD
 
-    def holds_a_batch(self) -> bool:
-        """Return whether a batch was begun here."""
-        return self.record.exists() or self.catalogue.exists() or any(self.rows.glob("*.json"))
+    @property
+    def _run(self) -> Path:
+        """Names the only run whose workers may write here."""
+        return self.out / _KEPT / "run"
 
     def row_file(self, name: str) -> Path:
         """Return where the record of a scan is."""
@@ -76,34 +76,23 @@ class Layout:
         make_folder(self.rows)
         write_record(self.row_file(row.name), row)
 
-    def recorded_files(self, name: str) -> tuple[str, ...]:
-        """Return the names of the files that an earlier run of a batch wrote for a scan."""
-        row = self.row(name)
-        return () if row is None else tuple(row.files)
-
-    def refuse_links(self) -> None:
-        """Raise `BatchError` when a folder in which a batch keeps its records is a link."""
-        for folder in (self.rows.parent, self.rows, self.running):
-            if folder.is_symlink():
-                raise BatchError(f"{folder}: is a link, and links are not followed; remove it")
-
     def begin_run(self, run: str) -> None:
         """Make `run` the only one whose workers may write here."""
         make_folder(self.rows)
         self._unmark_all()
         make_folder(self.running)
-        write_text(self.out / _KEPT / "run", run)
+        write_text(self._run, run)
 
     def end_run(self) -> None:
         """Keep remaining workers from writing here."""
         with suppress(OSError):
-            (self.out / _KEPT / "run").unlink()
+            self._run.unlink()
         self._unmark_all()
 
     def is_running(self, run: str) -> bool:
         """Return whether `run` is the one that may write here."""
         try:
-            return (self.out / _KEPT / "run").read_text(encoding="utf-8") == run
+            return self._run.read_text(encoding="utf-8") == run
         except OSError:
             return False
 
@@ -133,13 +122,6 @@ class Layout:
                     self.unmark(name)
             self.running.rmdir()
 
-    def _opened_lock(self) -> TextIO:
-        lock = self.out / _KEPT / "lock"
-        try:
-            return open(lock, "a", opener=_without_links, encoding="utf-8")
-        except OSError as error:
-            raise BatchError(f"{lock}: cannot be opened: {error.strerror}; remove it") from error
-
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other batches out of the folder during the block; a killed process holds no lock.
@@ -148,21 +130,22 @@ class Layout:
         """
         import fcntl
 
-        make_folder(self.out / _KEPT)
-        with self._opened_lock() as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise BatchError(
-                    f"another batch works in {self.out}; wait for it, or choose another folder"
-                ) from None
-            except OSError:
-                pass  # a file system without locks
+        lock = make_folder(self.out / _KEPT) / "lock"
+        try:
+            descriptor = os.open(lock, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        except OSError as error:
+            raise BatchError(f"{lock}: cannot be opened: {error.strerror}; remove it") from error
+        try:
+            with suppress(OSError):  # a file system without locks
+                try:
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise BatchError(
+                        f"another batch works in {self.out}; wait for it, or choose another folder"
+                    ) from None
             yield
-
-
-def _without_links(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NOFOLLOW, 0o666)
+        finally:
+            os.close(descriptor)
 
 
 def folder_sha256(folder: Path) -> dict[str, str]:

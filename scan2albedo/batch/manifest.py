@@ -141,33 +141,8 @@ def _scans_below(folder: Path, leave_out: Path | None) -> Iterator[Path]:
 
 def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchManifest:
     rows = table_rows(text, file, BatchError)
-    header = _header(file, rows[0][1] if rows else [])
-    extra = tuple(name for name in header if name not in (SCAN, "name", *OWN_OPTIONS))
-    scans = []
-    for line, row in rows[1:]:
-        where = f"{file}, line {line}"
-        cells = cells_by_column(header, row, where, BatchError)
-        if not (source := cells[SCAN].strip()):
-            raise BatchError(f"{where}: names no scan")
-        own = {name: cells[name].strip() for name in OWN_OPTIONS if name in cells}
-        kept = {name: printable(cells[name]) for name in extra}
-        name = cells.get("name", "").strip()
-        scans.append(_scan(source, file.parent.absolute(), where=where, name=name, own=own, extra=kept))
-    return BatchManifest(file, tuple(_told_apart(scans, name_columns)), extra)
-
-
-def _told_apart(scans: list[ManifestScan], columns: tuple[str, ...]) -> Iterator[ManifestScan]:
-    """Give the scans, those of one name with their cells of some columns before it."""
-    count = Counter(scan.name.casefold() for scan in scans)
-    for scan in scans:
-        cells = [text.strip() for column, text in scan.extra.items() if column.casefold() in columns]
-        twice = count[scan.name.casefold()] > 1
-        yield replace(scan, name="-".join((*cells, scan.name))) if twice else scan
-
-
-def _header(file: Path, cells: list[str]) -> list[str]:
     known = (SCAN, "name", *OWN_OPTIONS)
-    names = [printable(cell.strip()) for cell in cells]
+    names = [printable(cell.strip()) for cell in (rows[0][1] if rows else [])]
     header = [name.lower() if name.lower() in known else name for name in names]
     if SCAN not in header:
         found = f"its first line has {', '.join(header)}" if header else "it is empty"
@@ -181,7 +156,26 @@ def _header(file: Path, cells: list[str]) -> list[str]:
         raise BatchError(f"{file}: column {header.index('') + 1} has no name; give it one")
     if taken := [name for name in header if name not in known and is_taken(name)]:
         raise BatchError(f"{file}: the catalogue has a column {taken[0]} of its own; rename it")
-    return header
+    extra = tuple(name for name in header if name not in known)
+    scans = []
+    for line, row in rows[1:]:
+        where = f"{file}, line {line}"
+        cells = cells_by_column(header, row, where, BatchError)
+        if not (source := cells[SCAN].strip()):
+            raise BatchError(f"{where}: names no scan")
+        own = {name: cells[name].strip() for name in OWN_OPTIONS if name in cells}
+        kept = {name: printable(cells[name]) for name in extra}
+        name = cells.get("name", "").strip()
+        scans.append(_scan(source, file.parent.absolute(), where=where, name=name, own=own, extra=kept))
+    # Scans of one name get their cells of some columns before it.
+    count = Counter(scan.name.casefold() for scan in scans)
+    for k, scan in enumerate(scans):
+        if count[scan.name.casefold()] > 1:
+            before = [
+                text.strip() for column, text in scan.extra.items() if column.casefold() in name_columns
+            ]
+            scans[k] = replace(scan, name="-".join((*before, scan.name)))
+    return BatchManifest(file, tuple(scans), extra)
 
 
 def _checked(manifest: BatchManifest) -> BatchManifest:

@@ -20,8 +20,6 @@ _TEXEL_BYTES = 400.0
 _MESH_BYTES_PER_BYTE = 25.0
 _PIXEL_BYTES = 160.0
 _KEPT_FREE = 0.1
-_HEADER_BYTES = 1 << 20
-"""Of a picture, metadata before its size among them."""
 
 _CGROUP_FILES = (
     ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
@@ -59,8 +57,21 @@ def job_limit(
     The largest of the `scans` counts, `size` is the geometry images' height and width, and `running_mb` the
     measured peak of a worker, when it is higher than the estimate. `textures` is as in `load_scan`.
     """
-    largest = max((_scan_mb(path, textures) for path in scans), default=0.0)
-    worker = max(_BASE_MB + size * size * _TEXEL_BYTES / MB + largest, running_mb)
+    largest = 0.0
+    for path in scans:
+        total = 0.0
+        with suppress(OSError, ValueError, Scan2AlbedoError):  # a scan that is missing
+            for file in files_of_scan(path, textures):
+                pixels = None
+                if file.suffix.lower() in SUPPORTED_IMAGES:
+                    with file.open("rb") as opened:
+                        pixels = picture_size(opened.read(MB))  # metadata may stand before the size
+                if pixels is not None and 0 < pixels.pixels <= limits.PIXELS:
+                    total += pixels.pixels * _PIXEL_BYTES
+                else:
+                    total += file.stat().st_size * _MESH_BYTES_PER_BYTE
+        largest = max(largest, total)
+    worker = max(_BASE_MB + (size * size * _TEXEL_BYTES + largest) / MB, running_mb)
     available = available_mb()
     fitting = int((1 - _KEPT_FREE) * available / worker)
     return JobLimit(max(1, min(asked, fitting)), worker, available)
@@ -75,20 +86,3 @@ def available_mb() -> float:
         with suppress(OSError, ValueError):  # no such container, or no limit ("max")
             available = min(available, int(Path(limit).read_text()) - int(Path(used).read_text()))
     return max(available, 0.0) / MB
-
-
-def _scan_mb(path: Path, textures: str | Path | None) -> float:
-    """Return the memory that a scan adds, from the sizes of its files and textures; 0 where it is missing."""
-    total = 0.0
-    with suppress(OSError, ValueError, Scan2AlbedoError):
-        for file in files_of_scan(path, textures):
-            pixels = _pixels(file) if file.suffix.lower() in SUPPORTED_IMAGES else 0
-            total += pixels * _PIXEL_BYTES if pixels else file.stat().st_size * _MESH_BYTES_PER_BYTE
-    return total / MB
-
-
-def _pixels(image: Path) -> int:
-    """Return the number of pixels from the image's header, 0 when that has none, or more than are read."""
-    with image.open("rb") as file:
-        size = picture_size(file.read(_HEADER_BYTES))
-    return 0 if size is None or size.pixels > limits.PIXELS else size.pixels

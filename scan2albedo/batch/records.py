@@ -9,6 +9,7 @@ from pydantic import AwareDatetime, Field
 from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
 from scan2albedo.io.result_records import SHA256, RunRecord
 
+BatchOutcome = Literal["done", "failed"]
 BatchStatus = Literal["running", "ended", "interrupted"]
 Sha256 = Annotated[str, Field(pattern=SHA256)]
 
@@ -20,7 +21,7 @@ class BatchScanRecord(Record):
     run: str = Field(description="Of the batch's run that wrote it.")
     name: str = Field(min_length=1, description="Of the result's folder.")
     source: str = Field(description="Path as the manifest has it.")
-    status: Literal["done", "failed"]
+    status: BatchOutcome
     reason: str = Field("", description="Why it failed, one line.")
     model: str | None = Field(None, description="Name of the face model; none without one.")
     input_sha256: Sha256 | None = Field(None, description="See input_sha256; null when it cannot be read.")

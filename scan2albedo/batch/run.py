@@ -6,39 +6,39 @@ import hashlib
 import json
 import os
 import secrets
-import signal
-import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections import Counter
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.layout import Layout, changed_file
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit
 from scan2albedo.batch.records import FIXED, BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
 from scan2albedo.batch.report import BatchProgress, BatchReport
-from scan2albedo.batch.resume import Resumed, verified
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.version import VERSION
-from scan2albedo.errors import BatchError, ModelError, needs_extra
+from scan2albedo.errors import BatchError, ModelError, Scan2AlbedoError, needs_extra
 from scan2albedo.io.atomic import check_writable
-from scan2albedo.io.input_hash import file_sha256, files_of_scan
+from scan2albedo.io.input_hash import file_sha256, files_of_scan, input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.placed_landmarks import landmarks_file
+from scan2albedo.io.publishing import signals_held
 from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector
 from scan2albedo.pipeline.options import ProcessOptions
 
 CATALOGUE_INTERVAL_S = 30.0
 """Seconds between two writings of the catalogue while scans are processed."""
+
+_POSIX = os.name == "posix"
 
 OnBatchProgress = Callable[[BatchProgress], None]
 
@@ -97,29 +97,37 @@ def run_batch(
     layout = Layout.of(out)
     if not isinstance(manifest, BatchManifest):
         manifest = read_manifest(manifest, leave_out=layout.out)
-    _check_machine(scheduler)
+    # Others lack the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
+    # memory of a worker (`resource`) and the change of parent by which a worker notices that it is an orphan.
+    if not _POSIX:
+        raise BatchError(
+            "batches need Linux or macOS; here, process scans one after the other with `scan2albedo process`"
+        )
+    with needs_extra("batch"):
+        import psutil  # noqa: F401
+        import pyarrow  # noqa: F401
+        from loky import cpu_count
+    if scheduler is not None:
+        with needs_extra("cluster"):
+            import distributed  # noqa: F401
     options = ProcessOptions() if options is None else options
     tasks = _tasks(manifest, layout, options, timeout_s)
     check_writable(layout.out)
-    layout.refuse_links()
+    for folder in (layout.rows.parent, layout.rows, layout.running):
+        if folder.is_symlink():
+            raise BatchError(f"{folder}: is a link, and links are not followed; remove it")
     with layout.locked():
-        if layout.holds_a_batch() and not resume:
+        begun = layout.record.exists() or layout.catalogue.exists() or any(layout.rows.glob("*.json"))
+        if begun and not resume:
             raise BatchError(f"{out} holds a batch already; give --resume to go on, or another folder")
-        _require_a_batch(layout)
-        asked = jobs or _cores()
+        advice = "it was edited, cut short, or is none of a batch: move it away, or choose another folder"
+        if os.path.lexists(layout.record):
+            read_record(layout.record, BatchRecord, advice=advice, error=BatchError)
+        elif os.path.lexists(layout.catalogue) and not set(FIXED) <= set(load_catalogue(out).column_names):
+            raise BatchError(f"{layout.catalogue}: is no catalogue of a batch; {advice}")
+        asked = jobs or int(cpu_count())
         run = _Run(manifest, layout, options, asked, scheduler, on_progress, tasks[0].run)
         return run.report(tasks, resume)
-
-
-def _require_a_batch(layout: Layout) -> None:
-    """Raise `BatchError` for a record, or without one a catalogue, that no batch wrote."""
-    advice = "it was edited, cut short, or is none of a batch: move it away, or choose another folder"
-    if os.path.lexists(layout.record):
-        read_record(layout.record, BatchRecord, advice=advice, error=BatchError)
-    elif os.path.lexists(layout.catalogue):
-        found = load_catalogue(layout.catalogue).column_names
-        if not set(FIXED) <= set(found):
-            raise BatchError(f"{layout.catalogue}: is no catalogue of a batch; {advice}")
 
 
 def _tasks(
@@ -131,8 +139,11 @@ def _tasks(
         raise ValueError("a batch's model is a file, 'default' or 'none': workers read it themselves")
     if options.model not in ("default", "none"):
         options = replace(options, model=str(Path(options.model).absolute()))
-    if options.landmarks is not None:
-        options = replace(options, landmarks=_landmarks_of_all(options.landmarks, len(manifest.scans)))
+    if options.landmarks is not None and options.landmarks != AUTO:
+        folder = options.landmarks
+        if not isinstance(folder, str) or (len(manifest.scans) > 1 and not Path(folder).is_dir()):
+            raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")
+        options = replace(options, landmarks=str(Path(folder).absolute()))
     if options.textures is not None:
         options = replace(options, textures=str(Path(options.textures).absolute()))
     for scan in manifest.scans:
@@ -140,6 +151,18 @@ def _tasks(
         model = str(chosen.model)
         if model not in models:
             models[model] = _model_sha256(model)
+        # Whatever changes a result, and nothing else, is in this hash.
+        hashed = {"version": VERSION, "model_sha256": models[model], **asdict(chosen)}
+        if model not in ("default", "none"):
+            hashed["model"] = Path(model).name  # its place does not count
+        del hashed["textures"]  # those that a scan uses are part of the input
+        del hashed["landmarks"]
+        place = chosen.landmarks
+        file = landmarks_file(place, scan.path) if isinstance(place, str) and place != AUTO else None
+        if place == AUTO:
+            hashed["landmarks"] = AUTO
+        elif file is not None:
+            hashed["landmarks"] = file_sha256(file) if file.is_file() else "missing"
         tasks.append(
             ScanTask(
                 name=scan.name,
@@ -147,7 +170,7 @@ def _tasks(
                 path=str(scan.path),
                 out=str(layout.out),
                 options=chosen,
-                options_sha256=_options_sha256(chosen, models[model], scan.path),
+                options_sha256=hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest(),
                 model_sha256=models[model],
                 run=run,
                 version=VERSION,
@@ -163,10 +186,14 @@ def _model_sha256(model: str) -> str | None:
     """Return the SHA-256 of a model's or template's files, None for "none"; without them a `ModelError`."""
     if model == "none":
         return None
-    path = Path(_default_model() if model == "default" else model)
-    arrays = path.with_suffix(".npz")
+    path = Path(model)
+    if model == "default":
+        from scan2albedo import face_model
+
+        path = Path(str(face_model.__file__)).parent / "data" / "afm.json"
     try:
-        files = [path, arrays] if path.suffix.lower() == ".json" else [*files_of_scan(path)]
+        json_model = path.suffix.lower() == ".json"
+        files = [path, path.with_suffix(".npz")] if json_model else [*files_of_scan(path)]
         return hashlib.sha256("".join(file_sha256(f) for f in files if f.exists()).encode()).hexdigest()
     except OSError as error:
         raise ModelError(
@@ -174,34 +201,24 @@ def _model_sha256(model: str) -> str | None:
         ) from error
 
 
-def _landmarks_of_all(landmarks: Any, count: int) -> str:
-    """Return the absolute path of a batch's landmarks; ValueError for those that cannot be of all scans."""
-    if isinstance(landmarks, str) and landmarks == AUTO:
-        return AUTO
-    if not isinstance(landmarks, str) or (count > 1 and not Path(landmarks).is_dir()):
-        raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")
-    return str(Path(landmarks).absolute())
-
-
-def _options_sha256(options: ProcessOptions, model_hash: str | None, scan: Path) -> str:
-    """Return the SHA-256 of options, package version, model and the landmarks of a scan."""
-    hashed = {"version": VERSION, "model_sha256": model_hash, **asdict(options)}
-    if options.model not in ("default", "none"):
-        hashed["model"] = Path(str(options.model)).name  # its place does not count
-    del hashed["textures"]  # those that a scan uses are part of the input
-    del hashed["landmarks"]
-    if options.landmarks == AUTO:
-        hashed["landmarks"] = AUTO
-    elif isinstance(options.landmarks, str) and (file := landmarks_file(options.landmarks, scan)) is not None:
-        hashed["landmarks"] = file_sha256(file) if file.is_file() else "missing"
-    return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
-
-
-@cache
-def _default_model() -> Path:
-    from scan2albedo import face_model
-
-    return Path(str(face_model.__file__)).parent / "data" / "afm.json"
+def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, str]:
+    """Return the record of a result of an earlier run that is still valid, or None and why it is not."""
+    remove_leftovers(layout.out / task.name)
+    row = layout.row(task.name)
+    if row is None:
+        return None, "not run"
+    if row.status != "done":
+        return None, "failed before"
+    if row.options_sha256 != task.options_sha256:
+        return None, "with other options"
+    try:
+        if row.input_sha256 != input_sha256(task.path, task.options.textures):
+            return None, "with a changed scan"
+    except Scan2AlbedoError:
+        return None, "without their scan"
+    if changed_file(layout.out / task.name, row.files) is not None:
+        return None, "with changed or missing files"
+    return row, ""
 
 
 @dataclass
@@ -216,7 +233,8 @@ class _Run:
     on_progress: OnBatchProgress | None
     run: str
     rows: dict[str, BatchScanRecord] = field(default_factory=dict)
-    resumed: Resumed = field(default_factory=Resumed)
+    kept: int = 0
+    files_verified: int = 0
     notes: list[str] = field(default_factory=list)
     jobs: int = 1
     started_at: datetime = field(default_factory=lambda: datetime.now(UTC))
@@ -240,44 +258,40 @@ class _Run:
                         self.write("running")
             status = "ended"
         finally:
-            with _undisturbed():
+            with signals_held():
                 self.layout.end_run()
-                self.take_finished()
+                # Scans that a worker finished, but whose answer was not awaited when the run was ended.
+                for scan in self.manifest.scans:
+                    finished = None if scan.name in self.rows else self.layout.row(scan.name)
+                    if finished is not None and finished.run == self.run:
+                        self.rows[scan.name] = finished
                 remove_leftovers(*self.layout.folders)
                 self.write(status)
-        return BatchReport(
-            self.layout.out,
-            self.progress(),
-            self.failures(),
-            self.jobs,
-            self.resumed.files_verified,
-            tuple(self.notes),
-        )
-
-    def take_finished(self) -> None:
-        """Take up scans that a worker finished, but whose answer was not awaited when the run was ended."""
-        for name in (scan.name for scan in self.manifest.scans if scan.name not in self.rows):
-            row = self.layout.row(name)
-            if row is not None and row.run == self.run:
-                self.rows[name] = row
+        return self.outcome()
 
     def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
         """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
         if removed := remove_leftovers(*self.layout.folders):
             self.note(f"removed {removed} half-written files and folders of a run that was killed")
-        self.resumed = verified(tasks, self.layout)
-        self.rows |= self.resumed.kept
-        self.note(self.resumed.note())
-        return self.resumed.todo
+        with ThreadPoolExecutor() as readers:
+            found = list(readers.map(lambda task: _still_valid(task, self.layout), tasks))
+        self.rows |= {row.name: row for row, _ in found if row is not None}
+        self.kept = len(self.rows)
+        self.files_verified = sum(len(row.files) for row in self.rows.values())
+        todo = [task for task in tasks if task.name not in self.rows]
+        reasons = Counter(reason for row, reason in found if row is None)
+        why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+        detail = f" ({why})" if why else ""
+        self.note(f"kept {self.kept} (hashes verified), {len(todo)} to do{detail}")
+        return todo
 
     def processed(self, tasks: Sequence[ScanTask]) -> Generator[BatchScanRecord]:
         if tasks and self.scheduler is not None:
-            yield from run_on_cluster(tasks, self.layout, self.scheduler, self.set_jobs)
+            yield from run_on_cluster(
+                tasks, self.layout, self.scheduler, lambda jobs: setattr(self, "jobs", jobs)
+            )
         elif tasks:
             yield from run_in_processes(tasks, self.layout, self.limited)
-
-    def set_jobs(self, jobs: int) -> None:
-        self.jobs = jobs
 
     def limited(self, tasks: Sequence[ScanTask]) -> int:
         """Return how many processes to use for these tasks: as many as fit into memory now."""
@@ -304,93 +318,41 @@ class _Run:
             self.on_progress(replace(self.progress(), last=last, note=note))
 
     def progress(self) -> BatchProgress:
-        failed = len(self.failures())
-        return BatchProgress(
-            total=len(self.manifest.scans),
-            done=len(self.rows) - failed,
-            failed=failed,
-            kept=len(self.resumed.kept),
-            elapsed_s=time.monotonic() - self.start,
-        )
+        failed, elapsed_s = len(self.failures()), time.monotonic() - self.start
+        return BatchProgress(len(self.manifest.scans), len(self.rows) - failed, failed, self.kept, elapsed_s)
 
     def failures(self) -> dict[str, str]:
         rows = (self.rows.get(scan.name) for scan in self.manifest.scans)
         return {row.name: row.reason for row in rows if row is not None and row.status == "failed"}
 
     def write(self, status: BatchStatus) -> None:
-        """Write the catalogue and the record of the batch, each whole or not at all."""
+        """Write the catalogue and the record of the batch."""
         self.written = time.monotonic()
         write_catalogue(self.layout.catalogue, catalogue_table(self.manifest, self.rows))
-        write_record(self.layout.record, self.record(status))
-
-    def record(self, status: BatchStatus) -> BatchRecord:
-        progress, failures = self.progress(), self.failures()
-        return BatchRecord(
+        outcome, failures = self.outcome().figures(), self.failures()
+        del outcome["out"]
+        outcome["failures"] = tuple(
+            BatchFailure(name=scan.name, source=scan.source, reason=failures[scan.name])
+            for scan in self.manifest.scans
+            if scan.name in failures
+        )
+        record = BatchRecord(
             scan2albedo_version=VERSION,
             versions=installed_versions(),
             run=self.run,
             status=status,
             manifest=str(self.manifest.path),
             options=asdict(self.options),
-            jobs=self.jobs,
             jobs_asked=self.asked,
             scheduler=self.scheduler,
             started_at=self.started_at,
             finished_at=None if status == "running" else datetime.now(UTC),
-            seconds=progress.elapsed_s,
-            scans=progress.total,
-            done=progress.done,
-            failed=progress.failed,
-            not_run=progress.left,
-            kept=progress.kept,
-            files_verified=self.resumed.files_verified,
-            scans_per_hour=progress.scans_per_hour,
-            failures=tuple(
-                BatchFailure(name=scan.name, source=scan.source, reason=failures[scan.name])
-                for scan in self.manifest.scans
-                if scan.name in failures
-            ),
-            notes=tuple(self.notes),
+            **outcome,
         )
+        write_record(self.layout.record, record)
 
-
-_POSIX = os.name == "posix"
-
-
-def _check_machine(scheduler: str | None) -> None:
-    """Refuse a machine that is not POSIX, before any work.
-
-    Others lack the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
-    memory of a worker (`resource`) and the change of parent by which a worker notices that it is an orphan.
-    """
-    if not _POSIX:
-        raise BatchError(
-            "batches need Linux or macOS; here, process scans one after the other with `scan2albedo process`"
+    def outcome(self) -> BatchReport:
+        notes = tuple(self.notes)
+        return BatchReport(
+            self.layout.out, self.progress(), self.failures(), self.jobs, self.files_verified, notes
         )
-    with needs_extra("batch"):
-        import loky  # noqa: F401
-        import psutil  # noqa: F401
-        import pyarrow  # noqa: F401
-    if scheduler is not None:
-        with needs_extra("cluster"):
-            import distributed  # noqa: F401
-
-
-def _cores() -> int:
-    from loky import cpu_count
-
-    return int(cpu_count())
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Let neither Ctrl-C nor SIGTERM end the block."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -8,8 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.batch.layout import Layout, folder_sha256
-from scan2albedo.batch.records import BatchScanRecord
+from scan2albedo.batch.records import BatchOutcome, BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.run_folder import RunFolder
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
 _ONE_AT_A_TIME = threading.Lock()
 _PARENT_INTERVAL_S = 0.5
-_MODELS_KEPT = 4
 
 
 @dataclass(frozen=True)
@@ -51,17 +49,14 @@ class ScanTask:
     version: str
     timeout_s: float | None = None
 
-    def failed(self, reason: str, **figures: Any) -> BatchScanRecord:
-        """Return the record of this scan as one that failed."""
-        return self.record("failed", reason=one_line(reason), **figures)
-
-    def record(self, status: str, **figures: Any) -> BatchScanRecord:
+    def record(self, status: BatchOutcome, reason: str = "", **figures: Any) -> BatchScanRecord:
         """Return a record of this scan, finished now."""
         return BatchScanRecord(
             run=self.run,
             name=self.name,
             source=self.source,
-            status=status,  # type: ignore[arg-type]
+            status=status,
+            reason=one_line(reason),
             options_sha256=self.options_sha256,
             finished_at=datetime.now(UTC),
             **figures,
@@ -70,44 +65,59 @@ class ScanTask:
 
 def begin_worker(parent: int) -> None:
     """Leave Ctrl-C to the parent, and end when it has ended."""
+
+    def end_with_parent() -> None:
+        while os.getppid() == parent:
+            time.sleep(_PARENT_INTERVAL_S)
+        os._exit(1)
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, args=(parent,), daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
 
 
 def process_task(task: ScanTask) -> BatchScanRecord:
-    """Process one scan, write its files and its record, and return the record, also of any failure."""
+    """Process one scan, write its files and its record, and return the record, also of any failure.
+
+    The scan is marked as in progress meanwhile. An alarm ends the process when it takes too long, even inside
+    compiled code, where an exception could not clean up.
+    """
     layout = Layout(Path(task.out))
     earlier = layout.row(task.name)
     if earlier is not None and earlier.run == task.run:
         return earlier  # a scheduler asks again when it has lost the answer
-    with _ONE_AT_A_TIME, _marked(task, layout):
-        row = _attempted(task, layout)
-        if layout.is_running(task.run):
-            layout.keep(row)
-        return row
+    with _ONE_AT_A_TIME:
+        with suppress(Scan2AlbedoError):
+            layout.mark(task.name, time.time())
+        if task.timeout_s is not None:
+            signal.setitimer(signal.ITIMER_REAL, task.timeout_s)
+        try:
+            row = _attempted(task, layout)
+            if layout.is_running(task.run):
+                layout.keep(row)
+            return row
+        finally:
+            if task.timeout_s is not None:
+                signal.setitimer(signal.ITIMER_REAL, 0)
+            layout.unmark(task.name)
 
 
 def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
     start, cpu = time.perf_counter(), time.process_time()
     known: dict[str, Any] = {"worker": f"{platform.node()}:{os.getpid()}"}
-    status = "done"
+    status: BatchOutcome = "done"
     try:
         known |= _processed(task, layout)
     except Exception as error:  # noqa: BLE001  one bad scan never stops the others, whatever it raises
         name = "" if isinstance(error, Scan2AlbedoError) else f"{type(error).__name__}: "
         status, known["reason"] = "failed", f"{name}{error}"
         known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
-        known |= _input(task)
+        with suppress(Scan2AlbedoError):
+            known["input_sha256"] = input_sha256(task.path, task.options.textures)
         if (layout.out / task.name / "result.json").exists():
             known["notes"] += ("the result of an earlier run is still in its folder",)
-    known["reason"] = one_line(known.get("reason", ""))
-    return task.record(
-        status,
-        seconds=time.perf_counter() - start,
-        cpu_seconds=time.process_time() - cpu,
-        peak_memory_mb=peak_memory_mb(),
-        **known,
-    )
+    known["seconds"] = time.perf_counter() - start
+    known["cpu_seconds"] = time.process_time() - cpu
+    return task.record(status, peak_memory_mb=peak_memory_mb(), **known)
 
 
 def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
@@ -116,24 +126,23 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
 
     if task.version != VERSION:
         raise BatchError(f"the worker has scan2albedo {VERSION}, the batch {task.version}; install one")
-    with _one_thread():
-        from scan2albedo.pipeline.process import process
-        from scan2albedo.pipeline.result import FILES, write_result
+    from threadpoolctl import threadpool_limits
 
-        recorded = layout.recorded_files(task.name)
+    # Loads the libraries that are to be limited to one thread: processes share the cores.
+    from scan2albedo.pipeline.process import process
+    from scan2albedo.pipeline.result import FILES, write_result
+
+    with threadpool_limits(limits=1):
+        earlier = layout.row(task.name)
+        recorded = () if earlier is None else tuple(earlier.files)
         RunFolder(layout.out / task.name, FILES, recorded).check()  # refused before any work
         chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
         result = process(task.path, name=task.name, **chosen)
         if not layout.is_running(task.run):
             raise BatchError("the batch has ended; nothing is written")
         begin = time.perf_counter()
-        folder = write_result(
-            result,
-            layout.out,
-            files=task.options.files,
-            pictures=task.options.pictures,
-            recorded=recorded,
-        )
+        files, pictures = task.options.files, task.options.pictures
+        folder = write_result(result, layout.out, files=files, pictures=pictures, recorded=recorded)
         files_s = time.perf_counter() - begin
     return {
         "input_sha256": result.input_sha256,
@@ -151,50 +160,12 @@ def _stages(plan: Plan, level: Level) -> tuple[str, ...]:
     return tuple(dict.fromkeys(step.stage for step in plan if step.level == level))
 
 
-def _input(task: ScanTask) -> dict[str, str]:
-    with suppress(Scan2AlbedoError):
-        return {"input_sha256": input_sha256(task.path, task.options.textures)}
-    return {}
-
-
-@lru_cache(_MODELS_KEPT)
+@lru_cache(4)
 def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
     """Return the model, read once a worker as long as its files' hash is the same."""
     from scan2albedo.templates import chosen_model
 
     return chosen_model(model) or "none"
-
-
-@contextmanager
-def _marked(task: ScanTask, layout: Layout) -> Iterator[None]:
-    """Mark the scan as in progress, and end the process when it takes too long.
-
-    The alarm has no handler: it ends the process even inside compiled code, where an exception could not
-    clean up.
-    """
-    with suppress(Scan2AlbedoError):
-        layout.mark(task.name, time.time())
-    if task.timeout_s is not None:
-        signal.setitimer(signal.ITIMER_REAL, task.timeout_s)
-    try:
-        yield
-    finally:
-        if task.timeout_s is not None:
-            signal.setitimer(signal.ITIMER_REAL, 0)
-        layout.unmark(task.name)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Hold every library to one thread during the block; processes share the cores."""
-    import cv2
-    from threadpoolctl import threadpool_limits
-
-    import scan2albedo.pipeline.process  # noqa: F401  loads the libraries that are to be limited
-
-    cv2.setNumThreads(1)
-    with threadpool_limits(limits=1):
-        yield
 
 
 def peak_memory_mb() -> float:
@@ -203,9 +174,3 @@ def peak_memory_mb() -> float:
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
-
-
-def _end_with_parent(parent: int) -> None:
-    while os.getppid() == parent:
-        time.sleep(_PARENT_INTERVAL_S)
-    os._exit(1)

@@ -366,6 +366,7 @@ def lenses(
     stop_cleanly_on_interrupt(out)
     with ProgressLines("lenses") as progress:
         try:
+            RunFolder(out, FILES).check()
             source = read_lens_scene(
                 frame,
                 head,
@@ -377,7 +378,6 @@ def lenses(
                 unit=unit,
             )
             check_writable(out)
-            RunFolder(out, FILES).check()
             options = LensPictureOptions(supersampling=supersampling, light_count=lights)
             record = run_lenses(source, materials, options, out, progress.say)
         except Scan2AlbedoError as error:

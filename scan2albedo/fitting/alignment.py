@@ -16,7 +16,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.landmark_pull import LandmarkPull
-from scan2albedo.fitting.options import FitOptions, between
+from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
@@ -131,7 +131,7 @@ def proportioned(
         if meter.exhausted:
             return None
         progress = now.steps / max(steps - 1, 1)
-        gate_mm = between((options.gate_mm[0], LAST_GATE_MM), progress)
+        gate_mm = between((GATE_MM[0], LAST_GATE_MM), progress)
         gates = ForceGates(gate_mm, options.tangential, between(ROBUST_MM, progress))
         on_face = points[: len(samples.area)]
         forces = scan_forces(scan, on_face, samples.normals(on_face), gates, rim=samples.rim)

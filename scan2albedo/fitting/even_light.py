@@ -10,9 +10,8 @@ from scan2albedo.geometry.front_picture import FrontPicture
 
 _SMOOTH_MM = 2.0
 """Depth is smoothed by it before it is derived: scanners' noise tilts normals."""
-_STRIDE = 2
-"""Squares in every so many rows and columns are enough to find the light."""
-_ROUNDS = 6
+_STRIDE, _ROUNDS = 2, 6
+"""Squares in each second row and column are enough to find the light."""
 _DARKEST, _EVEN = 0.15, 0.02
 """Least light, relative to the usual one, and a deviation that nothing has to explain."""
 
@@ -27,7 +26,17 @@ def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
     .. [1] R. Ramamoorthi, P. Hanrahan, "An Efficient Representation for Irradiance Environment Maps",
        SIGGRAPH 2001.
     """
-    basis = _harmonics(_normals(picture))
+    # The slopes of the depth, smoothed over the squares that have one.
+    slopes, radius = [], _SMOOTH_MM / picture.step_mm
+    for axis in (1, 0):
+        known = picture.seen & np.roll(picture.seen, -1, axis) & np.roll(picture.seen, 1, axis)
+        rise = np.roll(picture.depth, -1, axis) - np.roll(picture.depth, 1, axis)
+        slope = gaussian_filter(np.where(known, rise / (2 * picture.step_mm), 0.0), radius)
+        slopes.append(slope / np.maximum(gaussian_filter(known.astype(float), radius), 1e-3))
+    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])])
+    x, y, z = normals / np.linalg.norm(normals, axis=0)
+    one = np.ones_like(x)
+    basis = np.stack([one, x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=-1)
     used = np.zeros(picture.seen.shape, bool)
     used[::_STRIDE, ::_STRIDE] = picture.seen[::_STRIDE, ::_STRIDE]
     rows, values = basis[used], np.minimum(brightness, np.percentile(brightness[used], 99))[used]
@@ -39,26 +48,3 @@ def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
         off = np.abs(values - rows @ light) / np.maximum(rows @ light, darkest)
         weight = 1 / (1 + (off / max(1.5 * float(np.median(off)), _EVEN)) ** 2)
     return np.asarray(np.where(picture.seen, brightness / np.maximum(basis @ light, darkest), 0.0))
-
-
-def _normals(picture: FrontPicture) -> FloatArray:
-    """Return (H, W, 3) unit normals of the depth, smoothed."""
-    slopes = [_slope(picture, axis) for axis in (1, 0)]
-    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])], axis=-1)
-    return np.asarray(normals / np.linalg.norm(normals, axis=-1, keepdims=True))
-
-
-def _slope(picture: FrontPicture, axis: int) -> FloatArray:
-    """Return the derivative (H, W) of depth along an axis, smoothed over the squares that have one."""
-    seen = picture.seen & np.roll(picture.seen, -1, axis) & np.roll(picture.seen, 1, axis)
-    ahead, behind = np.roll(picture.depth, -1, axis), np.roll(picture.depth, 1, axis)
-    slope = np.where(seen, (ahead - behind) / (2 * picture.step_mm), 0.0)
-    radius = _SMOOTH_MM / picture.step_mm
-    share = gaussian_filter(seen.astype(float), radius)
-    return np.asarray(gaussian_filter(slope, radius) / np.maximum(share, 1e-3))
-
-
-def _harmonics(normals: FloatArray) -> FloatArray:
-    """Return (..., 9) products of the coordinates of unit vectors (..., 3) up to the second degree."""
-    x, y, z = np.moveaxis(normals, -1, 0)
-    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=-1)

@@ -21,7 +21,7 @@ from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
 from scan2albedo.fitting.mouth_corners import corners_pulled
 from scan2albedo.fitting.mouth_opening import mouth_opened
 from scan2albedo.fitting.openings import openings
-from scan2albedo.fitting.options import FitOptions
+from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.painted_features import painted_pull
 from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -32,8 +32,9 @@ from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_point
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
-RIGID_LEVEL = 0
-MIN_FIRST_CONTACT = 0.03
+RIGID_LEVEL, MIN_FIRST_CONTACT = 0, 0.03
+"""Samples while pose, size and proportions are found; least part of their area with scan near before it
+bends."""
 
 
 class Posed(Protocol):
@@ -118,8 +119,7 @@ def fit(
         steps.append(PlanStep.doubt("fit.covers", reason))
     covered = np.any(bare.of_covers(transform_points(pose, scan.vertices))[scan.faces], axis=1)
     deformation = Deformation(model, reference, bare.scan, chosen, meter, covered_mm2=bare.covered_mm2)
-    if chosen.open_mouth:
-        deformation = corners_pulled(mouth_opened(deformation, pull))
+    deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:
         shown = scan.without_faces(covered) if covered.any() else scan
         painted = painted_pull(shown, pose, model, deformation.reference)
@@ -133,8 +133,8 @@ def fit(
         reference = pull.followed(model, reference)
         pull = pull.held(reference, bare.scan)
     deformation = replace(deformation, reference=reference, landmarks=pull)
-    reached = run_stages(deformation)
-    fitted = fitted_face(deformation, reached, pose, similarity.scale, scan.name)
+    q, ran = run_stages(deformation)
+    fitted = fitted_face(deformation, q, ran, pose, similarity.scale, scan.name)
     return replace(
         fitted, covered_faces=covered if covered.any() else None, plan=Plan(tuple(steps)) + fitted.plan
     )
@@ -193,7 +193,7 @@ def _scan_surface(
             "register the scan first, and check its unit"
         )
     points, faces = model.surface(RIGID_LEVEL)
-    return surface.turned_outward(points, vertex_normals(points, faces), options.gate_mm[0])
+    return surface.turned_outward(points, vertex_normals(points, faces), GATE_MM[0])
 
 
 def _refined(
@@ -204,34 +204,27 @@ def _refined(
     landmarks: LandmarkPull | None,
     name: str,
 ) -> Similarity:
+    """Return the similarity that lays the model on the scan; FitError where hardly any scan is near then."""
     samples = SurfaceSamples.of(model, model.control_vertices, RIGID_LEVEL)
-    # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
-    relief = samples.relief(samples.matrix @ model.control_vertices)
+    rest = samples.matrix @ model.control_vertices
     similarity = refine_similarity(
         surface,
         samples,
         model.control_vertices,
-        samples.area * samples.rigidity * relief,
-        ForceGates(options.gate_mm[0], options.tangential, MIN_ROBUST_MM[1]),
+        # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
+        samples.area * samples.rigidity * samples.relief(rest),
+        ForceGates(GATE_MM[0], options.tangential, MIN_ROBUST_MM[1]),
         iterations=options.rigid_iterations,
         scale_range=options.scale_range,
         meter=meter,
         landmarks=landmarks,
     )
-    _require_contact(
-        surface, samples, similarity.apply(samples.matrix @ model.control_vertices), options, name
-    )
-    return similarity
-
-
-def _require_contact(
-    surface: ScanSurface, samples: SurfaceSamples, points: FloatArray, options: FitOptions, name: str
-) -> None:
-    hits = surface.nearest.query(points)
-    near = (hits.distance < options.gate_mm[0]) & ~surface.on_boundary(hits)
+    hits = surface.nearest.query(similarity.apply(rest))
+    near = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
     share = float(samples.area[near].sum() / samples.area.sum())
     if share < MIN_FIRST_CONTACT:
         raise FitError(
-            f"{name}: only {100 * share:.1f} % of the model has scan within {options.gate_mm[0]:.0f} mm, at "
+            f"{name}: only {100 * share:.1f} % of the model has scan within {GATE_MM[0]:.0f} mm, at "
             f"least {100 * MIN_FIRST_CONTACT:.0f} % needed; the pose is wrong, or the scan holds no face"
         )
+    return similarity

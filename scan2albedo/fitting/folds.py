@@ -9,12 +9,10 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.geometry.mesh import neighbouring_faces
 
-MAX_HALVINGS = 8
-FOLD_COSINE = -0.866
+MAX_HALVINGS, MIN_STEP_COSINE = 8, 0.2
+"""A triangle whose normal turns further than that in one step counts as turning over."""
+FOLD_COSINE, FOLD_CHANGE_RAD = -0.866, np.pi / 4
 """Neighbours more than 150 degrees apart: lips and nostrils crease by less, a fold-over by 180."""
-FOLD_CHANGE_RAD = np.pi / 4
-MIN_STEP_COSINE = 0.2
-"""A triangle whose normal turns further than this in one step counts as turning over."""
 
 
 def guarded(

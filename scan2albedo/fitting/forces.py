@@ -9,24 +9,21 @@ from numba import njit
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.fitting.options import FitOptions, between
+from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.closest_points import nearest_around, walk_downhill
 
 MIN_NORMAL_COSINE = 0.6
 """Least cosine between the normals of model and scan where a force acts."""
-ROBUST_SCALE = 3.0
-"""Residuals beyond this many robust standard deviations lose their weight."""
-MIN_ROBUST_MM = (3.0, 1.0)
-"""Floor of the robust standard deviation in the first and last stage."""
-MUTUAL_SLOPE = 0.5
-MUTUAL_SPACING = 0.1
-RIM_ROBUST_MM = 0.25
+ROBUST_SCALE, MIN_ROBUST_MM, RIM_ROBUST_MM = 3.0, (3.0, 1.0), 0.25
+"""Residuals beyond that many robust standard deviations lose their weight; floors of these in the first and
+last stage, and at the rim."""
+MUTUAL_SLOPE, MUTUAL_SPACING = 0.5, 0.1
 
 
 @dataclass(frozen=True)
 class ForceGates:
-    """Which closest points pull, and how strongly: `FitOptions.gate_mm`, `.tangential`, MIN_ROBUST_MM."""
+    """Which closest points pull, and how strongly: GATE_MM, `FitOptions.tangential`, MIN_ROBUST_MM."""
 
     distance_mm: float
     tangential: float
@@ -35,7 +32,7 @@ class ForceGates:
     @classmethod
     def at(cls, options: FitOptions, progress: float) -> ForceGates:
         """Return the gates at `progress` 0 (first stage) ... 1 (last)."""
-        return cls(between(options.gate_mm, progress), options.tangential, between(MIN_ROBUST_MM, progress))
+        return cls(between(GATE_MM, progress), options.tangential, between(MIN_ROBUST_MM, progress))
 
 
 @dataclass(frozen=True)
@@ -57,11 +54,11 @@ class ScanForces:
 
     def springs(self, area: FloatArray, mutual: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Return force (N, 3) and stiffness (N, 6) of samples that stand for `area` (N,), where `mutual`."""
-        weight = np.where(mutual, area * self.weight, 0.0)
-        force, stiffness = springs(
-            self.offset, self.normal, (1 - self.tangential) * weight, self.tangential * weight
+        weight, along = np.where(mutual, area * self.weight, 0.0), self.tangential
+        found: tuple[FloatArray, FloatArray] = springs(
+            self.offset, self.normal, (1 - along) * weight, along * weight
         )
-        return force, stiffness
+        return found
 
     def mutual(self, samples: FloatArray, area: FloatArray) -> BoolArray:
         """Return (N,) True where the sample nearest to the closest point y of a sample x is near x.
@@ -125,15 +122,14 @@ def robust_weights(
     if not used.any():
         return np.zeros(len(residual))
     spread = 1.4826 * float(np.median(np.abs(residual[used])))
-    weight = _geman_mcclure(residual, ROBUST_SCALE * max(spread, gates.min_robust_mm))
+
+    def geman_mcclure(least_mm: float) -> FloatArray:
+        return 1.0 / (1.0 + (residual / (ROBUST_SCALE * max(spread, least_mm))) ** 2) ** 2
+
+    weight = geman_mcclure(gates.min_robust_mm)
     if rim is None or gates.min_robust_mm <= RIM_ROBUST_MM:
         return weight
-    tight = _geman_mcclure(residual, ROBUST_SCALE * max(spread, RIM_ROBUST_MM))
-    return np.where(residual > 0, (1 - rim) * weight + rim * tight, weight)
-
-
-def _geman_mcclure(residual: FloatArray, cutoff: float) -> FloatArray:
-    return 1.0 / (1.0 + (residual / cutoff) ** 2) ** 2
+    return np.where(residual > 0, (1 - rim) * weight + rim * geman_mcclure(RIM_ROBUST_MM), weight)
 
 
 @njit(cache=True, nogil=True)

@@ -23,19 +23,14 @@ STILL = (*range(17, 48),)
 """iBUG-68: brows, nose and eyes, which no expression moves far."""
 SHOWN_BY_HOLE, SHOWN_BY_COLOR = -1, -2
 """Numbers of what nobody placed."""
-_AREA_MM2 = 300.0
-"""Surface that pulls along its normal as strongly as a landmark of 1 mm standard deviation does."""
-_FIRST_AREA_MM2 = 1200.0
-"""The same while pose, size and proportions are found: more draws them off the surface."""
-_HOLDING_MM2 = 30.0
-"""The same of one that is held where it was bent to: more draws the surface off the scan."""
-_ONTO_SCAN_MM = 5.0
-_SUREST_MM = 0.1
-"""No point is surer, whatever is said of it: no scan is finer."""
-_PERSON_MM = 4.0
-"""Standard deviation of where shape alone puts a landmark."""
-_ALIKE_MM = 20.0
-"""Neighbouring points of the face are misplaced alike up to about this distance."""
+_FIRST_MM2, _BENT_MM2, _HELD_MM2 = 1200.0, 300.0, 30.0
+"""Surface that pulls along its normal as strongly as a landmark of 1 mm standard deviation does: while pose,
+size and proportions are found, when the model is bent to it, and while it is held there. More of the first
+and the last draws the face off the scan."""
+_ONTO_SCAN_MM, _SUREST_MM = 5.0, 0.1
+"""Scan this near is what a landmark is laid onto; no point is surer, for no scan is finer."""
+_PERSON_MM, _ALIKE_MM = 4.0, 20.0
+"""Standard deviation of where shape alone puts a landmark; neighbouring points are misplaced alike so far."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +111,7 @@ class LandmarkPull:
         """
         variance = _PERSON_MM**2 + self.sigma_mm**2
         far = np.sum(offset**2, axis=1) / self.wrong_mm**2
-        weight = _FIRST_AREA_MM2 * _PERSON_MM**2 / variance / (1 + far) ** 2
+        weight = _FIRST_MM2 * _PERSON_MM**2 / variance / (1 + far) ** 2
         return np.where(self.still, weight, 0.0)
 
     def without_wrong(
@@ -174,7 +169,7 @@ class LandmarkPull:
 
     @property
     def _springs(self) -> FloatArray:
-        return _HOLDING_MM2 / self.sigma_mm**2
+        return _HELD_MM2 / self.sigma_mm**2
 
     def _smoother(
         self, model: AnnotatedSurface, control_points: FloatArray
@@ -183,9 +178,9 @@ class LandmarkPull:
         faces = model.control_faces
         # A point load on a plate of stiffness D on a foundation m meets 8 sqrt(D m), and dents it over
         # (D / m)^(1/4).
-        product = _AREA_MM2 / _PERSON_MM**2 / 8
+        product = _BENT_MM2 / _PERSON_MM**2 / 8
         plate, foundation = product * _ALIKE_MM**2, product / _ALIKE_MM**2
         area = np.maximum(vertex_areas(control_points, faces), 1e-6)
-        spread = (self.matrix.T @ sparse.diags(_AREA_MM2 / self.sigma_mm**2)).tocsr()
+        spread = (self.matrix.T @ sparse.diags(_BENT_MM2 / self.sigma_mm**2)).tocsr()
         smooth = plate * bending(control_points, faces, np.ones(len(faces)))
         return factorized(smooth + foundation * sparse.diags(area) + spread @ self.matrix), spread

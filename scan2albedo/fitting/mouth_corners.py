@@ -13,6 +13,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.fitting.mouth_opening import EARS, REACH_MM
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
@@ -20,25 +21,20 @@ from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import normalized
 
 CORNERS = (48, 54)
-EARS = (0, 16)
-"""iBUG-68 indices of the corners of the mouth and the jaw line's ends, the subject's right side first."""
-BESIDE_MM = 15.0
-ABOVE_MM = 14.0
+"""iBUG-68 indices of the corners of the mouth, the subject's right side first."""
+BESIDE_MM, ABOVE_MM = 15.0, 14.0
 """How far beside and above the corners the skin follows them (standard deviations)."""
 FIRST_MM = (0.0, -7.0, 10.0)
 FURTHER_MM = {-14.0: -7.0, 15.0: 10.0}
 """Pulls in mm, above 0 back and below 0 together: those tried on every scan, and those tried when the pull
 that they are mapped to has gained."""
-WORTH = 0.2
-"""Part of the distance that 10 mm must save for 15 mm to be tried."""
-MIN_GAIN, NARROWER_GAIN = 0.34, 0.03
-"""Shares of the distance that a pull's coarse fit saves. Drawn back: shut mouths up to 0.32, smiles from 0.35
-on. Drawn together: most puffed cheeks and puckered lips 0.03 to 0.24, other mouths none."""
-ZONE_MM = 45.0
-"""Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds."""
-REACH_MM = 8.0
-MIN_COSINE = 0.2
-"""Scan with normals within 78 degrees of the model's is used; distances are cut off at REACH_MM."""
+WORTH, MIN_GAIN, NARROWER_GAIN = 0.2, 0.34, 0.03
+"""Shares of the distance: what 10 mm must save for 15 mm to be tried, and what a pull's coarse fit saves.
+Drawn back: shut mouths up to 0.32, smiles from 0.35 on. Drawn together: most puffed cheeks and puckered lips
+0.03 to 0.24, other mouths none."""
+ZONE_MM, MIN_COSINE = 45.0, 0.2
+"""Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds. Used is
+what has normals within 78 degrees of the model's; distances are cut off at REACH_MM."""
 
 
 def corners_pulled(deformation: Deformation) -> Deformation:
@@ -134,8 +130,8 @@ class MouthScan:
         across = normalized(np.einsum("nk,nkj->nj", hits.barycentric, normals))
         facing = np.einsum("ij,ij->i", across, self.normals) > MIN_COSINE
         distance = np.minimum(hits.distance, REACH_MM)
-        right, left = facing & ~self.left, facing & self.left
-        return _mean(distance[right]), _mean(distance[left])
+        right, left = distance[facing & ~self.left], distance[facing & self.left]
+        return float(right.mean()) if len(right) else np.nan, float(left.mean()) if len(left) else np.nan
 
     def gains(self, reached: dict[float, FloatArray], mm: float) -> bool:
         """Whether the coarse fit of a pull ended enough nearer for one beyond it to be tried."""
@@ -153,8 +149,7 @@ class MouthScan:
         narrower = max((mm for mm in saved if mm <= 0), key=lambda mm: sum(saved[mm]))
         if sum(saved[narrower]) / 2 > NARROWER_GAIN:
             return narrower, narrower
-        right = max(saved, key=lambda mm: saved[mm][0])
-        left = max(saved, key=lambda mm: saved[mm][1])
+        right, left = (max(saved, key=lambda mm: saved[mm][side]) for side in (0, 1))
         return (
             right if saved[right][0] > MIN_GAIN else 0.0,
             left if saved[left][1] > MIN_GAIN else 0.0,
@@ -167,7 +162,3 @@ def _saved(before: tuple[float, float], after: tuple[float, float]) -> tuple[flo
         1 - new / old if old > 0 and new >= 0 else 0.0 for old, new in zip(before, after, strict=True)
     )
     return right, left
-
-
-def _mean(values: FloatArray) -> float:
-    return float(values.mean()) if len(values) else float("nan")

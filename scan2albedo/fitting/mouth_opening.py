@@ -14,12 +14,12 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.landmark_pull import LandmarkPull
-from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
+from scan2albedo.fitting.samples import surface_normals
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
 from scan2albedo.geometry.loop_subdivision import limit_matrix
 from scan2albedo.geometry.mesh import face_cross_products, lengths, normalized
@@ -27,36 +27,30 @@ from scan2albedo.geometry.operators import laplacian
 
 EARS = (0, 16)
 BELOW_EARS = (1, 15)
-HINGE_DEPTH = 0.18
-"""The jaw's joint is this part of the face's width behind the ends of the jaw line."""
 STILL = (*range(17, 48), *range(49, 54), 61, 62, 63, *EARS)
 """iBUG-68 indices of brows, nose, eyes, upper lip and the jaw line's ends, which the jaw leaves in place."""
 MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
 """Chin and lower lip."""
 CHIN = 8
-NECK_BELOW_CHIN_MM = 35.0
-FILM_WEIGHT = 1e-3
-"""Weight of the faces between the lips, which hardly tie them together."""
-LIMIT_FREEDOM = 0.05
-"""Weight of keeping the control points in place against turning the surface exactly."""
-ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
-REACH_MM = 8.0
-COARSE_DEG = 8.0
-"""The jaw is turned by such steps while it comes nearer to the scan, then by those of ANGLES_DEG."""
-FAR_MM = 2.0
-"""A jaw that lies so far from the scan is turned by two steps, too, where the first is none nearer: most open
-ones, and one in twenty of those that are shut."""
+HINGE_DEPTH, NECK_BELOW_CHIN_MM = 0.18, 35.0
+"""The jaw's joint is that part of the face's width behind the ends of the jaw line; where the neck begins."""
+FILM_WEIGHT, LIMIT_FREEDOM = 1e-3, 0.05
+"""Weights of the faces between the lips, which hardly tie them together, and of keeping the control points in
+place against turning the surface exactly."""
+ANGLES_DEG, COARSE_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0), 8.0
+"""The jaw is turned by COARSE_DEG while it comes nearer to the scan, then by the steps of ANGLES_DEG."""
+REACH_MM, FAR_MM = 8.0, 2.0
+"""Distances are cut off at REACH_MM. A jaw that lies FAR_MM from the scan is turned by two steps, too, where
+the first is none nearer: most open ones, and one in twenty of those that are shut."""
 MIN_GAIN, GAP = 0.12, 0.35
 """Least part of the distance that an opening saves, and of the film behind which nothing is near. Open jaws
 save 0.18 and more, with 0.5 and more of the film free; puffed cheeks and rounded lips up to 0.5, 0.2 free."""
 BEHIND_MM, FACING = 6.0, 0.5
 """Scan nearer than this, with normals within 60 degrees of the film's, is skin."""
-WITH_JAW = 0.7
-"""Landmarks that follow the jaw by at least this much show how far it is open; the mouth's corners do not."""
-SURE_MM = 2.0
-"""Of larger standard deviations, as a network's are, landmarks decide nothing about the jaw."""
-JAW_WEIGHT = 0.6
-"""Samples that follow the jaw by at least this much measure its distance to the scan."""
+WITH_JAW, JAW_WEIGHT, SURE_MM = 0.7, 0.6, 2.0
+"""Landmarks that follow the jaw by WITH_JAW and more show how far it is open; the mouth's corners do not, nor
+do those of a larger standard deviation, as a network's are. Samples that follow it by JAW_WEIGHT and more
+measure its distance to the scan."""
 
 
 def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None) -> Deformation:
@@ -71,7 +65,11 @@ def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None
     if hinge is None or deformation.meter.exhausted:
         return deformation
     search = MouthSearch(deformation, hinge)
-    shown = None if landmarks is None else _of_the_jaw(landmarks, hinge)
+    shown = None
+    if landmarks is not None:
+        sure = (landmarks.numbers >= 0) & (landmarks.sigma_mm <= SURE_MM)
+        with_jaw = sure & (landmarks.matrix @ hinge.weight > WITH_JAW)
+        shown = landmarks.only(with_jaw) if with_jaw.any() else None
     angle = search.shown_by(shown) if shown is not None else search.tried()
     if angle == 0 or deformation.meter.exhausted:
         return deformation
@@ -107,7 +105,12 @@ class JawHinge:
         # A face across the mouth holds both lips: its corners follow their neighbours.
         fixed = moving ^ still
         film = np.where(model.in_region(MOUTH_REGION), FILM_WEIGHT, 1.0)
-        weight = _harmonic(laplacian(control_points, model.control_faces, film), fixed, moving)
+        matrix = laplacian(control_points, model.control_faces, film)
+        weight = (fixed & moving).astype(float)
+        free = np.flatnonzero(~fixed)
+        inner = matrix[free][:, free] + 1e-9 * sparse.identity(len(free))
+        weight[free] = factorized(inner)(-(matrix[free] @ weight)[:, None])[:, 0]
+        weight = np.clip(weight, 0.0, 1.0)
         ears = landmarks[list(EARS)]
         center = ears.mean(0) - [0.0, 0.0, HINGE_DEPTH * float(np.linalg.norm(ears[1] - ears[0]))]
         center[1] = landmarks[list(BELOW_EARS), 1].mean()
@@ -189,15 +192,10 @@ class MouthSearch:
             return 0.0
         return best_of((best - ANGLES_DEG[0], best + ANGLES_DEG[0]))
 
-    @cached_property
-    def _jaw(self) -> tuple[SurfaceSamples, FloatArray]:
-        """Samples, and the area (N,) of those that the jaw moves, 0 elsewhere."""
-        samples, _ = self.deformation.sampled(TRIAL_LEVEL)
-        return samples, samples.area * (samples.matrix @ self.hinge.weight > JAW_WEIGHT)
-
     def cost(self, control_points: FloatArray) -> float:
         """Mean distance of the jaw to the scan, cut off at REACH_MM, in full where normals disagree."""
-        scan, (samples, weight) = self.deformation.scan, self._jaw
+        scan, (samples, _) = self.deformation.scan, self.deformation.sampled(TRIAL_LEVEL)
+        weight = samples.area * (samples.matrix @ self.hinge.weight > JAW_WEIGHT)
         points, jaw = samples.matrix @ control_points, weight > 0
         hits = scan.nearest.query(points[jaw])
         normals = surface_normals(points, samples.faces)[0][jaw]
@@ -223,19 +221,3 @@ class MouthSearch:
         missing = (hits.distance > BEHIND_MM) | scan.on_boundary(hits) | (agreement < FACING)
         area = lengths(across)
         return float(area @ missing / max(area.sum(), 1e-300))
-
-
-def _of_the_jaw(landmarks: LandmarkPull, hinge: JawHinge) -> LandmarkPull | None:
-    """Return the placed landmarks that show how far the jaw is open; None without any."""
-    sure = (landmarks.numbers >= 0) & (landmarks.sigma_mm <= SURE_MM)
-    shown = sure & (landmarks.matrix @ hinge.weight > WITH_JAW)
-    return landmarks.only(shown) if shown.any() else None
-
-
-def _harmonic(matrix: sparse.csr_matrix, fixed: BoolArray, one: BoolArray) -> FloatArray:
-    """Solve L w = 0 with w = 1 where `fixed` and `one`, 0 where `fixed` only."""
-    weight = (fixed & one).astype(float)
-    free = np.flatnonzero(~fixed)
-    inner = matrix[free][:, free] + 1e-9 * sparse.identity(len(free))
-    weight[free] = factorized(inner)(-(matrix[free] @ weight)[:, None])[:, 0]
-    return np.clip(weight, 0.0, 1.0)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf, isnan
+from math import inf
 
 MOST_LEVELS = 5
 """Each level quadruples the samples: 5 make two million of the default model's faces."""
+GATE_MM = (20.0, 3.0)
+"""Scan points farther than this exert no force, first and last stage."""
 
 
 @dataclass(frozen=True)
@@ -25,52 +27,31 @@ class FitOptions:
     """Most time steps a stage."""
     bending_mm: tuple[float, float] = (40.0, 0.9)
     """Thin-plate smoothing length in the first and last stage."""
-    membrane_mm: tuple[float, float] = (6.0, 0.5)
-    """Membrane smoothing length in the first and last stage."""
     tangential: float = 0.01
     """Part of the force along the surface, relative to 1 across it."""
-    gate_mm: tuple[float, float] = (20.0, 3.0)
-    """Scan points farther than this exert no force, first and last stage."""
-    time_step: float = 10.0
-    mass: float = 1.0
-    damping: float = 0.1
-    """`time_step`, `mass` and `damping` are dt, and M and D as multiples of the surface's area (a unit
-    force is a unit area)."""
     rigid_iterations: int = 5
     """Most iterations of the pose and scale refinement; 0 keeps the pose given."""
     proportion_iterations: int = 8
     """Iterations of the symmetric stretch that gives the face its proportions; 0 leaves it out."""
     scale_range: tuple[float, float] = (0.75, 1.35)
     """Least and greatest size of the face relative to the model."""
-    open_mouth: bool = True
-    """Search the angle of the jaw and the pull of a smile before anything bends (models with landmarks)."""
     colors: bool = True
     """Let brows, eyes and lips in the scan's colours draw the model's (models with landmarks)."""
     covers: bool = True
     """Leave out scan that stands far before the eyes, as lenses do (models with landmarks)."""
-    result_levels: int = 2
-    """Loop refinements of the surface returned."""
-    gain_tolerance: float = 0.003
-    """A stage ends when five steps gained less than this fraction of the error."""
     smoothing_mm: float = 0.8
     """Scans finer than this are averaged over it, so that their noise does not steer the fit."""
 
     def __post_init__(self) -> None:
         if not self.levels or not all(0 <= level <= MOST_LEVELS for level in self.levels):
             raise ValueError(f"levels must be one or more numbers from 0 to {MOST_LEVELS}, got {self.levels}")
-        for name in ("finest_level", "result_levels"):
-            if not 0 <= getattr(self, name) <= MOST_LEVELS:
-                raise ValueError(f"{name} must be from 0 to {MOST_LEVELS}, got {getattr(self, name)}")
-        if not 0 < self.time_step < inf:
-            raise ValueError(f"time_step must be finite and above 0, got {self.time_step}")
-        for name in ("steps", "mass", "damping", "rigid_iterations", "proportion_iterations", "smoothing_mm"):
+        if not 0 <= self.finest_level <= MOST_LEVELS:
+            raise ValueError(f"finest_level must be from 0 to {MOST_LEVELS}, got {self.finest_level}")
+        for name in ("steps", "rigid_iterations", "proportion_iterations", "smoothing_mm"):
             if not 0 <= getattr(self, name) < inf:
                 raise ValueError(f"{name} must be finite and 0 or more, got {getattr(self, name)}")
-        for name in ("bending_mm", "membrane_mm", "gate_mm"):
-            if not all(0 <= end < inf for end in getattr(self, name)):
-                raise ValueError(
-                    f"{name} must be finite and 0 or more at both ends, got {getattr(self, name)}"
-                )
+        if not all(0 <= end < inf for end in self.bending_mm):
+            raise ValueError(f"bending_mm must be finite and 0 or more at both ends, got {self.bending_mm}")
         if not 0 <= self.tangential <= 1:
             raise ValueError(f"tangential must be from 0 to 1, got {self.tangential}")
         low, high = self.scale_range
@@ -78,8 +59,6 @@ class FitOptions:
             raise ValueError(
                 f"scale_range must be a least and a greatest size above 0, got {self.scale_range}"
             )
-        if isnan(self.gain_tolerance):
-            raise ValueError("gain_tolerance is NaN, expected a share of the error")
 
 
 def between(ends: tuple[float, float], progress: float) -> float:

@@ -25,37 +25,33 @@ from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPul
 from scan2albedo.geometry.front_picture import FrontPicture, front_picture
 from scan2albedo.geometry.polylines import inside_polygon, polyline_distance
 
-_STEP_MM = 0.8
-_SPACING_MM = 1.5
-"""Of the picture's squares, and of a template's points."""
-_MARGIN_MM = 25.0  # of the picture around the inner landmarks: a feature may lie so far off
+_STEP_MM, _SPACING_MM, _MARGIN_MM = 0.8, 1.5, 25.0
+"""Of the picture's squares, of a template's points, and of the picture around the inner landmarks: a feature
+may lie so far off."""
 _BLACK = 0.03
 """Added to colours, relative to the usual brightness, before the logarithm: in the dark is noise."""
 _BRIGHTNESS = np.array([0.25, 0.6, 0.15])
 DARKNESS, REDNESS = 0, 1
 _FLOOR = np.array([0.06, 0.025])
 """Deviations of log darkness and log redness that are none of a feature."""
-_LEAST_SEEN = 0.5
-"""Part of a feature's points, and of those beside it, that the scan must show; of the picture half that."""
-_BROW_MM, _BROW_BELOW_MM = 3.8, 1.2
-"""Half width of a brow, and how far its middle lies below its landmarks."""
-_LASHES_MM = 1.5  # beside the lids, what is dark may be lashes and shadows
-_LINE_MM = 1.0
-"""Half width of the line between shut lips."""
-_OPEN_MM = 3.0  # lips farther apart have no line between them
-_HALF_WIDTH_MM = 25.0  # of a mouth or a brow
-_SAMPLES, _POWERS = 256, (0.2, 0.5, 1.0)
-"""Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far."""
-_WIDER = 1.5  # proposals than what they are to find, in variance
-_SURE = 0.65
-"""A feature is used where the posterior deviation of its height is below this part of the prior's."""
+_LEAST_SEEN, _SURE = 0.5, 0.65
+"""Part of a feature's points, and of those beside it, that the scan must show; of the picture half that. A
+feature is used where the posterior deviation of its height is below _SURE of the prior's."""
+_BROW_MM, _BROW_BELOW_MM, _LASHES_MM = 3.8, 1.2, 1.5
+"""Half width of a brow, how far its middle lies below its landmarks, and how far beside the lids what is dark
+may be lashes and shadows."""
+_LINE_MM, _OPEN_MM, _HALF_WIDTH_MM = 1.0, 3.0, 25.0
+"""Half width of the line between shut lips; lips farther apart have none; half width of a mouth or a brow."""
+_SAMPLES, _POWERS, _WIDER = 256, (0.2, 0.5, 1.0), 1.5
+"""Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far.
+Proposals are wider than what they are to find, in variance."""
 _LEAST_LOG_LIKELIHOOD = {"brow": 4.0, "eye": 4.0, "lips": 10.0}
 """Above no feature at all, by eye: on faces of one colour creases beside shut lips reach 9."""
 _EXACT_MM = {"brow": 1.5, "eye": 1.5, "lips": 0.8}
 """Standard deviation of a landmark of a feature whose motion is known."""
-_INDEPENDENT = 6
-"""The landmarks of a feature err alike: they count as so many."""
-_NEVER_WRONG_MM = 50.0  # farther than is looked: left to the posterior
+_INDEPENDENT, _NEVER_WRONG_MM = 6, 50.0
+"""The landmarks of a feature err alike: they count as so many. Farther than is looked: left to the
+posterior."""
 _BROWS = np.array([1.2, 4.0, 0.08, 0.02, 0.3, 0.3, 1.0])
 _EYES = np.array([1.5, 2.5, 0.06, 0.05, 0.3, 0.3, 0.5])
 _LIPS = np.array([1.5, 3.0, 0.04, 0.08, 0.3, 0.3, 2.5])
@@ -169,41 +165,32 @@ def painted_features(
     )
     if picture.seen.mean() < _LEAST_SEEN / 2 or not np.median(picture.color[picture.seen]) > 0:
         return []
-    channels, here = _channels(picture), landmarks[:, :2].copy()
-    lips = _located((_lips(here),), channels, picture, _LIPS)
-    eyes = _located((_eye(here, 36), replace(_eye(here, 42), mirrored=True)), channels, picture, _EYES)
-    for eye in eyes:
-        here[list(eye.numbers)] = eye.places
-    # What is dark about an eye is no brow, nor skin below one.
-    channels = _without(channels, picture, (here[36:42], here[42:48]))
-    brows = (_brow(here, 17), replace(_brow(here, 22), mirrored=True))
-    return [*lips, *eyes, *_located(brows, channels, picture, _BROWS)]
-
-
-def _channels(picture: FrontPicture) -> FloatArray:
-    """Return (H, W, 3): log darkness, log redness, and 1 where there is scan; 0 elsewhere."""
-    color, seen = picture.color, picture.seen
+    # Channels are log darkness, log redness, and 1 where there is scan; 0 elsewhere.
+    color, seen, here = picture.color, picture.seen, landmarks[:, :2].copy()
     bright = color @ _BRIGHTNESS
     black = _BLACK * np.median(bright[seen])
     dark = -np.log(evenly_lit(picture, bright) + _BLACK)
     red = np.log((color[..., 0] + black) / (color[..., 1] + black))
     dark, red = (np.clip(values, *np.percentile(values[seen], [1, 99])) for values in (dark, red))
-    return np.stack([dark, red, np.ones_like(dark)], axis=-1) * seen[..., None]
+    channels = np.stack([dark, red, np.ones_like(dark)], axis=-1) * seen[..., None]
+    lips = _located((_lips(here),), channels, picture, _LIPS)
+    eyes = _located((_eye(here, 36), replace(_eye(here, 42), mirrored=True)), channels, picture, _EYES)
+    for eye in eyes:
+        here[list(eye.numbers)] = eye.places
+    # What is dark in and about an eye is no brow, nor skin below one.
+    rows, columns = np.indices(seen.shape)
+    places = picture.low + picture.step_mm * np.stack([columns.ravel(), rows.ravel()], axis=1)
+    hidden = np.zeros(len(places), bool)
+    for lids in (here[36:42], here[42:48]):
+        hidden |= inside_polygon(places, lids) | (polyline_distance(places, _closed(lids)) < _LASHES_MM)
+    channels = np.where(hidden.reshape(rows.shape)[..., None], 0.0, channels)
+    brows = (_brow(here, 17), replace(_brow(here, 22), mirrored=True))
+    return [*lips, *eyes, *_located(brows, channels, picture, _BROWS)]
 
 
 def _axes(name: str) -> FloatArray:
     """Return (2,) 1 along the axes on which a feature is known: brows fade away at their ends."""
     return np.array([0.0, 1.0]) if name == "brow" else np.ones(2)
-
-
-def _without(channels: FloatArray, picture: FrontPicture, eyes: tuple[FloatArray, ...]) -> FloatArray:
-    """Return the channels with the squares in and about eyes (6, 2) unseen."""
-    rows, columns = np.indices(channels.shape[:2])
-    places = picture.low + picture.step_mm * np.stack([columns.ravel(), rows.ravel()], axis=1)
-    hidden = np.zeros(len(places), bool)
-    for eye in eyes:
-        hidden |= inside_polygon(places, eye) | (polyline_distance(places, _closed(eye)) < _LASHES_MM)
-    return np.where(hidden.reshape(rows.shape)[..., None], 0.0, channels)
 
 
 def _brow(landmarks: FloatArray, first: int) -> _Template:

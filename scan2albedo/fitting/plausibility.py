@@ -1,4 +1,4 @@
-"""What a fitted face shows that no scan of one whole person does: parts without scan, unlike halves.
+"""What a scan of one whole person does not show: parts without scan, unlike halves, strange proportions.
 
 Thresholds lie above what 324 fits to faces gave: 164 synthetic people (raw stereo with hair, beards and
 glasses; smiles and puffed cheeks of one side), five measured heads with twelve expressions of both sides or
@@ -14,10 +14,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import FILLED_REGION, MOUTH_REGION, REST_REGION
-from scan2albedo.face_model.proportions import proportions
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -35,13 +34,11 @@ LEAST_OF_A_PART = 0.25
 0.01, without one above 0.5 but where the scan ends there."""
 
 UNLIKE_MM, CLEAN_MM = 1.3, 0.15
-"""Differences of the halves, and steps at the midline, that no person's face has: they reach 0.9 of it. Where
-the fit is farther from the scan than `CLEAN_MM` in the mean, noise and hair add to them."""
-UPPER_ABOVE_MM = -49.0
-"""The upper face, which expressions hardly move, begins so far above the nasion."""
-MIDDLE_MM = (-94.0, 26.0)
-HALF_WIDTH_MM = 66.0
-"""The middle of the face, which hair hardly covers: heights above the nasion, and its half width."""
+"""Differences of the halves, and steps at the midline, beyond those of real faces: they reach 0.9 of it.
+Where the fit is farther from the scan than `CLEAN_MM` in the mean, noise and hair add to them."""
+UPPER_ABOVE_MM, MIDDLE_MM, HALF_WIDTH_MM = -49.0, (-94.0, 26.0), 66.0
+"""Heights above the nasion of the upper face, which expressions hardly move, and of the middle of the face,
+which hair hardly covers, and its half width."""
 MIDLINE_MM, MIDLINE_HEIGHT_MM = (2.0, 12.0), (-10.0, 32.0)
 """The strip beside the midline between the brows, where neither lips nor hair move it: distances from the
 midline, and heights above the nasion."""
@@ -49,12 +46,24 @@ UPPER_PATCH_MM, MIDDLE_PATCH_MM = 22.0, 26.0
 """Sides of the patches over which differences are averaged, against noise."""
 LEAST_OF_A_PATCH, LEAST_OF_A_REGION = 0.4, 0.6
 """Part of the area that must be seen on both sides."""
-MIRROR_TOLERANCE_MM = 0.1
-"""Farthest a vertex of a mirror-symmetric model is from the mirror image of its twin."""
-LEVEL = 1
-"""Refinements at which halves are compared."""
+LEVEL, MIRROR_TOLERANCE_MM = 1, 0.1
+"""Refinements at which halves are compared; farthest a vertex of a mirror-symmetric model is from its
+twin."""
 ITERATIONS, ROBUST_MM = 6, 1.0
 """Of laying the mirror image on the face: distances above `ROBUST_MM` count less and less."""
+UPPER = np.arange(17, 48)
+"""Brows, nose and eyes (iBUG-68), which jaw and lips do not move."""
+NOSE_TIP, OUTER_EYES = 30, [36, 45]
+MEAN = np.array([0.017, -0.031, -0.043])
+COVARIANCE = np.array(
+    [[0.00261, 0.00074, -0.00189], [0.00074, 0.00545, 0.00255], [-0.00189, 0.00255, 0.00692]]
+)
+"""Of the logarithms of proportions, over 324 fits: half the weight on nine measured people, each with other
+expressions, noise and holes, half on 164 synthetic ones."""
+FARTHEST = 3.5
+"""Distance that no person's proportions have: those of the 324 reach 3.1, and 3.4 when a person is judged by
+all others. Stretched 1.5 x or 0.67 x along an axis, 28 of 29 faces are beyond it, 1.3 x or 0.77 x 63 %."""
+RATIOS = ("width to height", "depth to height", "depth of the nose to the width of the eyes")
 
 
 def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
@@ -64,7 +73,7 @@ def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
         reason = f"no scan near the {names} (a hole, glasses, a beard?): the shape there is the model's own"
         yield PlanStep.doubt("fit.missing", reason)
     found = asymmetry(fitted)
-    if found is not None and found.unlikeness > 1:
+    if found is not None and found.excess > 1:
         reason = "asymmetry exceeds that of real faces; the scan may be merged from two people"
         evidence = (
             f"{found.upper_mm:.1f} mm in the upper part, {found.middle_mm:.1f} mm in the middle, "
@@ -129,8 +138,8 @@ class Asymmetry:
     noise_mm: float
 
     @property
-    def unlikeness(self) -> float:
-        """How unlike the halves are in units of what is told: of both parts of the face, or of the step."""
+    def excess(self) -> float:
+        """The asymmetry of both parts of the face, or of the step, relative to the most of real faces."""
         noise_mm = max(self.noise_mm - CLEAN_MM, 0.0)
         both_mm = min(self.upper_mm, self.middle_mm)
         step_mm = self.step_mm if both_mm > 0 else 0.0
@@ -144,9 +153,8 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
     distances are measured along the normals. Only models that are their own mirror image are judged.
     """
     model, landmarks = fitted.model, fitted.model.landmarks
-    level = min(LEVEL, fitted.levels)
+    level, mirror = min(LEVEL, fitted.levels), np.array([-1.0, 1.0, 1.0])
     rest = model.surface(level)[0]
-    mirror = np.array([-1.0, 1.0, 1.0])
     gap, twin = cKDTree(rest).query(rest * mirror)
     if landmarks is None or gap.max() > MIRROR_TOLERANCE_MM:
         return None
@@ -159,46 +167,35 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
     upper = height > UPPER_ABOVE_MM
     if not (area * (seen & upper)).any():
         return None
-    distance = _mirror_distance_mm(points, vertex_normals(points, faces), twin, area * (seen & upper))
-    middle = _between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM)
-    nose = _in_regions(model, level, "nose", "left_nostril", "right_nostril")
-    strip = _between(height, MIDLINE_HEIGHT_MM) & _between(side, MIDLINE_MM) & ~nose
-    left = rest[:, 0] > 0
-
-    def unlike_mm(where: BoolArray, patch_mm: float) -> float:
-        half = where & left
-        cell = np.floor(np.column_stack([side, height])[half] / patch_mm).astype(np.int64)
-        return _rms_over_patches(cell, distance[half], area[half], seen[half])
-
-    return Asymmetry(
-        unlike_mm(upper, UPPER_PATCH_MM),
-        unlike_mm(middle, MIDDLE_PATCH_MM),
-        unlike_mm(strip, UPPER_PATCH_MM),
-        fitted.metrics["residual_mean_mm"],
-    )
-
-
-def _mirror_distance_mm(
-    points: FloatArray, normals: FloatArray, twin: IntArray, weight: FloatArray
-) -> FloatArray:
-    """Return (V,) the distance of a face's mirror image along its normals, laid on it robustly."""
-    image, robust = points[twin] * [-1.0, 1.0, 1.0], np.ones(len(points))
+    # The mirror image is laid on the face robustly.
+    image, normals = points[twin] * mirror, vertex_normals(points, faces)
+    weight, robust = area * (seen & upper), np.ones(len(points))
     for _ in range(ITERATIONS):
         laid = transform_points(procrustes(image, points, weights=weight * robust), image)
         distance = np.einsum("ij,ij->i", laid - points, normals)
         robust = 1 / (1 + (distance / ROBUST_MM) ** 2)
-    return distance
 
+    def unlike_mm(where: BoolArray, patch_mm: float) -> float:
+        """RMS of the patches' means over the left half, weighted by seen area; 0 where too few are seen."""
+        half = where & (rest[:, 0] > 0)
+        cell = np.floor(np.column_stack([side, height])[half] / patch_mm).astype(np.int64)
+        patch = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
+        whole, shown = area[half], area[half] * seen[half]
+        known = np.bincount(patch, shown)
+        mean = np.bincount(patch, shown * distance[half]) / np.maximum(known, 1e-300)
+        used = known > LEAST_OF_A_PATCH * np.bincount(patch, whole)
+        if known[used].sum() < LEAST_OF_A_REGION * whole.sum():
+            return 0.0
+        return float(np.sqrt(known[used] @ mean[used] ** 2 / known[used].sum()))
 
-def _rms_over_patches(cell: IntArray, distance: FloatArray, area: FloatArray, seen: BoolArray) -> float:
-    """Return the RMS of the patches' means, weighted by their seen area; 0 where too few are seen."""
-    patch = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
-    known = np.bincount(patch, area * seen)
-    mean = np.bincount(patch, area * seen * distance) / np.maximum(known, 1e-300)
-    used = known > LEAST_OF_A_PATCH * np.bincount(patch, area)
-    if known[used].sum() < LEAST_OF_A_REGION * area.sum():
-        return 0.0
-    return float(np.sqrt(known[used] @ mean[used] ** 2 / known[used].sum()))
+    nose = _in_regions(model, level, "nose", "left_nostril", "right_nostril")
+    strip = _between(height, MIDLINE_HEIGHT_MM) & _between(side, MIDLINE_MM) & ~nose
+    return Asymmetry(
+        unlike_mm(upper, UPPER_PATCH_MM),
+        unlike_mm(_between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM), MIDDLE_PATCH_MM),
+        unlike_mm(strip, UPPER_PATCH_MM),
+        fitted.metrics["residual_mean_mm"],
+    )
 
 
 def _between(values: FloatArray, ends: tuple[float, float]) -> BoolArray:
@@ -212,3 +209,53 @@ def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
     inside = np.zeros(subdivision.matrix.shape[0], bool)
     inside[subdivision.faces[faces].ravel()] = True
     return inside
+
+
+@dataclass(frozen=True)
+class Proportions:
+    """Proportions of a face relative to the default model's.
+
+    `logarithms` (3,) are those of width / height and depth / height, and of the nose's depth before the outer
+    corners of the eyes / their distance.
+    """
+
+    logarithms: FloatArray
+
+    @property
+    def distance(self) -> float:
+        """Mahalanobis distance to people's faces."""
+        off = self.logarithms - MEAN
+        return float(np.sqrt(off @ np.linalg.solve(COVARIANCE, off)))
+
+    def doubt(self) -> str:
+        """Return the ratios in words, beside people's; nothing where they may be a person's."""
+        if self.distance <= FARTHEST:
+            return ""
+        reach = 3 * np.sqrt(np.diag(COVARIANCE))
+        rows = zip(RATIOS, *np.exp([self.logarithms, MEAN - reach, MEAN + reach]), strict=True)
+        return ", ".join(f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})" for name, ratio, low, high in rows)
+
+
+def proportions(landmarks: FloatArray) -> Proportions:
+    """Return the proportions of a face with landmarks (68, 3) in the axes of a face model, in any unit.
+
+    Width, height and depth are the diagonal of the stretch in the affine map (a rotation after a stretch)
+    that takes the default model's landmarks to these in the least-squares sense.
+    """
+    reference = default_model().landmarks
+    assert reference is not None
+    # The stretch is the symmetric factor S of the affine map R S; the sides of the jaw line show the width.
+    shown = np.concatenate([np.arange(4), np.arange(13, 17), UPPER])
+    source, target = (points[shown] - points[shown].mean(0) for points in (reference, landmarks))
+    _, singular, vt = np.linalg.svd(np.linalg.lstsq(source, target, rcond=None)[0].T)
+    width, height, depth = np.log(np.maximum(np.diag((vt.T * singular) @ vt), 1e-9))
+
+    def nose_depth(points: FloatArray) -> float:
+        """How far the nose's tip is before the outer corners of the eyes, relative to their distance."""
+        upright = transform_points(procrustes(points[UPPER], reference[UPPER]), points)
+        right, left = upright[OUTER_EYES]
+        before = upright[NOSE_TIP, 2] - (right[2] + left[2]) / 2
+        return max(float(before / np.linalg.norm(left - right)), 1e-3)
+
+    nose = np.log(nose_depth(landmarks) / nose_depth(reference))
+    return Proportions(np.array([width - height, depth - height, nose]))

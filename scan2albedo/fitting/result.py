@@ -6,26 +6,38 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.fitting.landmark_deviation import landmark_deviation_mm
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.fitting.stages import Deformation, StagesResult, imbalance_mm
+from scan2albedo.fitting.stages import RESULT_LEVELS, Deformation, imbalance_mm
 from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
-from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
 
 RESIDUAL_GATE_MM = 5.0
 """Residuals beyond this count as "no scan near"."""
-MIN_COVERAGE = 0.1
-"""Least part of the model's area that must have scan near it."""
-MOST_IMBALANCE_MM = 0.2
-"""Fits that ran to their end are within 0.03 mm of balance, on noise of 1 mm within 0.1 mm."""
-MOST_STRAIN = 0.16
-"""Most faces end at 0.04 to 0.07, wide smiles at up to 0.13; faces upside down at 0.17 and more."""
+MIN_COVERAGE, MOST_IMBALANCE_MM, MOST_STRAIN = 0.1, 0.2, 0.16
+"""Least part of the model's area with scan near it. Fits that ran to their end are within 0.03 mm of balance,
+on noise of 1 mm within 0.1 mm. Most faces end with a strain of 0.04 to 0.07, wide smiles of up to 0.13; faces
+upside down of 0.17 and more."""
+_NEAR_MM, _UNSEEN_MM = 12.0, 4.0
+"""The surface around a landmark that shows it, about an eye's height, and the deviation of one, along an
+axis, around which there is no scan."""
+_FEATURES_MM = {
+    (0, 1): 8.0,
+    (1, 16): 4.2,
+    (16, 17): 8.0,
+    (17, 27): 2.2,
+    (27, 31): 1.9,
+    (31, 36): 1.1,
+    (36, 48): 2.0,
+    (48, 68): 2.1,
+}
+"""Deviation in mm along an axis by iBUG-68 numbers (begin, end): what `tools/bench_landmarks.py
+--expressions` found on its faces. No others have judged it."""
 
 
 @dataclass(frozen=True)
@@ -76,38 +88,45 @@ class FittedFace:
 
 
 def fitted_face(
-    deformation: Deformation,
-    reached: StagesResult,
-    model_from_scan: FloatArray,
-    scale: float,
-    name: str,
+    deformation: Deformation, q: FloatArray, ran: bool, model_from_scan: FloatArray, scale: float, name: str
 ) -> FittedFace:
-    """Assemble the result.
+    """Assemble the result of stages that reached the displacement `q` (C, 3); `ran`: all of them.
 
     The plan has a doubt when the model was stretched more than faces stretch it; raises `FitError` when less
     than MIN_COVERAGE of the surface has scan near it.
     """
-    model, options = deformation.model, deformation.options
-    subdivision = model.subdivision(options.result_levels)
-    control = deformation.reference + reached.q
-    vertices = subdivision.matrix @ control
-    residual = residuals_mm(
-        deformation.scan,
-        vertices,
-        subdivision.faces,
-        RESIDUAL_GATE_MM,
-        exact=not deformation.meter.out_of_time,
+    model, held = deformation.model, deformation.landmarks
+    subdivision = model.subdivision(RESULT_LEVELS)
+    control = deformation.reference + q
+    vertices, faces = subdivision.matrix @ control, subdivision.faces
+    exact = not deformation.meter.out_of_time
+    residual = residuals_mm(deformation.scan, vertices, faces, RESIDUAL_GATE_MM, exact=exact)
+    area, seen = vertex_areas(vertices, faces), ~np.isnan(residual)
+    known = residual[seen] if seen.any() else np.array([np.nan])
+    # The strain is the RMS logarithm of how the edges of the control mesh were stretched.
+    edges, _ = edges_with_faces(model.control_faces)
+    before, after = (
+        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+        for points in (deformation.reference, control)
     )
-    metrics = _metrics(vertices, residual, subdivision)
-    metrics["imbalance_mm"] = imbalance_mm(deformation, reached.q)
-    pull = deformation.landmarks
-    metrics["openings"] = 0.0 if pull is None else float(pull.openings)
-    metrics["painted_landmarks"] = 0.0 if pull is None else float(pull.painted)
-    metrics["jaw_deg"] = deformation.jaw_deg
-    metrics["corner_right_mm"], metrics["corner_left_mm"] = deformation.corners_mm
-    metrics["covered_mm2"] = deformation.covered_mm2
-    metrics["strain"] = _strain(deformation.reference, control, model.control_faces)
-    metrics["flipped_faces"] = float(len(deformation.folds.find(vertices)))
+    floor = 1e-6 * float(before.mean())
+    strain = float(np.sqrt(np.mean(np.log(np.maximum(after, floor) / np.maximum(before, floor)) ** 2)))
+    metrics = {
+        "residual_mean_mm": float(known.mean()),
+        "residual_median_mm": float(np.median(known)),
+        "residual_p95_mm": float(np.percentile(known, 95)),
+        "coverage": float(area[seen].sum() / max(area.sum(), 1e-300)),
+        "imbalance_mm": imbalance_mm(deformation, q),
+        "openings": 0.0 if held is None else float(held.openings),
+        "painted_landmarks": 0.0 if held is None else float(held.painted),
+        "jaw_deg": deformation.jaw_deg,
+        "corner_right_mm": deformation.corners_mm[0],
+        "corner_left_mm": deformation.corners_mm[1],
+        "covered_mm2": deformation.covered_mm2,
+        "strain": strain,
+        "flipped_faces": float(len(deformation.folds.find(vertices))),
+        "scale": scale,
+    }
     if metrics["coverage"] < MIN_COVERAGE:
         raise FitError(
             f"{name}: only {100 * metrics['coverage']:.1f} % of the fitted model has scan within "
@@ -115,7 +134,7 @@ def fitted_face(
             "the pose is wrong, or the scan holds too little of a face"
         )
     plan = Plan()
-    if (strain := metrics["strain"]) > MOST_STRAIN:
+    if strain > MOST_STRAIN:
         reason = (
             f"the fit stretched the model's edges by {100 * strain:.0f} % (RMS), people's faces by about "
             "5 %: the pose is wrong, the scan holds no face, or it is very noisy"
@@ -123,26 +142,26 @@ def fitted_face(
         plan += [PlanStep.doubt("fit.strain", reason)]
     landmarks = model.landmarks_of(control)
     deviation = None if landmarks is None else landmark_deviation_mm(landmarks, vertices, residual)
-    if deviation is not None and (held := deformation.landmarks) is not None:
+    if deviation is not None and held is not None:
         placed = held.numbers >= 0
         numbers = held.numbers[placed]
         deviation[numbers] = 1 / np.hypot(1 / deviation[numbers], 1 / held.sigma_mm[placed])
     return FittedFace(
         vertices=vertices,
-        faces=subdivision.faces,
-        uv=model.refined_uv(options.result_levels),
+        faces=faces,
+        uv=model.refined_uv(RESULT_LEVELS),
         region=model.region[subdivision.parent],
         control_points=control,
         landmarks=landmarks,
         residual_mm=residual,
         model_from_scan=model_from_scan,
         template_vertices=model.template_of(control),
-        levels=options.result_levels,
-        converged=reached.converged and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
+        levels=RESULT_LEVELS,
+        converged=ran and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
         iterations=deformation.meter.evaluations,
         trace=deformation.meter.trace,
         model=model,
-        metrics={**metrics, "scale": scale},
+        metrics=metrics,
         plan=plan,
         landmark_deviation_mm=deviation,
     )
@@ -160,23 +179,20 @@ def residuals_mm(
     return np.where(seen, hits.distance, np.nan)
 
 
-def _metrics(vertices: FloatArray, residual: FloatArray, subdivision: LoopSubdivision) -> dict[str, float]:
-    area = vertex_areas(vertices, subdivision.faces)
-    seen = ~np.isnan(residual)
-    known = residual[seen] if seen.any() else np.array([np.nan])
-    return {
-        "residual_mean_mm": float(known.mean()),
-        "residual_median_mm": float(np.median(known)),
-        "residual_p95_mm": float(np.percentile(known, 95)),
-        "coverage": float(area[seen].sum() / max(area.sum(), 1e-300)),
-    }
+def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:
+    """Return (68,) standard deviations along each axis of `landmarks` (68, 3), in mm.
 
-
-def _strain(before: FloatArray, after: FloatArray, faces: IntArray) -> float:
-    """Return the RMS of log(length after / length before) over the edges of the control mesh."""
-    edges, _ = edges_with_faces(faces)
-    lengths = [
-        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (before, after)
-    ]
-    floor = 1e-6 * float(lengths[0].mean())
-    return float(np.sqrt(np.mean(np.log(np.maximum(lengths[1], floor) / np.maximum(lengths[0], floor)) ** 2)))
+    What is usual for the feature, more where the fitted surface, `vertices` (V, 3), has no scan near it
+    (`residual_mm` (V,) NaN), or lies off it.
+    """
+    usual = np.zeros(len(landmarks))
+    for (begin, end), deviation_mm in _FEATURES_MM.items():
+        usual[begin:end] = deviation_mm
+    near = cKDTree(vertices).query_ball_point(landmarks, _NEAR_MM)
+    unseen, off = np.ones(len(landmarks)), np.zeros(len(landmarks))
+    for number, index in enumerate(near):
+        if index:
+            seen = residual_mm[index][~np.isnan(residual_mm[index])]
+            unseen[number] = 1 - len(seen) / len(index)
+            off[number] = seen.mean() if len(seen) else 0.0
+    return np.sqrt(usual**2 + (_UNSEEN_MM * unseen) ** 2 + off**2)

@@ -16,8 +16,7 @@ from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
-RIM_MM = 30.0
-_AROUND_MM = 15.0
+RIM_MM, _AROUND_MM = 30.0, 15.0
 _LEAST_RELIEF, _MOST_RELIEF = 0.1, 0.3
 """What a flat sample still counts for, and the turn of the normals (1 - cosine) beyond which none counts
 more: nose, lids, lips and ears reach it."""
@@ -48,13 +47,18 @@ class SurfaceSamples:
         film = model.in_region(MOUTH_REGION)[subdivision.parent].astype(float)
         skin = 1 - vertex_average(len(points), subdivision.faces, film)
         stiffness = model.region_values("stiffness")[model.region[subdivision.parent]]
+        border = points[boundary_vertex_mask(len(points), subdivision.faces)]
+        rim = np.zeros(len(points))
+        if len(border):
+            distance, _ = cKDTree(border).query(points, distance_upper_bound=RIM_MM)
+            rim = np.clip(2 - 2 * distance / RIM_MM, 0, 1)
         return cls(
             subdivision.matrix,
             subdivision.faces,
             subdivision.parent,
             skin * vertex_areas(points, subdivision.faces),
             vertex_average(len(points), subdivision.faces, stiffness),
-            _rim(points, subdivision.faces),
+            rim,
         )
 
     def normals(self, points: FloatArray) -> FloatArray:
@@ -81,14 +85,6 @@ class SurfaceSamples:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""
         matrix = self.matrix
         return lambda x: spring_product(x, matrix.indptr, matrix.indices, matrix.data, stiffness)
-
-
-def _rim(points: FloatArray, faces: IntArray) -> FloatArray:
-    border = points[boundary_vertex_mask(len(points), faces)]
-    if len(border) == 0:
-        return np.zeros(len(points))
-    distance, _ = cKDTree(border).query(points, distance_upper_bound=RIM_MM)
-    return np.clip(2 - 2 * distance / RIM_MM, 0, 1)
 
 
 @njit(cache=True, nogil=True)

@@ -48,20 +48,17 @@ class SurfaceAverages:
         well and added back ("twicing", J. W. Tukey, "Exploratory Data Analysis", 1977, section 16): 2 S - S^2
         in place of S, at about a third more noise, but without flattening.
         """
-        edge_mm = self._edge_mm
+        edge_mm = usual_edge(self.vertices, self.faces)
         passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), MAX_PASSES)
         if passes == 0:
             return self.vertices
-        shares = self._shares(REACH * max(scale_mm, edge_mm))
+        reach_mm = REACH * max(scale_mm, edge_mm)
+        shares = _neighbour_shares(self.vertices, *self._joined, self._spike, self._weight, reach_mm)
         points = self._averaged(self.vertices, self.vertices, shares, passes)
         if not keep_curvature:
             return points
         taken = self.vertices - points
         return points + self._averaged(taken, np.zeros_like(taken), shares, passes)
-
-    @cached_property
-    def _edge_mm(self) -> float:
-        return usual_edge(self.vertices, self.faces)
 
     @cached_property
     def _joined(self) -> tuple[IntArray, IntArray]:
@@ -78,10 +75,6 @@ class SurfaceAverages:
     def _weight(self) -> FloatArray:
         count = np.ones(len(self.vertices)) if self.count is None else self.count
         return np.where(self._spike, 0.0, count)
-
-    def _shares(self, reach_mm: float) -> FloatArray:
-        """Return (N,) weights of each vertex's neighbours, equal ones for a spike."""
-        return _neighbour_shares(self.vertices, *self._joined, self._spike, self._weight, reach_mm)
 
     def _averaged(
         self, values: FloatArray, at_border: FloatArray, shares: FloatArray, passes: int
@@ -103,6 +96,7 @@ def _largest_around(values, begins, neighbours):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _neighbour_shares(vertices, begins, neighbours, spike, weight, reach_mm):  # type: ignore[no-untyped-def]
+    """Return (N,) weights of each vertex's neighbours, equal ones for a spike."""
     shares = np.empty(len(neighbours))
     for v in range(len(vertices)):
         for e in range(begins[v], begins[v + 1]):

@@ -17,19 +17,16 @@ from scan2albedo.geometry.mesh import (
     without_unreferenced,
 )
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.geometry.thinning import ThinnedSurface, thinned
+from scan2albedo.geometry.thinning import thinned
 
-WELD_STEP_MM = 1e-3
-CELL = 1.25
-"""Vertices that lie in one cell of this size, per mm of smoothing, are made one."""
+WELD_STEP_MM, CELL = 1e-3, 1.25
+"""Vertices that lie in one cell of this size, CELL per mm of smoothing, are made one."""
 NORMAL_SMOOTHING = 2.0
 """Normals are taken over this much wider a surface than positions: noise turns them more."""
-STRAY = 5.0
-"""Faces with a corner farther outside the box than this many times its sides are a scanner's error."""
-TORN = 0.6
-"""A scan of which a greater part of the vertices lies on borders is torn."""
-MIN_COMPONENT = 0.005
-"""Loose parts with a smaller share of the faces are floaters and pull at nothing."""
+STRAY, TORN, MIN_COMPONENT = 5.0, 0.6, 0.005
+"""Faces with a corner farther outside the box than STRAY times its sides are a scanner's error; a scan with a
+greater part of its vertices on borders than TORN is torn; loose parts with a smaller share of the faces
+float."""
 
 
 @dataclass(frozen=True)
@@ -106,17 +103,15 @@ def scan_near_model(
     if len(thin.faces) == 0:
         return None
     torn = float(thin.boundary.mean()) > TORN
-    kept, index = without_unreferenced(thin.vertices, thin.faces if torn else _without_floaters(thin))
+    faces = thin.faces
+    if not torn:
+        part = vertex_components(len(thin.vertices), faces)[faces[:, 0]]
+        share = np.bincount(part) / len(part)
+        faces = faces[share[part] >= min(MIN_COMPONENT, share.max())]
+    kept, index = without_unreferenced(thin.vertices, faces)
     points, count = thin.vertices[kept], thin.count[kept]
     boundary = thin.boundary[kept] & (not torn)
     averages = SurfaceAverages(points, index, boundary, count)
     fair = averages.smoothed(NORMAL_SMOOTHING * smoothing_mm)
     points = averages.smoothed(smoothing_mm, keep_curvature=True)
     return ScanSurface(points, index, vertex_normals(fair, index), boundary)
-
-
-def _without_floaters(surface: ThinnedSurface) -> IntArray:
-    """Return the faces of the parts with a share of MIN_COMPONENT or more."""
-    label = vertex_components(len(surface.vertices), surface.faces)[surface.faces[:, 0]]
-    share = np.bincount(label) / len(label)
-    return surface.faces[share[label] >= min(MIN_COMPONENT, share.max())]

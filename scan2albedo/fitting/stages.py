@@ -21,19 +21,23 @@ from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import bending, laplacian
 
-GAIN_WINDOW = 5
-SEARCH_EVERY = 10
-MUTUAL_EVERY = 4
-STIFFENING = 3.0
-MENDING_ROUNDS = 14
-MENDING_STEPS = 3
-FINEST_STEPS = 3
-FINEST_MENDING_ROUNDS = 3
-"""On the finest samples 5 steps and more rounds cost about an eighth more and end no nearer."""
+TIME_STEP, MASS, DAMPING = 10.0, 1.0, 0.1
+"""dt, and M and D as multiples of the surface's area (a unit force is a unit area)."""
+MEMBRANE_MM = (6.0, 0.5)
+"""Membrane smoothing length in the first and last stage."""
+GAIN_STEPS, GAIN_TOLERANCE = 5, 0.003
+"""A stage ends when that many steps gained less than this fraction of the error."""
+SEARCH_EVERY, MUTUAL_EVERY = 10, 4
+"""Steps after which closest points are searched from anew, and after which mutual ones are."""
+STIFFENING, MENDING_ROUNDS, SHORT = 3.0, 14, 3
+"""Faces around folds get so much stiffer in up to so many rounds of SHORT steps. The finest samples get SHORT
+steps and rounds: more cost an eighth and end no nearer."""
 TRIAL_LEVEL, TRIAL_STAGES, TRIAL_STEPS = 1, 2, 5
 """A trial's samples, stages, and steps in each; longer trials choose no better."""
 USUAL_SPRINGS = 0.5
 """Stiffness of the springs, relative to an open gate's, that the preconditioner assumes."""
+RESULT_LEVELS = 2
+"""Loop refinements of the surface returned."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +71,6 @@ class Deformation:
             self._sampled[level] = samples, (samples.matrix.T @ weight @ samples.matrix).tocsr()
         return self._sampled[level]
 
-    def scan_is_finer_than(self, level: int) -> bool:
-        """Whether the scan's edges near the model are shorter than the spacing of the samples of a level."""
-        samples, _ = self.sampled(level)
-        return self.scan.edge_mm < float(np.sqrt(np.median(samples.area)))
-
     @cached_property
     def control_area(self) -> FloatArray:
         """(C,) mm^2 around each control point, above 0."""
@@ -86,70 +85,52 @@ class Deformation:
     @cached_property
     def folds(self) -> FoldFinder:
         """Finds folds of the surface returned."""
-        subdivision = self.model.subdivision(self.options.result_levels)
+        subdivision = self.model.subdivision(RESULT_LEVELS)
         return FoldFinder(subdivision.matrix @ self.reference, subdivision.faces)
 
     @cached_property
-    def _plain(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-        return self._energies(np.ones(len(self.model.control_faces)))
+    def _energies(self) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+        return self._stiffened(np.ones(len(self.model.control_faces)))
 
-    def _energies(self, stiffening: FloatArray) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    def _stiffened(self, stiffening: FloatArray) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
         faces = self.model.control_faces
         weight = self.model.region_values("stiffness")[self.model.region] * stiffening
         return laplacian(self.reference, faces, weight), bending(self.reference, faces, weight)
 
-    def elasticity(self, progress: float, stiffening: FloatArray) -> sparse.csr_matrix:
+    def elasticity(self, progress: float, stiffening: FloatArray | None = None) -> sparse.csr_matrix:
         """Return K (C, C) at `progress` 0 ... 1, each control face stiffer by its `stiffening` (F,)."""
-        plain = not (stiffening != 1).any()
-        membrane, thin_plate = self._plain if plain else self._energies(stiffening)
+        membrane, thin_plate = self._energies if stiffening is None else self._stiffened(stiffening)
         return (
-            between(self.options.membrane_mm, progress) ** 2 * membrane
+            between(MEMBRANE_MM, progress) ** 2 * membrane
             + between(self.options.bending_mm, progress) ** 4 * thin_plate
         )
 
 
-@dataclass(frozen=True)
-class Stage:
-    """Samples at refinement `level`, `progress` 0 ... 1, at most `steps`, `stiffening` (F_C,) of faces."""
+def run_stages(deformation: Deformation, count: int | None = None) -> tuple[FloatArray, bool]:
+    """Return the displacement (C, 3) after all stages, or the first `count`, and whether all of them ran.
 
-    level: int
-    progress: float
-    steps: int
-    stiffening: FloatArray
-
-
-@dataclass(frozen=True)
-class StagesResult:
-    """Displacement `q` (C, 3) reached, and whether the whole schedule ran."""
-
-    q: FloatArray
-    converged: bool
-
-
-def run_stages(deformation: Deformation, count: int | None = None) -> StagesResult:
-    """Run all stages, or the first `count`, or as many as the budget allows; at least one step.
-
-    Where the surface has folded over it is made stiffer, in short rounds of the last stage, until no fold is
-    left. A scan as fine as the samples of `FitOptions.finest_level` then gets a few steps with these: more of
-    its vertices count, and their noise averages out.
+    As many run as the budget allows, at least one step. Where the surface has folded over it is made stiffer,
+    in short rounds of the last stage, until no fold is left. A scan as fine as the samples of
+    `FitOptions.finest_level` then gets a few steps with these: more of its vertices count, and their noise
+    averages out.
     """
-    levels, meter = deformation.options.levels, deformation.meter
+    options, meter = deformation.options, deformation.meter
+    levels, finest = options.levels, options.finest_level
     q = np.zeros_like(deformation.reference)
-    even = np.ones(len(deformation.model.control_faces))
     for index, level in enumerate(levels[:count]):
         if meter.exhausted and (index or not meter.out_of_time):
-            return StagesResult(q, False)
-        progress = index / max(len(levels) - 1, 1)
-        q = _run_stage(deformation, Stage(level, progress, deformation.options.steps, even), q)
+            return q, False
+        q = _run_stage(deformation, level, index / max(len(levels) - 1, 1), options.steps, q)
     if count is not None:
-        return StagesResult(q, not meter.exhausted)
-    q, stiffening = _mended(deformation, q, even, levels[-1])
-    finest = deformation.options.finest_level
-    if finest > levels[-1] and deformation.scan_is_finer_than(finest) and not meter.exhausted:
-        finer = _run_stage(deformation, Stage(finest, 1.0, FINEST_STEPS, stiffening), q)
-        finer, _ = _mended(deformation, finer, stiffening, finest, FINEST_MENDING_ROUNDS)
-        q = _where_unfolded(deformation, finer, q)
-    return StagesResult(q, not meter.exhausted)
+        return q, not meter.exhausted
+    q, stiffening = _mended(deformation, q, None, levels[-1], MENDING_ROUNDS)
+    if finest > levels[-1] and not meter.exhausted:
+        spacing_mm = float(np.sqrt(np.median(deformation.sampled(finest)[0].area)))
+        if deformation.scan.edge_mm < spacing_mm:
+            finer = _run_stage(deformation, finest, 1.0, SHORT, q, stiffening)
+            finer, _ = _mended(deformation, finer, stiffening, finest, SHORT)
+            q = _where_unfolded(deformation, finer, q)
+    return q, not meter.exhausted
 
 
 def coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
@@ -162,10 +143,9 @@ def coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArr
 def _coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
     options = replace(deformation.options, steps=min(deformation.options.steps, TRIAL_STEPS))
     meter = deformation.meter.untraced()
-    trial = replace(deformation, reference=reference, options=options, meter=meter)
-    result = run_stages(trial, TRIAL_STAGES)
+    q, _ = run_stages(replace(deformation, reference=reference, options=options, meter=meter), TRIAL_STAGES)
     deformation.meter.count(meter.evaluations)
-    return reference + result.q
+    return reference + q
 
 
 def _where_unfolded(deformation: Deformation, q: FloatArray, before: FloatArray) -> FloatArray:
@@ -180,30 +160,26 @@ def _where_unfolded(deformation: Deformation, q: FloatArray, before: FloatArray)
 
 
 def _mended(
-    deformation: Deformation, q: FloatArray, stiffening: FloatArray, level: int, rounds: int = MENDING_ROUNDS
-) -> tuple[FloatArray, FloatArray]:
+    deformation: Deformation, q: FloatArray, stiffening: FloatArray | None, level: int, rounds: int
+) -> tuple[FloatArray, FloatArray | None]:
     """Return `q` without folds, as far as it goes, and how much stiffer (F_C,) the faces got for it."""
+    faces = deformation.model.control_faces
     for _ in range(rounds):
         if deformation.meter.exhausted:
             break
-        more = _stiffer(deformation, q)
-        if not (more > 1).any():
+        folded = _around_folds(deformation, q)[faces].any(1)
+        if not folded.any():
             break
-        stiffening = stiffening * more
-        q = _run_stage(deformation, Stage(level, 1.0, MENDING_STEPS, stiffening), q)
+        more = np.where(folded, STIFFENING, 1.0)
+        stiffening = more if stiffening is None else stiffening * more
+        q = _run_stage(deformation, level, 1.0, SHORT, q, stiffening)
     return q, stiffening
-
-
-def _stiffer(deformation: Deformation, q: FloatArray) -> FloatArray:
-    """Return (F_C,) STIFFENING for the control faces around folds of the surface, 1 elsewhere."""
-    around = _around_folds(deformation, q)
-    return np.where(around[deformation.model.control_faces].any(1), STIFFENING, 1.0)
 
 
 def _around_folds(deformation: Deformation, q: FloatArray) -> BoolArray:
     """Return (C,) True at the corners of control faces with a fold."""
     model, faces = deformation.model, deformation.model.control_faces
-    subdivision = model.subdivision(deformation.options.result_levels)
+    subdivision = model.subdivision(RESULT_LEVELS)
     folds = deformation.folds.find(subdivision.matrix @ (deformation.reference + q))
     around = np.zeros(len(deformation.reference), bool)
     around[faces[subdivision.parent[folds]]] = True
@@ -218,8 +194,7 @@ def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     """
     options, none = deformation.options, np.zeros(len(q))
     samples, usual = deformation.sampled(options.levels[-1])
-    stiffness = deformation.elasticity(1.0, np.ones(len(deformation.model.control_faces)))
-    system = ImplicitSystem(none, none, stiffness, usual, 1.0)
+    system = ImplicitSystem(none, none, deformation.elasticity(1.0), usual, 1.0)
     points = samples.matrix @ (deformation.reference + q)
     normals, _ = surface_normals(points, samples.faces)
     gates = ForceGates.at(options, 1.0)
@@ -229,21 +204,25 @@ def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     return float(samples.area @ np.linalg.norm(samples.matrix @ (moved.q - q), axis=1) / samples.area.sum())
 
 
-def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatArray:
-    options, meter, reference = deformation.options, deformation.meter, deformation.reference
-    samples, usual = deformation.sampled(stage.level)
-    system = ImplicitSystem(
-        options.mass * deformation.control_area,
-        options.damping * deformation.control_area,
-        deformation.elasticity(stage.progress, stage.stiffening),
-        usual,
-        options.time_step,
-    )
-    gates = ForceGates.at(options, stage.progress)
+def _run_stage(
+    deformation: Deformation,
+    level: int,
+    progress: float,
+    steps: int,
+    q: FloatArray,
+    stiffening: FloatArray | None = None,
+) -> FloatArray:
+    """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
+    meter, reference, pull = deformation.meter, deformation.reference, deformation.landmarks
+    samples, usual = deformation.sampled(level)
+    mass, damping = MASS * deformation.control_area, DAMPING * deformation.control_area
+    stiffness = deformation.elasticity(progress, stiffening)
+    system = ImplicitSystem(mass, damping, stiffness, usual, TIME_STEP)
+    gates = ForceGates.at(deformation.options, progress)
     state = State(q, np.zeros_like(q))
     errors: list[float] = []
     forces: ScanForces | None = None
-    for step in range(stage.steps):
+    for step in range(steps):
         if meter.exhausted and (step or not meter.out_of_time):
             break
         points = samples.matrix @ (reference + state.q)
@@ -255,28 +234,17 @@ def _run_stage(deformation: Deformation, stage: Stage, q: FloatArray) -> FloatAr
         meter.record(errors[-1])
         if step % MUTUAL_EVERY == 0:
             mutual = forces.mutual(points, samples.area)
-        force, stiffness = forces.springs(samples.area, mutual)
-        pull, product = samples.matrix.T @ force, samples.product(stiffness)
-        if deformation.landmarks is not None:
-            pull = pull + deformation.landmarks.force(reference + state.q)
-            product = deformation.landmarks.with_springs(product)
-        moved = system.step(state, pull, product)
+        force, springs = forces.springs(samples.area, mutual)
+        push, product = samples.matrix.T @ force, samples.product(springs)
+        if pull is not None:
+            push, product = push + pull.force(reference + state.q), pull.with_springs(product)
+        moved = system.step(state, push, product)
         safe = guarded(
-            reference + state.q,
-            reference + moved.q,
-            face_normals,
-            samples,
-            deformation.model.control_faces,
+            reference + state.q, reference + moved.q, face_normals, samples, deformation.model.control_faces
         )
-        state = State(safe - reference, (safe - reference - state.q) / system.time_step)
-        if _settled(errors, options.gain_tolerance):
-            break
+        state = State(safe - reference, (safe - reference - state.q) / TIME_STEP)
+        if len(errors) > GAIN_STEPS:
+            before = errors[-1 - GAIN_STEPS]
+            if not before - errors[-1] > GAIN_TOLERANCE * before:
+                break
     return state.q
-
-
-def _settled(errors: list[float], tolerance: float) -> bool:
-    """Whether the last GAIN_WINDOW steps gained less than `tolerance` of the error before them."""
-    if len(errors) <= GAIN_WINDOW:
-        return False
-    before, now = errors[-1 - GAIN_WINDOW], errors[-1]
-    return not before - now > tolerance * before

@@ -93,7 +93,28 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
         raise GeometryImageError(
             f"{file.name}: geometry images are .npz or .exr, not {file.suffix or 'without extension'}"
         )
-    arrays = _read_npz(file) if extension == ".npz" else _read_exr(file)
+    arrays: dict[str, NDArray[Any]] = {}
+    if extension == ".npz":
+        arrays = read_npz(file, what="geometry image", advice="write it again", error=GeometryImageError)
+        for name, array in arrays.items():
+            if array.dtype.kind not in _KINDS.get(name, "fiu"):
+                raise GeometryImageError(f"{file}: {name} holds {array.dtype}; write it again")
+        version = arrays.pop("format_version", np.array(FORMAT_VERSION))
+        if version.ndim or version > FORMAT_VERSION:
+            raise GeometryImageError(
+                f"{file.name}: format version {version} is newer than {FORMAT_VERSION}; update scan2albedo"
+            )
+    else:
+        try:
+            channels = read_exr_channels(file)
+        except ScanError as error:
+            raise GeometryImageError(str(error)) from error
+        for field, stored in _NAME_IN_FILE.items():
+            letters = _EXR_CHANNELS.get(field, "Y")
+            planes = [channels[f"{stored}.{c}"] for c in letters if f"{stored}.{c}" in channels]
+            if len(planes) == len(letters):
+                value = np.stack(planes, axis=-1) if len(letters) > 1 else planes[0]
+                arrays[stored] = value.astype(_DTYPES.get(field, value.dtype))
     missing = [name for name in ("position_mm", "normal", "mask") if name not in arrays]
     if missing:
         raise GeometryImageError(
@@ -104,10 +125,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
     occluder = None
     if "occluder_vertices_mm" in arrays and "occluder_faces" in arrays:
         occluder = (arrays["occluder_vertices_mm"], arrays["occluder_faces"])
-    cameras = {
-        "camera": arrays.get("camera"),
-        "camera_positions": arrays.get("camera_positions_mm"),
-    }
+    cameras = {"camera": arrays.get("camera"), "camera_positions": arrays.get("camera_positions_mm")}
     try:
         return GeometryImage(**fields, **cameras, occluder=occluder)  # type: ignore[arg-type]
     except GeometryImageError as error:
@@ -138,31 +156,3 @@ def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float
             "different runs: process the scan again"
         )
     return image, albedo
-
-
-def _read_npz(file: Path) -> dict[str, NDArray[Any]]:
-    arrays = read_npz(file, what="geometry image", advice="write it again", error=GeometryImageError)
-    for name, array in arrays.items():
-        if array.dtype.kind not in _KINDS.get(name, "fiu"):
-            raise GeometryImageError(f"{file}: {name} holds {array.dtype}; write it again")
-    version = arrays.pop("format_version", np.array(FORMAT_VERSION))
-    if version.ndim or version > FORMAT_VERSION:
-        raise GeometryImageError(
-            f"{file.name}: format version {version} is newer than {FORMAT_VERSION}; update scan2albedo"
-        )
-    return arrays
-
-
-def _read_exr(file: Path) -> dict[str, NDArray[Any]]:
-    try:
-        channels = read_exr_channels(file)
-    except ScanError as error:
-        raise GeometryImageError(str(error)) from error
-    arrays: dict[str, NDArray[Any]] = {}
-    for field, stored in _NAME_IN_FILE.items():
-        letters = _EXR_CHANNELS.get(field, "Y")
-        planes = [channels[f"{stored}.{c}"] for c in letters if f"{stored}.{c}" in channels]
-        if len(planes) == len(letters):
-            value = np.stack(planes, axis=-1) if len(letters) > 1 else planes[0]
-            arrays[stored] = value.astype(_DTYPES.get(field, value.dtype))
-    return arrays

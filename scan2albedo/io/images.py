@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 import sys
+import warnings
+import zlib
+from io import BytesIO
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.errors import OutputError, ScanError, needs_extra
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
@@ -44,49 +48,72 @@ def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16
     """
     file = Path(path)
     try:
-        pixels = _exr_rgb(file) if _is_exr(file) else _decode_pixels(limits.read_bytes(file), file)
+        limits.require_file(file, sys.maxsize)
+        with file.open("rb") as opened:
+            is_exr = opened.read(len(_EXR_MAGIC)) == _EXR_MAGIC
+        if is_exr:
+            channels = read_exr_channels(file)
+            wanted = next((c for c in ("RGB", "YYY") if set(c) <= set(channels)), None)
+            if wanted is None:
+                raise ScanError(f"image {file} has the channels {', '.join(channels)}; expected R, G, B or Y")
+            return np.stack([channels[c] for c in wanted], axis=-1)
+        data = limits.read_bytes(file)
+        # Nothing is decoded whose size is not known before.
+        known = require_small_picture(data, file) is not None and not is_cut_png(data)
+        pixels = _decoded(data) if known else None
     except (OSError, ValueError) as error:
         raise ScanError(f"image {file} cannot be read: {getattr(error, 'strerror', '') or error}") from error
-    if pixels.dtype in (np.uint8, np.uint16):
-        return cast("NDArray[np.uint8]", pixels)
-    if pixels.dtype.kind != "f":
-        raise ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
-    return np.ascontiguousarray(pixels, np.float32)
-
-
-def _is_exr(file: Path) -> bool:
-    limits.require_file(file, sys.maxsize)
-    with file.open("rb") as opened:
-        return opened.read(len(_EXR_MAGIC)) == _EXR_MAGIC
-
-
-def _decode_pixels(data: bytes, file: Path) -> NDArray[np.generic]:
-    """Return stored samples as (H, W, 3) RGB; nothing is decoded whose size is not known before."""
-    import cv2
-
-    known = require_small_picture(data, file) is not None and not is_cut_png(data)
-    try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if known else None
-    except cv2.error as error:
-        raise ScanError(f"image {file} cannot be decoded: {error.err}; re-export it") from error
     if pixels is None:
         raise ScanError(
             f"image {file} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown; "
             f"re-export it as one of {', '.join(SUPPORTED_IMAGES)}"
         )
-    grey = pixels.ndim == 2 or pixels.shape[2] < 3
-    if grey:
-        first = pixels if pixels.ndim == 2 else pixels[..., 0]
-        return np.repeat(first[..., None], 3, axis=2)
-    return np.asarray(pixels[..., 2::-1])
+    if pixels.ndim == 2 or pixels.shape[2] < 3:
+        pixels = np.repeat(pixels.reshape(*pixels.shape[:2], -1)[..., :1], 3, axis=2)
+    if pixels.dtype in (np.uint8, np.uint16):
+        return cast("NDArray[np.uint8]", pixels[..., :3])
+    if pixels.dtype.kind != "f":
+        raise ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
+    return np.ascontiguousarray(pixels[..., :3], np.float32)
 
 
-def _exr_rgb(file: Path) -> NDArray[np.float32]:
-    channels = read_exr_channels(file)
-    wanted = next((c for c in ("RGB", "YYY") if set(c) <= set(channels)), None)
-    if wanted is None:
-        raise ScanError(f"image {file} has the channels {', '.join(channels)}; expected R, G, B or Y")
-    return np.stack([channels[c] for c in wanted], axis=-1)
+def _decoded(data: bytes) -> NDArray[Any] | None:
+    """Return the samples of a picture, grey or with colours in the order RGB; None when it is damaged."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of metadata
+            with Image.open(BytesIO(data)) as image:
+                deep = image.format == "TIFF" and max(getattr(image, "tag_v2", {}).get(258, (1,))) > 8  # bits
+                raw = image.tile[0].args if image.format == "PNG" and image.tile else ""
+                if raw in ("RGB;16B", "RGBA;16B"):
+                    # Pillow keeps the first byte of such samples; read as if the second were the first.
+                    high = np.asarray(image, np.uint16)
+                    with Image.open(BytesIO(data)) as again:
+                        again.tile = [again.tile[0]._replace(args=raw[:-1] + "L")]
+                        return high << 8 | np.asarray(again, np.uint16)
+                if raw == "LA;16B" or deep:
+                    raise UnidentifiedImageError
+                if image.mode.startswith("I;16"):
+                    return np.asarray(image, np.uint16)
+                if image.mode not in ("L", "LA", "RGB", "RGBA"):
+                    return np.asarray(image.convert({"1": "L", "P": "RGBA"}.get(image.mode, "RGB")))
+                return np.asarray(image)
+    except UnidentifiedImageError:
+        pass
+    except (OSError, SyntaxError, ValueError, LookupError, TypeError, EOFError, struct.error, zlib.error):
+        return None
+    # Radiance, floats, and more than 8 bits in TIFF.
+    with needs_extra("opencv"):
+        import cv2
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    if pixels is None or pixels.ndim == 2 or pixels.shape[2] < 3:
+        return pixels
+    return pixels[..., 2::-1]
 
 
 def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
@@ -98,26 +125,20 @@ def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
     import OpenEXR
 
     try:
-        _require_small_exr(Path(path))
+        # Every part is decoded: what the headers of all declare counts.
+        samples = 0
+        with OpenEXR.File(str(path), header_only=True) as file:
+            for part in file.parts:
+                low, high = (np.asarray(corner, np.int64) for corner in part.header["dataWindow"])
+                width, height = np.maximum(high - low + 1, 0).tolist()
+                samples += width * height * len(part.header["channels"])
+        most = max(limits.PICTURE_BYTES, limits.GROWTH * Path(path).stat().st_size)
+        advice = "save it with fewer pixels"
+        limits.require_at_most(f"image {path}", "bytes of pixels", 4 * samples, most, advice)
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {k: np.array(c.pixels, np.float32) for k, c in file.channels().items()}
     except (LookupError, OSError, RuntimeError, ValueError, TypeError) as error:
         raise ScanError(f"image {path} is missing or no complete EXR file ({error})") from error
-
-
-def _require_small_exr(path: Path) -> None:
-    """Raise TooLargeError for what the headers of all parts declare: every part is decoded."""
-    import OpenEXR
-
-    samples = 0
-    with OpenEXR.File(str(path), header_only=True) as file:
-        for part in file.parts:
-            low, high = (np.asarray(corner, np.int64) for corner in part.header["dataWindow"])
-            width, height = np.maximum(high - low + 1, 0).tolist()
-            samples += width * height * len(part.header["channels"])
-    most = max(limits.PICTURE_BYTES, limits.GROWTH * path.stat().st_size)
-    advice = "save it with fewer pixels"
-    limits.require_at_most(f"image {path}", "bytes of pixels", 4 * samples, most, advice)
 
 
 def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]]) -> None:
@@ -184,7 +205,7 @@ def encode_image(image: ArrayLike, extension: str) -> bytes:
     uint8, uint16 and bool are stored as they are (sRGB, bool as 0 and 255); floats are linear colour and are
     encoded to 8-bit sRGB, clipped to [0, 1].
     """
-    import cv2
+    from PIL import Image
 
     array = np.asarray(image)
     if array.ndim != 2:
@@ -197,13 +218,34 @@ def encode_image(image: ArrayLike, extension: str) -> bytes:
         array = array.astype(np.uint8) * 255
     elif array.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image has samples of {array.dtype}, expected uint8, uint16, bool or floats")
-    order = [2, 1, 0, 3][: array.shape[2]] if array.ndim == 3 else None
-    stored = array if order is None else np.ascontiguousarray(array[..., order])
-    options = [cv2.IMWRITE_JPEG_QUALITY, 95] if extension in (".jpg", ".jpeg") else []
-    encoded, data = cv2.imencode(extension, stored, options)
-    if not encoded:
+    if array.dtype == np.uint16 and extension == ".png":
+        return _png_of_16_bits(array)
+    kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}.get(extension, "PNG")
+    if array.dtype == np.uint16 or 0 in array.shape:
         raise ValueError(f"an image of shape {array.shape} and {array.dtype} cannot be stored as {extension}")
-    return data.tobytes()
+    options: dict[str, dict[str, Any]] = {
+        "PNG": {"compress_level": 1},
+        "JPEG": {"quality": 95},
+        "TIFF": {"compression": "tiff_lzw"},
+    }
+    data = BytesIO()
+    stored = array[..., :3] if kind == "JPEG" and array.ndim == 3 else array
+    Image.fromarray(np.ascontiguousarray(stored)).save(data, kind, **options[kind])
+    return data.getvalue()
+
+
+def _png_of_16_bits(array: NDArray[np.uint16]) -> bytes:
+    """Return a PNG of samples that Pillow has no mode for, its rows without filters."""
+    height, width = array.shape[:2]
+    rows = np.ascontiguousarray(array.reshape(height, -1), ">u2").view(np.uint8)
+    color_type = {1: 0, 3: 2, 4: 6}[array.size // (height * width)]
+    head = struct.pack(">IIBBBBB", width, height, 16, color_type, 0, 0, 0)
+    pixels = zlib.compress(np.insert(rows, 0, 0, axis=1).tobytes(), 1)
+    chunks = ((b"IHDR", head), (b"IDAT", pixels), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+        for name, data in chunks
+    )
 
 
 def _check_rgb(image: NDArray[np.generic]) -> None:

@@ -25,9 +25,14 @@ def input_sha256(source: str | Path | RawScan, textures: str | Path | None = Non
     `textures` is the folder that `load_scan` may also read from. Take it when the file is read: the file may
     change before results are written. Raises ScanError when the file cannot be read.
     """
-    if not isinstance(source, str | Path):
-        return _arrays_sha256(source)
     digest = hashlib.sha256()
+    if not isinstance(source, str | Path):
+        for field in ("vertices", "faces", "uv", "texture_linear", "vertex_color_linear"):
+            value = getattr(source, field)
+            digest.update(f"{field}:{None if value is None else (value.shape, value.dtype.str)};".encode())
+            if value is not None:
+                digest.update(value.tobytes())
+        return digest.hexdigest()
     try:
         limits.require_regular(Path(source))
         for file in files_of_scan(Path(source), textures):
@@ -91,13 +96,3 @@ def _of_gltf(path: Path, folder: ScanFolder) -> list[str]:
     except (ValueError, AttributeError, TypeError, RecursionError):
         return []  # load_scan says what is wrong with the file
     return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
-
-
-def _arrays_sha256(scan: RawScan) -> str:
-    digest = hashlib.sha256()
-    for field in ("vertices", "faces", "uv", "texture_linear", "vertex_color_linear"):
-        value = getattr(scan, field)
-        digest.update(f"{field}:{None if value is None else (value.shape, value.dtype.str)};".encode())
-        if value is not None:
-            digest.update(value.tobytes())
-    return digest.hexdigest()

@@ -86,31 +86,27 @@ def read_npz(
             with stored:
                 there = [name for name in optional if name in stored.files]
                 wanted = stored.files if names is None else (*names, *there)
-                _require_small(stored, wanted, most=max(limits.ARRAY_BYTES, limits.GROWTH * size))
+                # What arrays declare is looked at before any is read.
+                assert stored.zip is not None
+                entries = {entry.filename.removesuffix(".npy"): entry for entry in stored.zip.infolist()}
+                total, most = 0, max(limits.ARRAY_BYTES, limits.GROWTH * size)
+                for name in wanted:
+                    with stored.zip.open(entries[name]) as member:
+                        # NumPy reads headers of versions 2 and 3 alike.
+                        first = np.lib.format.read_magic(member) == (1, 0)
+                        formats = np.lib.format
+                        read = formats.read_array_header_1_0 if first else formats.read_array_header_2_0
+                        shape, _, dtype = read(member)
+                    needed, held = math.prod(shape) * dtype.itemsize, entries[name].file_size
+                    if needed > held:
+                        raise ValueError(f"{name} declares {needed:,} bytes and holds {held:,}")
+                    total += needed
+                if total > most:
+                    raise ValueError(f"its arrays have {total:,} bytes, more than the {most:,} that are read")
                 return {name: stored[name] for name in wanted}
     except (OSError, ScanError, *_DAMAGE) as cause:
         reason = one_line(cause)
         raise error(f"{what} {path} cannot be read ({reason}); {advice}") from cause
-
-
-def _require_small(stored: NpzFile, names: Collection[str], most: int) -> None:
-    """Raise ValueError when arrays declare more bytes than `most`, or than their members hold."""
-    assert stored.zip is not None
-    entries = {entry.filename.removesuffix(".npy"): entry for entry in stored.zip.infolist()}
-    total = 0
-    for name in names:
-        with stored.zip.open(entries[name]) as member:
-            version = np.lib.format.read_magic(member)
-            # NumPy reads headers of versions 2 and 3 alike.
-            first = version == (1, 0)
-            read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
-            shape, _, dtype = read(member)
-            needed = math.prod(shape) * dtype.itemsize
-        if needed > entries[name].file_size:
-            raise ValueError(f"{name} declares {needed:,} bytes and holds {entries[name].file_size:,}")
-        total += needed
-    if total > most:
-        raise ValueError(f"its arrays have {total:,} bytes, more than the {most:,} that are read")
 
 
 def write_npz_record(

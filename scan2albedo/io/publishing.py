@@ -16,10 +16,6 @@ from pathlib import Path
 from scan2albedo.errors import OutputError
 from scan2albedo.io.leftovers import JOURNAL, finished, hidden_path, keep, remove_leftovers, roll_back
 
-_EXCHANGE = 2
-"""RENAME_EXCHANGE of Linux and RENAME_SWAP of macOS."""
-_AT_FDCWD = -100
-
 
 @contextmanager
 def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
@@ -61,7 +57,7 @@ def publish(staging: Path, target: Path, dropped: Collection[str], last: Collect
     """
     made = _moves(staging, target)
     made.sort(key=lambda name: name in last)
-    with _signals_held():
+    with signals_held():
         if not os.path.lexists(target):
             target.parent.mkdir(parents=True, exist_ok=True)
             os.rename(staging, target)
@@ -139,15 +135,13 @@ def _link_others(
 
 def _exchange(a: Path, b: Path) -> None:
     """Exchange two paths in one step. Raises OSError where the system or file system cannot."""
-    library = ctypes.CDLL(None, use_errno=True)
-    if sys.platform == "darwin":
-        failed = library.renamex_np(os.fsencode(a), os.fsencode(b), _EXCHANGE)
-    else:
-        exchange = getattr(library, "renameat2", None)
-        if exchange is None:
-            raise OSError(None, "this C library exchanges no paths")
-        failed = exchange(_AT_FDCWD, os.fsencode(a), _AT_FDCWD, os.fsencode(b), _EXCHANGE)
-    if failed:
+    name = "renamex_np" if sys.platform == "darwin" else "renameat2"
+    exchange = getattr(ctypes.CDLL(None, use_errno=True), name, None) if os.name == "posix" else None
+    if exchange is None:
+        raise OSError(None, "this system exchanges no paths")
+    here = () if sys.platform == "darwin" else (-100,)  # AT_FDCWD
+    swap = 2  # RENAME_SWAP of macOS and RENAME_EXCHANGE of Linux
+    if exchange(*here, os.fsencode(a), *here, os.fsencode(b), swap):
         raise OSError(ctypes.get_errno(), "paths cannot be exchanged")
 
 
@@ -181,7 +175,7 @@ def _renamed_one_by_one(staging: Path, target: Path, made: list[str], dropped: C
 
 
 @contextmanager
-def _signals_held() -> Iterator[None]:
+def signals_held() -> Iterator[None]:
     """Let Ctrl-C and SIGTERM wait until the block has ended."""
     came: list[int] = []
     before = {}

@@ -139,11 +139,3 @@ def parse_record(
         first = cause.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or whole
         raise error(f"{place}: {where}: {first['msg']} ({cause.error_count()} problems); {advice}") from cause
-
-
-def listed_files(path: Path, kind: type[Record]) -> tuple[str, ...]:
-    """Return the `files` of an older record, none when there is no such record of that kind."""
-    try:
-        return tuple(getattr(read_record(path, kind), "files", ()))
-    except Scan2AlbedoError:
-        return ()

@@ -13,9 +13,10 @@ from scan2albedo.albedo import AlbedoError, AlbedoEstimate, albedo_error
 from scan2albedo.core import PointLight, ProgressCallback
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
+from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.process import process
-from scan2albedo.pipeline.result import ProcessResult
+from scan2albedo.pipeline.result import FILES, ProcessResult
 from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 INNER_LANDMARKS = slice(17, 68)
@@ -83,6 +84,8 @@ def run_demo(
     as in `process`, which also writes files to `out` unless it is None.
     """
     texels = ProcessOptions(size=size, quality=quality).texels
+    if out is not None:
+        RunFolder(Path(out) / f"synthetic-{seed}", FILES).check()
     scan, truth = raw_scan(seed, scanner=Scanner(size=texels))
     result = process(scan, out, size=size, quality=quality, seed=seed, on_progress=on_progress)
     return compare_with_truth(result, truth)

@@ -49,7 +49,6 @@ FILES = OwnFiles(
         "shadow.png",
         "skin.png",
         "fitted.glb",
-        "template.obj",
         *TEMPLATE_FILES,
         *UNLIT_FILES,
         "registration.json",
@@ -142,11 +141,6 @@ class ProcessResult:
                 figures["albedo"]["uncertainty"] = self.albedo.uncertainty.figures()
         return figures
 
-    def _unfinished(self) -> list[str]:
-        """Return the stages that a budget ended, or that did not converge."""
-        stages = {"register": self.registration, "fit": self.fitted, "albedo": self.albedo}
-        return [name for name, found in stages.items() if found is not None and not found.converged]
-
     def summary(self) -> str:
         """Return a summary of one line for a person."""
         parts = [f"{self.scan.name}: done in {sum(self.timings_s.values()):.1f} s"]
@@ -163,7 +157,8 @@ class ProcessResult:
             parts.append("no albedo (see the plan)")
         if self.registration is not None and self.registration.confidence < SURE:
             parts.append(f"pose unsure (confidence {self.registration.confidence:.2f})")
-        if unfinished := self._unfinished():
+        stages = {"register": self.registration, "fit": self.fitted, "albedo": self.albedo}
+        if unfinished := [name for name, found in stages.items() if found and not found.converged]:
             parts.append(f"not converged: {', '.join(unfinished)}")
         if self.out is not None:
             parts.append(f"files in {self.out}")
@@ -185,17 +180,61 @@ def write_result(
     `pictures`, `LEFT_OUT` where `files` is "minimal". Raises `OutputError` when the folder is somebody else's
     or cannot be written.
     """
-    folder = RunFolder(out / result.scan.name, FILES, recorded)
-    scan, estimate = result.scan, result.albedo
-    own = None if result.fitted is None else result.fitted.model.template_from_model
+    scan, image, estimate, fitted = result.scan, result.geometry_image, result.albedo, result.fitted
     left_out = LEFT_OUT if files == "minimal" else frozenset() if pictures else PICTURES
+    preview = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
+    folder = RunFolder(out / scan.name, FILES, recorded)
     with folder.publishing() as staging:
-        for name, draw in _pictures(result).items():
+
+        def write(name: str, writer: Callable[..., object], *content: Any, **options: Any) -> None:
             if name not in left_out:
-                (staging.folder / name).write_bytes(draw())
-        for name, write in (_stage_files(result) | _mesh_files(result)).items():
-            if name not in left_out:
-                write(staging.folder / name)
+                writer(staging.folder / name, *content, **options)
+
+        write("trace.csv", result.trace.to_csv)
+        write("geometry_image.npz", write_geometry_image, image)
+        write("geometry_image.exr", write_geometry_image_exr, image)
+        if image.skin is not None:
+            write("skin.png", write_png, _gray_bytes(np.where(image.mask, image.skin, 0)))
+        if estimate is not None and preview is not None:
+            seen = np.where(image.seen, np.uint8(255), np.uint8(0))
+            write("albedo.exr", write_exr, estimate.albedo_linear)
+            write("albedo.png", write_png, np.dstack([preview, seen]))
+            write("shading.exr", write_exr, estimate.shading)
+            write("specular.exr", write_exr, estimate.specular)
+            write("shadow.png", write_png, _gray_bytes(estimate.shadow))
+        if fitted is not None:
+            write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, preview)
+            vertices, faces = fitted.template_vertices, fitted.model.template_faces
+            if result.template is not None:
+                write_template(staging.folder, result.template)
+            elif vertices is not None and faces is not None:
+                write("template.obj", write_obj, vertices, faces)
+        if result.unlit is not None:
+            write_unlit(staging.folder, result.unlit)
+        if (registration := result.registration) is not None:
+            poses = RegistrationRecord(
+                model_from_scan=registration.model_from_scan.tolist(),
+                fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
+                rmse_mm=registration.rmse_mm,
+                depth_error=registration.depth_error,
+                converged=registration.converged,
+                confidence=registration.confidence,
+                iterations=registration.iterations,
+            )
+            write("registration.json", write_record, poses)
+        in_scan = result.landmarks_scan
+        deviation_mm = None if fitted is None else fitted.landmark_deviation_mm
+        if fitted and fitted.landmarks is not None and in_scan is not None and deviation_mm is not None:
+            landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, scan.mm_per_unit)
+            write("landmarks.json", write_record, landmarks)
+            write("landmarks.csv", write_landmarks_csv, landmarks)
+        if "overview.png" not in left_out:
+            unlit = None if result.unlit is None else result.unlit.scan
+            panels = result_panels(scan, fitted, image, estimate, preview, unlit)
+            overview = figure_png(overview_figure(result.summary(), panels, columns=6))
+            write("overview.png", Path.write_bytes, overview)
+            write("error_vs_time.png", Path.write_bytes, figure_png(result.trace.plot(), dpi=110))
+        own = None if fitted is None else fitted.model.template_from_model
         staging.write_record(
             name=scan.name,
             seed=result.seed,
@@ -213,100 +252,5 @@ def write_result(
     return folder.path
 
 
-def _pictures(result: ProcessResult) -> dict[str, Callable[[], bytes]]:
-    """Return what draws each picture of `PICTURES`."""
-
-    def overview() -> bytes:
-        unlit = None if result.unlit is None else result.unlit.scan
-        panels = result_panels(
-            result.scan, result.fitted, result.geometry_image, result.albedo, _preview(result), unlit
-        )
-        return figure_png(overview_figure(result.summary(), panels, columns=6))
-
-    return {
-        "overview.png": overview,
-        "error_vs_time.png": lambda: figure_png(result.trace.plot(), dpi=110),
-    }
-
-
-def _preview(result: ProcessResult) -> NDArray[np.uint8] | None:
-    """Return the albedo as people see it, None without one."""
-    estimate = result.albedo
-    return None if estimate is None else preview_srgb(estimate.albedo_linear, result.geometry_image.mask)
-
-
-def _seen_preview(result: ProcessResult) -> NDArray[np.uint8]:
-    """Return the preview with alpha: transparent where the scan saw nothing."""
-    preview = _preview(result)
-    assert preview is not None
-    return np.dstack([preview, np.where(result.geometry_image.seen, np.uint8(255), np.uint8(0))])
-
-
-def _stage_files(result: ProcessResult) -> dict[str, Callable[[Path], object]]:
-    """Return what writes each file of the geometry image and of the albedo."""
-    image, estimate = result.geometry_image, result.albedo
-    files: dict[str, Callable[[Path], object]] = {
-        "trace.csv": result.trace.to_csv,
-        "geometry_image.npz": lambda path: write_geometry_image(path, image),
-        "geometry_image.exr": lambda path: write_geometry_image_exr(path, image),
-    }
-    if (skin := image.skin) is not None:
-        files["skin.png"] = lambda path: write_png(path, _gray_bytes(np.where(image.mask, skin, 0)))
-    if estimate is not None:
-        files |= {
-            "albedo.exr": lambda path: write_exr(path, estimate.albedo_linear),
-            "albedo.png": lambda path: write_png(path, _seen_preview(result)),
-            "shading.exr": lambda path: write_exr(path, estimate.shading),
-            "specular.exr": lambda path: write_exr(path, estimate.specular),
-            "shadow.png": lambda path: write_png(path, _gray_bytes(estimate.shadow)),
-        }
-    return files
-
-
-def _mesh_files(result: ProcessResult) -> dict[str, Callable[[Path], object]]:
-    """Return what writes the files of the fit, the template, the unlit scan, pose and landmarks."""
-    fitted, template, unlit = result.fitted, result.template, result.unlit
-    files: dict[str, Callable[[Path], object]] = {}
-    if fitted is not None:
-        surface = fitted.vertices, fitted.faces, fitted.uv
-        files["fitted.glb"] = lambda path: write_glb(path, *surface, _preview(result))
-        vertices, faces = fitted.template_vertices, fitted.model.template_faces
-        if template is not None:
-            files["template.obj"] = lambda path: write_template(path.parent, template)
-        elif vertices is not None and faces is not None:
-            files["template.obj"] = lambda path: write_obj(path, vertices, faces)
-    if unlit is not None:
-        files["unlit.obj"] = lambda path: write_unlit(path.parent, unlit)
-    if (registration := result.registration) is not None:
-        poses = _registration_record(registration, fitted)
-        files["registration.json"] = lambda path: write_record(path, poses)
-    if (landmarks := _landmarks_record(result)) is not None:
-        files["landmarks.json"] = lambda path: write_record(path, landmarks)
-        files["landmarks.csv"] = lambda path: write_landmarks_csv(path, landmarks)
-    return files
-
-
 def _gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
-
-
-def _registration_record(registration: Registration, fitted: FittedFace | None) -> RegistrationRecord:
-    return RegistrationRecord(
-        model_from_scan=registration.model_from_scan.tolist(),
-        fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
-        rmse_mm=registration.rmse_mm,
-        depth_error=registration.depth_error,
-        converged=registration.converged,
-        confidence=registration.confidence,
-        iterations=registration.iterations,
-    )
-
-
-def _landmarks_record(result: ProcessResult) -> LandmarksRecord | None:
-    fitted, in_scan = result.fitted, result.landmarks_scan
-    if fitted is None or fitted.landmarks is None or in_scan is None:
-        return None
-    deviation_mm = fitted.landmark_deviation_mm
-    if deviation_mm is None:
-        return None
-    return LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, result.scan.mm_per_unit)

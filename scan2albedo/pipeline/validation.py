@@ -169,7 +169,7 @@ def validation_row(scene: SyntheticScene, light_angle_deg: float, brdf: str) -> 
     value = albedo_error(estimate.albedo_linear.max(-1), scene.albedo_linear.max(-1), mask)
     return ValidationRow(
         light_angle_deg,
-        scene.parameters.texture,
+        scene.texture,
         brdf,
         albedo_error(texture, scene.albedo_linear, mask).mse_percent,
         error.mse_percent,

@@ -25,7 +25,7 @@ class CmcCurve:
     """`low`, `high`: (G,): bounds of its interval."""
     probes: int
     confidence: float
-    """`probes`, `confidence`: number of probes, and confidence of the intervals."""
+    """`probes`, `confidence`: their number, and that of the intervals."""
 
 
 def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> CmcCurve:
@@ -34,16 +34,7 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
     They take the probes as independent; of several probes of one person they are too short. The curve is that
     of Phillips et al., IEEE PAMI 22(10), 2000; the intervals are from Biometrika 26(4), 1934.
 
-    Parameters
-    ----------
-    identification : Identification
-    confidence : float
-        Of the two-sided intervals, within (0, 1).
-
-    Raises
-    ------
-    ValueError
-        When the confidence is out of range.
+    `confidence` is that of the two-sided intervals; ValueError outside (0, 1).
 
     Examples
     --------
@@ -144,9 +135,8 @@ def roc_curve(
 
     Notes
     -----
-    Given rates below one over the number of impostors' claims accept none of them (`RocCurve.carried`). Where
-    no claim errs the area's interval has no width, however few the claims. About 60 ms a resample for 1,000
-    probes of 1,000 persons.
+    Where no claim errs the area's interval has no width, however few the claims. About 60 ms a resample for
+    1,000 probes of 1,000 persons.
 
     Examples
     --------
@@ -162,12 +152,8 @@ def roc_curve(
         one_claim = 1 / int((~claims.genuine).sum())
         false_accept_rates = np.geomspace(max(one_claim, _LEAST_RATE), 1.0, _RATES)
     rates = np.asarray(false_accept_rates, np.float64)
-    if (
-        rates.ndim != 1
-        or len(rates) == 0
-        or not ((rates >= 0) & (rates <= 1)).all()
-        or (np.diff(rates) < 0).any()
-    ):
+    inside = rates.ndim == 1 and len(rates) > 0 and ((rates >= 0) & (rates <= 1)).all()
+    if not inside or (np.diff(rates) < 0).any():
         raise ValueError("false_accept_rates are expected to be (F,), ascending, within [0, 1]")
     if not 0 < confidence < 1 or resamples < 0:
         raise ValueError(f"confidence is {confidence} and resamples {resamples}, expected in (0, 1) and >= 0")
@@ -236,7 +222,12 @@ class _Claims:
         false_rate = np.concatenate([[0.0], fooled / fooled[-1]])
         within = np.searchsorted(false_rate, false_accept_rates, side="right") - 1
         area = np.trapezoid(true_rate, false_rate)
-        return np.concatenate([[area, _equal_error(false_rate, true_rate)], true_rate[within]])
+        # Where false accepts cross false refusals, on straight lines between thresholds.
+        gap = false_rate + true_rate - 1.0
+        after = int(np.argmax(gap >= 0))
+        share = -gap[after - 1] / (gap[after] - gap[after - 1])
+        equal = false_rate[after - 1] + share * (false_rate[after] - false_rate[after - 1])
+        return np.concatenate([[area, equal], true_rate[within]])
 
     def resampled(self, random: np.random.Generator, false_accept_rates: FloatArray) -> FloatArray:
         """Return `rates` of a draw of the persons that leaves claims of both kinds."""
@@ -245,11 +236,3 @@ class _Claims:
             values = self.rates(drawn.astype(np.float64), false_accept_rates)
             if np.isfinite(values).all():
                 return values
-
-
-def _equal_error(false_rate: FloatArray, true_rate: FloatArray) -> float:
-    """Return where false accepts cross false refusals, on straight lines between thresholds."""
-    gap = false_rate + true_rate - 1.0
-    after = int(np.argmax(gap >= 0))
-    share = -gap[after - 1] / (gap[after] - gap[after - 1])
-    return float(false_rate[after - 1] + share * (false_rate[after] - false_rate[after - 1]))

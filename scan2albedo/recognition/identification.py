@@ -100,21 +100,9 @@ def identify_by_similarity(
 ) -> Identification:
     """Return the identification by given similarities of any kind; larger is more alike.
 
-    Parameters
-    ----------
-    similarities : (P, images) array_like of float
-        Of probes to gallery images.
-    gallery_names, probe_names : sequence of str
-        Persons of the gallery's images and of the probes.
-    combine : {"best", "mean"}
-        As in `identify`.
-
-    Raises
-    ------
-    ValueError
-        When the shape does not fit the names or `combine` is unknown.
-    RecognitionError
-        When a set is empty, a probe's person is not in the gallery, or a similarity is not finite.
+    `similarities` (P, images) are those of probes to gallery images, and the names those of their persons;
+    `combine` as in `identify`. ValueError when the shape does not fit the names or `combine` is unknown,
+    RecognitionError when a set is empty, a probe's person is not in the gallery, or one is not finite.
 
     Examples
     --------
@@ -229,25 +217,8 @@ def match_probes(
 ) -> ProbeMatches:
     """Return the persons of a gallery, ranked by their similarity to each probe.
 
-    The set is closed: a probe of a stranger gets the most similar person too.
-
-    Parameters
-    ----------
-    similarities : (P, images)
-        Of probes to gallery images, of any kind; larger is more alike.
-    gallery_names : sequence of str
-        Persons of the gallery's images.
-    probe_persons : sequence of P str or None
-        Persons of the probes, None where they are unknown.
-    combine : {"best", "mean"}
-        As in `identify`.
-
-    Raises
-    ------
-    ValueError
-        When shapes do not fit or `combine` is unknown.
-    RecognitionError
-        When a set is empty, a similarity is not finite, or a probe's person is not in the gallery.
+    As `identify_by_similarity`, with None for probes whose person is unknown. The set is closed: a probe of a
+    stranger gets the most similar person too.
 
     Examples
     --------

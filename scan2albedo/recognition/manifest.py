@@ -124,14 +124,18 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
             f"{folder}: is one result; give the folder that holds the folders of results, or a CSV file with "
             f"the columns {' and '.join(COLUMNS)}"
         )
+
+    def folders(of: Path) -> list[Path]:
+        return sorted(path for path in of.iterdir() if path.is_dir() and not path.name.startswith("."))
+
     named = _persons_of_catalogue(folder / CATALOGUE_FILE)
     entries = []
-    for first in _folders(folder):
+    for first in folders(folder):
         if holds_result(first):
             person = first.name if named is None else named.get(first.name)
             entries.append(ManifestEntry(person or None, first.name, first))
             continue
-        for second in filter(holds_result, _folders(first)):
+        for second in filter(holds_result, folders(first)):
             entries.append(ManifestEntry(first.name, f"{first.name}/{second.name}", second))
     if not entries:
         raise RecognitionError(
@@ -144,10 +148,6 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
             "person of the batch's manifest"
         )
     return Manifest(folder, tuple(entries))
-
-
-def _folders(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
 
 
 def _persons_of_catalogue(file: Path) -> dict[str, str] | None:

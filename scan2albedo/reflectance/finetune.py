@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.blocks import blocks
 from scan2albedo.geometry.operators import surface_diffusion
+from scan2albedo.geometry.rays import blocks
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import LinearModel

@@ -11,10 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.blocks import blocks, each_block
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
-from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rays import RayCaster, blocks, each_block
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap

@@ -13,7 +13,6 @@ from scan2albedo.errors import ReflectanceError
 
 EXPONENTS = (1.0, 8.0, 64.0)
 """Of the three Blinn-Phong lobes."""
-_ANGLES = 400
 BLOCK = 128
 """Vertices that are worked on together: their equations fit the first cache."""
 
@@ -89,7 +88,7 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
             f"a highlight of strength {strength} and exponent {exponent}: expected finite "
             "numbers, strength 0 or more and exponent above 0"
         )
-    angle = (np.arange(_ANGLES) + 0.5) * np.pi / 4 / _ANGLES
+    angle = (np.arange(400) + 0.5) * np.pi / 4 / 400
     root = np.sqrt(np.sin(angle))
     lobes = np.stack([(s + 2) / 8 * np.cos(angle) ** s for s in EXPONENTS], 1)
     weights, _ = nnls(lobes * root[:, None], np.cos(2 * angle) ** exponent * root)

@@ -33,7 +33,6 @@ _MARGIN = 0.04
 _OUTSIDE, _BACKDROP, _MASK = 235, 40, 150
 _SEEN_COLOR, _HIDDEN_COLOR = (255, 150, 40), (90, 150, 255)
 _INLIER_COLOR, _OUTLIER_COLOR = (0.2, 0.95, 0.2), (1.0, 0.1, 0.3)
-_UNOBSERVED_COLOR = (0.85, 0.1, 0.2)
 _SKIN_COLOR, _FRAME_COLOR = (0.87, 0.78, 0.72), (0.15, 0.25, 0.55)
 _TURN_DEG, _ABOVE_DEG = 35.0, -90.0
 
@@ -119,7 +118,7 @@ def registration_panels(
     shown = frame.deviation[frame.observed]
     most = max(float(shown.max(initial=0.0)), 1e-9)
     heat = heat_colors(frame.deviation, 0, most, "viridis")
-    colors = np.where(frame.observed[:, None], heat, _UNOBSERVED_COLOR)
+    colors = np.where(frame.observed[:, None], heat, _OUTLIER_COLOR)
     title = f"standard deviation, 0 to {most:.2g} mm" if len(shown) else "nothing is observed"
     lost = 1 - frame.observed.mean()
     more = f"\n(red: {lost:.0%} not observed)" if lost > 0 else ""

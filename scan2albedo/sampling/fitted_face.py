@@ -14,11 +14,10 @@ from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
-from scan2albedo.geometry.rasterization import Raster, interpolate, rasterize_uv
+from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.sampling.skin import skin_weight
 from scan2albedo.sampling.texture_lookup import (
-    ChartTexture,
     texel_steps,
     texture_on_chart,
 )
@@ -108,24 +107,46 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         )
     require_type(scan, (RawScan, type(None)), "geometry_image: scan", "load_scan(path) returns one")
     check_size(size)
-    _check_fitted(fitted)
+    for name, values in (("vertices", fitted.vertices), ("uv", fitted.uv)):
+        bad = int((~np.isfinite(values)).any(1).sum())
+        if bad:
+            raise GeometryImageError(
+                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, "
+                "and check the model"
+            )
+    outside = int((np.abs(fitted.uv - 0.5) > 0.5 + _CHART_TOLERANCE).any(1).sum())
+    if outside:
+        raise GeometryImageError(
+            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which "
+            "would be cut off; scale its uv into [0, 1]"
+        )
     scan = None if scan is None else without_covers(fitted, scan)
     raster = rasterize_uv(fitted.uv, fitted.faces, size)
     if not raster.covered.any():
         raise GeometryImageError("the model's chart covers no texel; its uv must lie in the unit square")
     position = interpolate(raster, fitted.faces, fitted.vertices)
     normal = normalized(interpolate(raster, fitted.faces, vertex_normals(fitted.vertices, fitted.faces)))
-    texture = _texture(fitted, scan, raster, position, normal)
+    inside, scan_from_model = raster.covered, invert_rigid(fitted.model_from_scan)
+    steps = texel_steps(fitted.vertices, fitted.uv, fitted.faces, raster.face.shape)[raster.face[inside]]
+    texture = texture_on_chart(
+        scan,
+        inside,
+        transform_points(scan_from_model, position[inside]),
+        transform_directions(scan_from_model, normal[inside]),
+        np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+    )
     cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)
-    region[raster.covered] = fitted.region[raster.face[raster.covered]]
+    region[inside] = fitted.region[raster.face[inside]]
+    # Embree would ignore collapsed triangles anyway.
+    solid = fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]
     return GeometryImage(
         position=position,
         normal=normal,
         mask=raster.covered,
         texture_linear=texture.linear,
         region=region,
-        occluder=_occluder(fitted),
+        occluder=(fitted.vertices, solid),
         texture_valid=texture.seen,
         specular_scale=_softened(_annotation(fitted, region, "specular_scale"), raster.covered),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
@@ -149,46 +170,6 @@ def without_covers(fitted: Fitted, scan: RawScan) -> RawScan:
     if covered is None or len(covered) != len(scan.faces):
         return scan
     return scan.without_faces(covered)
-
-
-def _check_fitted(fitted: Fitted) -> None:
-    for name, values in (("vertices", fitted.vertices), ("uv", fitted.uv)):
-        bad = int((~np.isfinite(values)).any(1).sum())
-        if bad:
-            raise GeometryImageError(
-                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, "
-                "and check the model"
-            )
-    outside = int((np.abs(fitted.uv - 0.5) > 0.5 + _CHART_TOLERANCE).any(1).sum())
-    if outside:
-        raise GeometryImageError(
-            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which "
-            "would be cut off; scale its uv into [0, 1]"
-        )
-
-
-def _texture(
-    fitted: Fitted,
-    scan: RawScan | None,
-    raster: Raster,
-    position: NDArray[np.float64],
-    normal: NDArray[np.float64],
-) -> ChartTexture:
-    inside = raster.covered
-    scan_from_model = invert_rigid(fitted.model_from_scan)
-    steps = texel_steps(fitted.vertices, fitted.uv, fitted.faces, raster.face.shape)[raster.face[inside]]
-    return texture_on_chart(
-        scan,
-        inside,
-        transform_points(scan_from_model, position[inside]),
-        transform_directions(scan_from_model, normal[inside]),
-        np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
-    )
-
-
-def _occluder(fitted: Fitted) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """The fitted surface without collapsed triangles, which embree would ignore anyway."""
-    return fitted.vertices, fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]
 
 
 def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:

@@ -83,14 +83,6 @@ class TextureLookup:
     def __init__(self, scan: RawScan) -> None:
         self._scan = scan
 
-    def _near(self, points: FloatArray) -> IntArray:
-        """Return the faces near `points`, all when none is: indexing the whole scan would cost most."""
-        vertices, faces = self._scan.vertices, self._scan.faces
-        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
-        inside = np.all((vertices >= points.min(0) - margin) & (vertices <= points.max(0) + margin), axis=1)
-        near = np.flatnonzero(inside[faces].any(1))
-        return near if len(near) else np.arange(len(faces))
-
     def sample(self, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
         """Return what the scan shows of points.
 
@@ -98,14 +90,24 @@ class TextureLookup:
         on the surface of one texel to the right and one down: the footprint that the photograph is averaged
         over.
         """
-        scan, near = self._scan, self._near(points)
+        scan = self._scan
+        # The faces near the points, all when none is: indexing the whole scan would cost most.
+        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
+        low, high = points.min(0) - margin, points.max(0) + margin
+        inside = np.all((scan.vertices >= low) & (scan.vertices <= high), axis=1)
+        near = np.flatnonzero(inside[scan.faces].any(1))
+        near = near if len(near) else np.arange(len(scan.faces))
         hits = surface_query(scan.vertices, scan.faces[near]).query(points)
         face = near[hits.face]
         valid = hits.distance <= MAX_DISTANCE_MM
         facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
         valid &= np.einsum("ij,ij->i", normals, facing) >= MIN_NORMAL_COSINE
         on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
-        valid &= ~_past_boundary(on_edge, hits.barycentric, points - hits.points, normals)
+        # In a hole the closest point is on the scan's edge, and the point sideways of it.
+        at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
+        offset = points - hits.points
+        sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
+        valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM))
         if scan.uv is not None and scan.texture_linear is not None:
             color, inside = self._photograph(near, hits, steps)
             valid &= self._dense_enough()[face] & inside
@@ -143,7 +145,12 @@ class TextureLookup:
         center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
         inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
         footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
-        taps = _needed_taps(footprint)
+        taps = FEWEST_TAPS
+        if len(footprint):
+            # So many that no pixel between them is left out.
+            sides = np.linalg.norm(footprint, axis=1).max(1)
+            longest = np.ceil(float(np.percentile(sides, TAPS_PERCENTILE)))
+            taps = int(np.clip(longest, FEWEST_TAPS, MOST_TAPS))
         return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
 
     def _uv_gradients(self, near: IntArray) -> FloatArray:
@@ -160,23 +167,6 @@ class TextureLookup:
             hat = np.cross(cross, opposite) / squared[:, None]
             gradient += uv[:, k, :, None] * hat[:, None, :]
         return gradient
-
-
-def _past_boundary(
-    on_edge: BoolArray, barycentric: FloatArray, offset: FloatArray, normals: FloatArray
-) -> BoolArray:
-    """Points in a hole: their closest point is on the scan's edge, and they are sideways of it."""
-    at_boundary = (np.where(on_edge, 0.0, barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
-    sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-    return at_boundary & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM)
-
-
-def _needed_taps(footprint: FloatArray) -> int:
-    """Return the samples a side that leave no pixel between them out, for footprints (N, 2, 2) in pixels."""
-    if len(footprint) == 0:
-        return FEWEST_TAPS
-    longest = float(np.percentile(np.linalg.norm(footprint, axis=1).max(1), TAPS_PERCENTILE))
-    return int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:

@@ -10,7 +10,6 @@ from scan2albedo.synthetic.raw_scan import SyntheticTruth, raw_like, raw_scan
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.scenes import (
-    SceneParameters,
     SyntheticScene,
     TextureName,
     face,
@@ -31,7 +30,6 @@ __all__ = [
     "Population",
     "Portrait",
     "Scanner",
-    "SceneParameters",
     "StereoScanner",
     "StereoTruth",
     "SyntheticEyeglasses",

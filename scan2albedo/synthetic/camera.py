@@ -98,7 +98,7 @@ class Portrait:
         white = float(np.quantile(brightest, 1 - self.saturated_part)) if len(brightest) else 0.0
         return 1 / white if white > 0 else 1.0
 
-    def stored(self, linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.generic]:
+    def stored(self, linear: NDArray[np.floating], rng: np.random.Generator) -> NDArray[np.generic]:
         """Return the values that the camera stores of light (H, W, 3), white = 1, with its noise."""
         values = linear ** np.float32(1 / self.gamma)
         values += np.float32(self.noise) * rng.standard_normal(values.shape, dtype=np.float32)

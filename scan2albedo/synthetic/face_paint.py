@@ -37,7 +37,7 @@ class PaintedFeatures:
 
 def paint_face(
     uv: FloatArray,
-    model: AnnotatedSurface,
+    face: AnnotatedSurface | FloatArray,
     rng: np.random.Generator,
     *,
     grain: float = 1.0,
@@ -45,22 +45,11 @@ def paint_face(
     marks: bool = True,
     features: PaintedFeatures = PaintedFeatures(),
 ) -> FloatArray:
-    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2); other arguments as in `skin`."""
-    landmarks = landmark_uv(model)
-    return paint_around(uv, landmarks, rng, grain=grain, tone=tone, marks=marks, features=features)
+    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2); other arguments as in `skin`.
 
-
-def paint_around(
-    uv: FloatArray,
-    landmarks: FloatArray,
-    rng: np.random.Generator,
-    *,
-    grain: float = 1.0,
-    tone: float | None = None,
-    marks: bool = True,
-    features: PaintedFeatures = PaintedFeatures(),
-) -> FloatArray:
-    """Return `paint_face` on any chart of that scale, whose landmarks lie at (68, 2)."""
+    `face` is a model, or landmarks (68, 2) on any chart of that scale.
+    """
+    landmarks = landmark_uv(face) if isinstance(face, AnnotatedSurface) else face
     albedo = skin(uv, rng, grain=grain, tone=tone, marks=marks)
     pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))
     for k in (31, 35):

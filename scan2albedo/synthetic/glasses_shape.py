@@ -13,7 +13,7 @@ CORNER_RINGS, STRAIGHT_RINGS, BEND_RINGS, TAIL_RINGS = 8, 34, 10, 16
 """Rings of a temple: around the corner at the hinge, straight back, down behind the ear, to the tip."""
 _CORNER_RADIUS_MM = 6.0
 _EAR_RADIUS_MM = 22.0
-_DENSE = 4096
+_DENSE, _LINE_POINTS = 4096, 4001
 
 
 @dataclass(frozen=True)
@@ -119,9 +119,6 @@ def temple_path(shape: GlassesShape, start: FloatArray) -> FloatArray:
     return np.concatenate([around, back, bend, tail])
 
 
-_LINE_POINTS = 4001
-
-
 @dataclass(frozen=True)
 class GlassesBend:
     """How a frame is bent; zero leaves it alone."""
@@ -147,7 +144,15 @@ def bend_points(
     if bend == GlassesBend():
         return np.array(points, np.float64)
     x, y, z = np.moveaxis(np.asarray(points, np.float64), -1, 0)
-    x, z = _spread(x, z, bend.temple_spread_mm, hinge, temple_depth)
+    # The temples bend outward from the hinges on.
+    way = np.clip(hinge[2] - z, 0, None)
+    reach = np.linspace(0, max(float(way.max(initial=1.0)), 1.0), _LINE_POINTS)
+    u = reach / temple_depth
+    angle = np.arctan(bend.temple_spread_mm / temple_depth * (3 * u - 1.5 * u**2))
+    along, out = (np.interp(way, reach, line) for line in _line(angle, reach[1]))
+    theta, off, bent = np.interp(way, reach, angle), np.abs(x) - hinge[0], way > 0
+    x = np.where(bent, np.sign(x) * (hinge[0] + out + off * np.cos(theta)), x)
+    z = np.where(bent, hinge[2] - along + off * np.sin(theta), z)
     turn = _rise(x, bridge_width) * np.deg2rad(bend.twist_deg) / 2
     y, z = np.cos(turn) * y - np.sin(turn) * z, np.sin(turn) * y + np.cos(turn) * z
     reach = np.linspace(0, max(float(np.abs(x).max(initial=1.0)), 1.0), _LINE_POINTS)
@@ -157,23 +162,6 @@ def bend_points(
     )
     phi = np.deg2rad(bend.bridge_deg) * _rise(np.abs(x), bridge_width)
     return np.stack([np.sign(x) * (forward + z * np.sin(phi)), y, z * np.cos(phi) - back], -1)
-
-
-def _spread(
-    x: FloatArray, z: FloatArray, spread_mm: float, hinge: FloatArray, depth: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return x and z (...) with the temples bent outward from the hinges on."""
-    way = np.clip(hinge[2] - z, 0, None)
-    reach = np.linspace(0, max(float(way.max(initial=1.0)), 1.0), _LINE_POINTS)
-    u = reach / depth
-    angle = np.arctan(spread_mm / depth * (3 * u - 1.5 * u**2))
-    along, out = (np.interp(way, reach, line) for line in _line(angle, reach[1]))
-    theta, off = np.interp(way, reach, angle), np.abs(x) - hinge[0]
-    bent = way > 0
-    return (
-        np.where(bent, np.sign(x) * (hinge[0] + out + off * np.cos(theta)), x),
-        np.where(bent, hinge[2] - along + off * np.sin(theta), z),
-    )
 
 
 def _line(angle: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:

@@ -6,6 +6,7 @@ The radiance is computed here without `reflectance`, so that its fits are tested
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
 from scan2albedo.synthetic.sitter import FACE, HAIR, Sitter
 from scan2albedo.synthetic.textures import smooth_noise
 
+Kind = TypeVar("Kind", bound=np.generic)
 EXPONENTS = (1, 8, 64)
 _WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])
 """Sums are about twice what skin reflects at normal incidence (0.028), as oily skin."""
@@ -43,17 +45,11 @@ class SeenSurface:
     weights: FloatArray
     on_face: BoolArray
 
-    def picture(self, radiance: FloatArray) -> NDArray[np.float32]:
-        """Return (S, S, 3), black where there is nothing."""
-        picture = np.zeros((self.size**2, 3), np.float32)
-        picture[self.pixel] = radiance
-        return picture.reshape(self.size, self.size, 3)
-
-    def marked(self, points: BoolArray) -> BoolArray:
-        """Return (S, S) True at the pixels of some points (N,)."""
-        mask = np.zeros(self.size**2, bool)
-        mask[self.pixel] = points
-        return mask.reshape(self.size, self.size)
+    def picture(self, values: NDArray[Kind]) -> NDArray[Kind]:
+        """Return values (N, ...) of the points as a picture (S, S, ...), 0 where there is nothing."""
+        picture = np.zeros((self.size**2, *values.shape[1:]), values.dtype)
+        picture[self.pixel] = values
+        return picture.reshape(self.size, self.size, *values.shape[1:])
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,10 @@ from scan2albedo.synthetic.sitter import sit_down
 
 _LIGHT_DISTANCE_MM, _HIGHLIGHT = (700.0, 1500.0), (0.05, 0.15)
 """Ranges of the lights' distance and of the highlight's strength."""
-_ROOM_LAMP = (0.3, 1.0)
-"""Range of the intensity of a room's lamp; the room's own light is 1 on average."""
+_FLASH, _ROOM_LAMP = (1.5, 4.0), (0.3, 1.0)
+"""Ranges of the intensity of flashes and of a room's lamp, their ambient light being 1 on average."""
+_TWO_FLASHES, _MOST_EXPRESSION = 0.5, 0.5
+"""Share of the scans with two flashes, and largest strength of a scan's random expression, 1 a plain one."""
 _LEAST_ANGLE_DEG = 30.0
 """Between two flashes, which would else be one; no more than the cone they are drawn from allows."""
 
@@ -43,38 +45,26 @@ class Population:
     tones: tuple[float, float] = (0.2, 0.45)
     """Range of the skin's tone, 0 lightest ... 1 darkest."""
     light: Literal["flashes", "room"] = "flashes"
-    """Flashes: one or two over constant ambient light; room: soft light from all around and one weak lamp."""
+    """Flashes: one or two, as often, over ambient light; room: soft light from all around and a weak lamp."""
     light_cone_deg: float = 60.0
     """Lights come from within this angle of the front, uniformly over the solid angle."""
-    two_lights: float = 0.5
-    """Share of the scans with two flashes; a room has one lamp."""
-    light_intensity: tuple[float, float] = (1.5, 4.0)
-    """Range of flashes, relative to ambient = 1."""
     lamp_colors: float = 0.0
     """Standard deviation of the logarithms of red and blue over green: of the ambient light, in a room
     of each source, and of each lamp; 0 for white ones."""
-    expression: float = 0.5
-    """Largest strength of a scan's expression, 1 a plain one; every scan has one at random."""
     scanner: Scanner = Scanner()
     """How each scan is taken."""
 
     def __post_init__(self) -> None:
         if not 0 < self.individuality <= 1:
             raise ValueError(f"individuality is {self.individuality}, expected within (0, 1]")
-        if not 0 <= self.two_lights <= 1:
-            raise ValueError(f"two_lights is {self.two_lights}, expected within [0, 1]")
-        if self.expression < 0 or self.lamp_colors < 0:
-            raise ValueError(
-                f"expression is {self.expression} and lamp_colors {self.lamp_colors}, expected >= 0"
-            )
+        if self.lamp_colors < 0:
+            raise ValueError(f"lamp_colors is {self.lamp_colors}, expected >= 0")
         if self.light not in ("flashes", "room"):
             raise ValueError(f"light is {self.light!r}, expected 'flashes' or 'room'")
         if not 0 < self.light_cone_deg <= 90:
             raise ValueError(f"light_cone_deg is {self.light_cone_deg}, expected within (0, 90]")
-        for name in ("tones", "light_intensity"):
-            low, high = getattr(self, name)
-            if not 0 <= low <= high:
-                raise ValueError(f"{name} is ({low}, {high}), expected 0 <= low <= high")
+        if not 0 <= self.tones[0] <= self.tones[1]:
+            raise ValueError(f"tones is {self.tones}, expected 0 <= low <= high")
 
 
 def population_scan(
@@ -110,7 +100,7 @@ def population_scan(
         shape_seed,
         expression=get_args(Expression)[now.integers(len(get_args(Expression)))],
         model=template,
-        expression_strength=float(now.uniform(0, population.expression)),
+        expression_strength=float(now.uniform(0, _MOST_EXPRESSION)),
         tone=tone,
         face_albedo=paint,
     )
@@ -199,13 +189,13 @@ def _random_lights(rng: np.random.Generator, population: Population) -> tuple[Po
         z = rng.uniform(nearest, 1)
         turn, radius = rng.uniform(0, 2 * np.pi), np.sqrt(1 - z * z)
         azimuth, elevation = float(np.arctan2(radius * np.cos(turn), z)), radius * np.sin(turn)
-        distance, intensity = rng.uniform(*_LIGHT_DISTANCE_MM), rng.uniform(*population.light_intensity)
+        distance, intensity = rng.uniform(*_LIGHT_DISTANCE_MM), rng.uniform(*_FLASH)
         return PointLight(azimuth, float(np.arcsin(elevation)), float(distance), float(intensity))
 
     first = drawn()
     if population.light == "room":
         return (replace(first, intensity=float(rng.uniform(*_ROOM_LAMP))),)
-    if rng.uniform() >= population.two_lights:
+    if rng.uniform() >= _TWO_FLASHES:
         return (first,)
     apart = np.cos(np.deg2rad(min(_LEAST_ANGLE_DEG, population.light_cone_deg)))
     while True:

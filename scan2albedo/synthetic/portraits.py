@@ -149,12 +149,12 @@ def flash_capture(
             for lamp in _ROOM_LAMPS_DEG
         ]
         ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
-        rooms.append(seen.picture(ambient))
-        skin.append(seen.marked(seen.on_face))
+        rooms.append(seen.picture(ambient.astype(np.float32)))
+        skin.append(seen.picture(seen.on_face))
         for strength, position in zip(gain, centers[:flashes], strict=True):
             flash = person.lit(seen, position, reference_distance_mm=portrait.distance_mm)
             radiance = ambient + strength * flash
-            lit.append(seen.picture(radiance))
+            lit.append(seen.picture(radiance.astype(np.float32)))
             brightest.append(radiance[seen.on_face].max(1))
     exposure = portrait.exposure(np.concatenate(brightest))
     view = np.repeat(np.arange(views), flashes)
@@ -248,7 +248,7 @@ def face_photograph(
     radiance = person.under(seen, around)
     exposure = portrait.exposure(radiance[seen.on_face].max(1))
     rng = np.random.default_rng([seed, 22])
-    image = portrait.stored(seen.picture(exposure * radiance), rng)
+    image = portrait.stored(seen.picture((exposure * radiance).astype(np.float32)), rng)
     landmarks = person.sitter.face.landmarks
     pixels, _ = project(camera, landmarks)
     hidden = person.scene.hidden(center, landmarks, _BEHIND_MM)
@@ -256,7 +256,7 @@ def face_photograph(
     return FacePhotograph(
         **vars(GlossyFace.from_person(person, levels)),
         image=image,
-        skin=seen.marked(seen.on_face),
+        skin=seen.picture(seen.on_face),
         camera=camera,
         landmarks_px=np.where(hidden[:, None], np.nan, noisy),
         exposure=exposure,

@@ -122,7 +122,7 @@ def scan_of(
     measured = capture(
         sitter.vertices, sitter.faces, pods, spacing_mm=scanner.spacing_mm, rng=rng, axis_mm=axis
     )
-    scan_from_model = random_pose(rng, scanner.rotation_max_deg, scanner.translation_max_mm)
+    scan_from_model = random_pose(rng, scanner.rotation_max_deg)
     texture, exposure = flash_pictures(
         sitter,
         pods,

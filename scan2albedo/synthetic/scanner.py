@@ -44,8 +44,7 @@ class Scanner:
     """`holes`, `spikes`, `crumbs`: holes of 2 to 6 mm radius, vertices thrown off, loose patches in the
     air."""
     rotation_max_deg: float = 180.0
-    translation_max_mm: float = 300.0
-    """`rotation_max_deg`, `translation_max_mm`: as in `random_pose`."""
+    """As in `random_pose`."""
     picture_size: int = 900
     """Height and width of each pod's picture in pixels."""
     size: int = 512
@@ -189,7 +188,9 @@ def disturbed(
     return vertices + offset[:, None] * vertex_normals(vertices, faces)
 
 
-def random_pose(rng: np.random.Generator, rotation_max_deg: float, translation_max_mm: float) -> FloatArray:
+def random_pose(
+    rng: np.random.Generator, rotation_max_deg: float = 180.0, translation_max_mm: float = 300.0
+) -> FloatArray:
     """Return a rigid transform (4, 4), each coordinate of its translation uniform in +- the maximum.
 
     The rotation is uniform for 180 degrees or more, else about a random axis by at most that angle.

@@ -18,27 +18,11 @@ from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, face_surface, person
 from scan2albedo.synthetic.renderer import Material, RayScene, render
-from scan2albedo.synthetic.textures import plain, skin, smooth_noise, wood
+from scan2albedo.synthetic.textures import painter, smooth_noise
 
 TextureName = Literal["plain", "skin", "wood"]
 
 HEMISPHERE_RADIUS_MM = 80.0
-
-
-@dataclass(frozen=True)
-class SceneParameters:
-    """What a scene was made with."""
-
-    material: Material
-    """Of the surface."""
-    exposure: float
-    """Relative: 1 puts the brightest texel just below white, larger values clip."""
-    noise: float
-    """Standard deviation of the noise, picture white = 1."""
-    bits: int | None
-    texture: str
-    seed: int
-    """`bits`, `texture`, `seed`: as in `hemisphere`."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +47,9 @@ class SyntheticScene:
     """(H, W): highlights before the gain."""
     gain: float
     """Factor from radiance (albedo under ambient light 1) to the picture, where 1 is white."""
-    parameters: SceneParameters
-    """What it was made with."""
+    material: Material
+    texture: str
+    """`material`, `texture`: what it was made with."""
 
 
 def light_at(
@@ -135,9 +120,9 @@ def hemisphere(
         mask.reshape(size, size),
     )
     albedo = np.zeros((size * size, 3))
-    albedo[mask] = _texture_at(uv[mask], texture, np.random.default_rng(seed), grain)
-    parameters = SceneParameters(material or Material(), exposure, noise, bits, texture, seed)
-    return _photographed(image, albedo.reshape(size, size, 3), lights, parameters)
+    albedo[mask] = painter(texture)(uv[mask], np.random.default_rng(seed), grain=grain)
+    shaped = albedo.reshape(size, size, 3)
+    return _photographed(image, shaped, lights, material, texture, exposure, noise, bits, seed)
 
 
 def face(
@@ -180,10 +165,9 @@ def face(
     albedo[image.mask] = (
         paint_face(uv, template, rng, grain=grain)
         if texture == "skin"
-        else _texture_at(uv, texture, rng, grain)
+        else painter(texture)(uv, rng, grain=grain)
     )
-    parameters = SceneParameters(material or Material(), exposure, noise, bits, texture, seed)
-    return _photographed(image, albedo, lights, parameters)
+    return _photographed(image, albedo, lights, material, texture, exposure, noise, bits, seed)
 
 
 def with_normal_error(image: GeometryImage, rms_deg: float, rng: np.random.Generator) -> GeometryImage:
@@ -214,22 +198,20 @@ def texel_coordinates(size: int) -> FloatArray:
     return np.stack([u.ravel(), v.ravel()], 1)
 
 
-def _texture_at(uv: FloatArray, texture: str, rng: np.random.Generator, grain: float) -> FloatArray:
-    """Return (N, 3) linear albedo of a named texture."""
-    painters = {"plain": plain, "skin": skin, "wood": wood}
-    if texture not in painters:
-        raise ValueError(f"texture is {texture!r}, expected one of {sorted(painters)}")
-    return painters[texture](uv, rng, grain=grain)
-
-
 def _photographed(
     image: GeometryImage,
     albedo_linear: FloatArray,
     lights: Sequence[PointLight] | None,
-    parameters: SceneParameters,
+    material: Material | None,
+    texture: str,
+    exposure: float,
+    noise: float,
+    bits: int | None,
+    seed: int,
 ) -> SyntheticScene:
     """Light and photograph the texels of a geometry image."""
     lights = (light_at(45),) if lights is None else tuple(lights)
+    material = material or Material()
     mask, shape = image.mask, image.shape
     scale = np.ones(int(mask.sum())) if image.specular_scale is None else image.specular_scale[mask]
     rendered = render(
@@ -237,15 +219,13 @@ def _photographed(
         image.normal[mask],
         albedo_linear[mask],
         lights,
-        material=parameters.material,
+        material=material,
         occluder=RayScene(*image.occluder_mesh()),
         specular_scale=scale,
     )
-    gain = parameters.exposure * auto_exposure(rendered.radiance_linear)
-    rng = np.random.default_rng([parameters.seed, 1])
-    picture = photograph(
-        rendered.radiance_linear, exposure=gain, noise=parameters.noise, bits=parameters.bits, rng=rng
-    )
+    gain = exposure * auto_exposure(rendered.radiance_linear)
+    rng = np.random.default_rng([seed, 1])
+    picture = photograph(rendered.radiance_linear, exposure=gain, noise=noise, bits=bits, rng=rng)
 
     def grid(values: NDArray) -> NDArray:
         full = np.zeros((*shape, *values.shape[1:]), values.dtype)
@@ -260,5 +240,6 @@ def _photographed(
         grid(rendered.shading),
         grid(rendered.specular),
         gain,
-        parameters,
+        material,
+        texture,
     )

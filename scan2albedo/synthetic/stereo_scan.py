@@ -259,7 +259,7 @@ def _scanned(
         patch = center + away * sight + rng.normal(scale=50, size=3) + spread
         loose.append((patch, grid_faces(_PATCH, _PATCH)))
     posed, faces = join([mesh, *loose])
-    pose = random_pose(rng, 180.0, 300.0)
+    pose = random_pose(rng)
     return RawScan(transform_points(pose, posed), faces, name=name), pose
 
 

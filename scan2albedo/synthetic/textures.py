@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
@@ -73,6 +75,14 @@ def plain(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> Flo
     xy = np.asarray(uv, float) / grain
     color = rng.uniform(0.25, 0.7, 3)
     return np.clip(color * (1 + 0.02 * smooth_noise(xy, (6, 6), rng))[:, None], 0.01, 0.95)
+
+
+def painter(texture: str) -> Callable[..., FloatArray]:
+    """Return what paints a texture by its name."""
+    painters = {"plain": plain, "skin": skin, "wood": wood}
+    if texture not in painters:
+        raise ValueError(f"texture is {texture!r}, expected one of {sorted(painters)}")
+    return painters[texture]
 
 
 def spots(uv: FloatArray, rng: np.random.Generator, *, count: int, radius: tuple[float, float]) -> FloatArray:

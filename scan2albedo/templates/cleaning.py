@@ -12,8 +12,7 @@ from scan2albedo.errors import ModelError
 from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, without_unreferenced
 from scan2albedo.templates.surface import TemplateSurface, largest_component
 
-MAX_FILLED_LOOP = 600
-BACK_OF_HEAD = 0.35
+MAX_FILLED_LOOP, BACK_OF_HEAD = 600, 0.35
 
 
 @dataclass(frozen=True)
@@ -38,48 +37,29 @@ def clean_template(surface: TemplateSurface, name: str) -> CleanTemplate:
 
     Raises `ModelError` when the surface has handles or holes too long to fill.
     """
-    mesh = _front_of_closed(surface.vertices, surface.faces)
-    closed, filled, holes = _holes_filled(surface.vertices, mesh)
-    _require_disc(closed, name)
-    source, renumbered = without_unreferenced(surface.vertices, closed)
-    return CleanTemplate(surface.vertices[source], renumbered, filled, source, surface.vertices, holes)
-
-
-def _front_of_closed(xyz: FloatArray, faces: IntArray) -> IntArray:
-    """Cut the back off a closed head, so that a rim exists; open meshes stay whole."""
-    if len(boundary_loops(faces)):
-        return faces
-    depth = xyz[:, 2]
-    low, high = depth[faces].min(), depth[faces].max()
-    front = faces[(depth[faces] > low + BACK_OF_HEAD * (high - low)).all(1)]
-    return largest_component(len(xyz), front)
-
-
-def _holes_filled(xyz: FloatArray, faces: IntArray) -> tuple[IntArray, BoolArray, int]:
-    """Close every boundary loop but the one with the greatest length in mm."""
-    loops = [loop for loop in boundary_loops(faces) if len(loop) >= 3]
+    xyz, mesh = surface.vertices, surface.faces
+    if not len(boundary_loops(mesh)):
+        depth = xyz[:, 2]
+        low, high = depth[mesh].min(), depth[mesh].max()
+        front = mesh[(depth[mesh] > low + BACK_OF_HEAD * (high - low)).all(1)]
+        mesh = largest_component(len(xyz), front)
+    # Every boundary loop is closed but the one with the greatest length in mm.
+    loops = [loop for loop in boundary_loops(mesh) if len(loop) >= 3]
     length = [float(np.linalg.norm(xyz[loop] - xyz[np.roll(loop, 1)], axis=1).sum()) for loop in loops]
     rim = int(np.argmax(length)) if loops else -1
-    patches = [
-        fill_hole(xyz, faces, loop)
-        for i, loop in enumerate(loops)
-        if i != rim and len(loop) <= MAX_FILLED_LOOP
-    ]
-    extra = np.concatenate(patches) if patches else np.zeros((0, 3), np.int64)
-    filled = np.arange(len(faces) + len(extra)) >= len(faces)
-    return np.concatenate([faces, extra]), filled, len(patches)
-
-
-def _require_disc(faces: IntArray, name: str) -> None:
-    edges, _ = edges_with_faces(faces)
-    euler = len(np.unique(faces)) - len(edges) + len(faces)
-    loops = len(boundary_loops(faces))
-    if euler == 1 and loops == 1:
-        return
-    raise ModelError(
-        f"{name}: after filling holes the surface has {loops} rims and Euler characteristic {euler}, "
-        "expected 1 and 1 (a disc); close handles or cut the face out of the head"
-    )
+    holes = [loop for i, loop in enumerate(loops) if i != rim and len(loop) <= MAX_FILLED_LOOP]
+    closed = np.concatenate([mesh, *(fill_hole(xyz, mesh, loop) for loop in holes)])
+    filled = np.arange(len(closed)) >= len(mesh)
+    edges, _ = edges_with_faces(closed)
+    euler = len(np.unique(closed)) - len(edges) + len(closed)
+    rims = len(boundary_loops(closed))
+    if euler != 1 or rims != 1:
+        raise ModelError(
+            f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}, "
+            "expected 1 and 1 (a disc); close handles or cut the face out of the head"
+        )
+    source, renumbered = without_unreferenced(xyz, closed)
+    return CleanTemplate(xyz[source], renumbered, filled, source, xyz, len(holes))
 
 
 def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray:
@@ -91,7 +71,14 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
     500 a second.
     """
     ring = np.ascontiguousarray(loop[::-1])
-    split = _least_area_splits(np.ascontiguousarray(vertices[ring]), _joined(len(vertices), faces, ring))
+    # Where the mesh has an edge between two vertices of the loop.
+    place = np.full(len(vertices), -1)
+    place[ring] = np.arange(len(ring))
+    ends = place[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
+    ends = ends[(ends >= 0).all(1)]
+    joined = np.zeros((len(ring), len(ring)), bool)
+    joined[ends[:, 0], ends[:, 1]] = joined[ends[:, 1], ends[:, 0]] = True
+    split = _least_area_splits(np.ascontiguousarray(vertices[ring]), joined)
     patch, pending = [], [(0, len(ring) - 1)]
     while pending:
         i, k = pending.pop()
@@ -101,17 +88,6 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
         patch.append((ring[i], ring[j], ring[k]))
         pending += [(i, j), (j, k)]
     return np.array(patch, np.int64).reshape(-1, 3)
-
-
-def _joined(vertex_count: int, faces: IntArray, ring: IntArray) -> BoolArray:
-    """Return (n, n) True where the mesh has an edge between two vertices of the loop."""
-    place = np.full(vertex_count, -1)
-    place[ring] = np.arange(len(ring))
-    ends = place[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
-    ends = ends[(ends >= 0).all(1)]
-    joined = np.zeros((len(ring), len(ring)), bool)
-    joined[ends[:, 0], ends[:, 1]] = joined[ends[:, 1], ends[:, 0]] = True
-    return joined
 
 
 @njit(cache=True, nogil=True)

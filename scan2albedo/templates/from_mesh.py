@@ -29,15 +29,12 @@ from scan2albedo.templates.surface import TemplateSurface
 
 FILLED_STIFFNESS = 0.5
 """Faces over the template's own holes (eyes, mouth) are softer, so that a mouth may open."""
-LANDMARK_COUNT = 68
-LANDMARK_REACH_MM = 30.0
-MAX_REGIONS = 253
-MIN_CONTROL_SIZE = 20
+LANDMARK_COUNT, LANDMARK_REACH_MM = 68, 30.0
+MAX_REGIONS, MIN_CONTROL_SIZE = 253, 20
 WIDE_OFFSET_MM = 1.0
-SAME_UV = 1e-6
-"""Corners of a vertex whose texture coordinates differ by less have one place."""
-UDIM_TILES, UV_SLACK = 10, 1e-3
-"""Tiles along a side, and how far beyond them coordinates may lie."""
+SAME_UV, UDIM_TILES, UV_SLACK = 1e-6, 10, 1e-3
+"""Corners of a vertex whose texture coordinates differ by less have one place. Tiles along a side, and how
+far beyond them coordinates may lie."""
 
 
 @dataclass(frozen=True)
@@ -65,44 +62,70 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
             "hold no face; 1000 are usual"
         )
     template = clean_template(surface, name)
-    faces = np.array(given.faces, np.int64)
+    vertices, faces = np.asarray(given.vertices, float), np.array(given.faces, np.int64)
     control = fit_limit_surface(
         decimated(template.vertices, template.faces, control_size), template.vertices, template.faces
     )
     subdivision = LoopSubdivision.of(len(control.vertices), control.faces, LANDMARK_LEVELS)
+    # The cleaned vertices are placed on the limit surface, loose ones where the nearest of these is.
     normals = vertex_normals(template.vertices, template.faces)
     inner = project(subdivision, control.vertices, template.vertices, normals)
-    placed = _all_placed(template, subdivision, control, inner)
+    tree = cKDTree(template.vertices)
+    distance, nearest = tree.query(template.all_vertices)
+    face, barycentric = inner.face[nearest].copy(), inner.barycentric[nearest].copy()
+    face[template.source], barycentric[template.source] = inner.face, inner.barycentric
+    apart = distance > 1e-3
+    apart[template.source] = False
+    if apart.any():
+        loose = project(subdivision, control.vertices, template.all_vertices[apart], np.zeros((1, 3)))
+        face[apart], barycentric[apart] = loose.face, loose.barycentric
+    placed = SurfacePoints(face, barycentric)
     matrix = subdivision.points_matrix(placed)
-    frames = surface_frames(control.vertices[control.faces[placed.face]])
+    frames = surface_frames(control.vertices[control.faces[face]])
     offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control.vertices)
-    region, table = _regions(given.regions, faces, template, control, name)
+    # Each control face gets the region of the template vertex nearest to its centre.
+    label, table = _regions(given, faces)
+    centres = control.vertices[control.faces].mean(1)
+    region = label[template.source][tree.query(centres)[1]]
     if template.filled.any():
         index = len(table)
-        region[_over_holes(template, subdivision, control)] = index
+        corners = template.vertices[template.faces[template.filled]]
+        over_holes = project(subdivision, control.vertices, corners.mean(1), np.zeros((1, 3)))
+        region[over_holes.face] = index
         table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
-    chart, chart_note = _chart(_vertex_uv(given), template, control, matrix, name)
-    corner_uv, uv_note = _corner_uv(given)
+    chart, chart_note = _chart(vertex_uv(given), template, control, matrix, name)
+    corners_uv, uv_note = corner_uv(given)
+    cut = len(surface.faces) - int((~template.filled).sum())
+    off = np.linalg.norm(offset[template.source], axis=1)
+    notes = (
+        *surface.notes,
+        f"faces cut off the back of a closed surface: {cut}" if cut > 0 else "",
+        f"holes filled: {template.holes}" if template.holes > 0 else "",
+        f"the surface keeps {off.mean():.1f} mm (mean) and {off.max():.0f} mm (most) from the template; a "
+        "greater control_size follows it better"
+        if off.mean() > WIDE_OFFSET_MM
+        else "",
+        chart_note,
+        uv_note,
+    )
     return AnnotatedSurface(
         control_vertices=control.vertices,
         control_faces=control.faces,
         uv=chart,
         region=region,
         regions=table,
-        landmark_points=_landmarks(
-            given.landmarks, np.asarray(given.vertices, float), template, placed, name
-        ),
+        landmark_points=_landmarks(given.landmarks, vertices, template, placed, name),
         template_points=placed,
         template_offset=offset,
         template_faces=faces,
-        template_uv=corner_uv,
+        template_uv=corners_uv,
         template_from_model=surface.template_from_surface,
-        notes=(*surface.notes, *_cleaning_notes(surface, template, offset), *chart_note, *uv_note),
+        notes=tuple(filter(None, notes)),
         name=name,
     )
 
 
-def _vertex_uv(given: DenseTemplate) -> FloatArray | None:
+def vertex_uv(given: DenseTemplate) -> FloatArray | None:
     """Return (T, 2) where all corners of a vertex agree, (0, 0) without a face; None at seams and gaps."""
     if given.uv is None or np.ndim(given.uv) != 3:
         return given.uv
@@ -114,10 +137,10 @@ def _vertex_uv(given: DenseTemplate) -> FloatArray | None:
     return uv if (np.abs(uv[faces] - corners) < SAME_UV).all() else None
 
 
-def _corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, tuple[str, ...]]:
+def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
     """Return (F, 3, 2) the coordinates of the faces' corners, and a note where they can carry no texture."""
     if given.uv is None:
-        return None, ()
+        return None, ""
     uv = np.asarray(given.uv, np.float64)
     corners = uv if uv.ndim == 3 else uv[np.array(given.faces, np.int64)]
     why = ""
@@ -127,38 +150,7 @@ def _corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, tuple[str, ...]
         why = f"texture coordinates lie beyond the tiles of UDIM (u and v from 0 to {UDIM_TILES})"
     elif not np.ptp(corners, axis=1).any():
         why = "all corners have the same texture coordinates"
-    return (None, (f"no texture will be painted: {why}",)) if why else (corners, ())
-
-
-def _cleaning_notes(surface: TemplateSurface, template: CleanTemplate, offset: FloatArray) -> tuple[str, ...]:
-    """Return the changes made to the template, and the surface's distance from it where that is large."""
-    cut = len(surface.faces) - int((~template.filled).sum())
-    apart = np.linalg.norm(offset[template.source], axis=1)
-    possible = (
-        (cut > 0, f"faces cut off the back of a closed surface: {cut}"),
-        (template.holes > 0, f"holes filled: {template.holes}"),
-        (
-            apart.mean() > WIDE_OFFSET_MM,
-            f"the surface keeps {apart.mean():.1f} mm (mean) and {apart.max():.0f} mm (most) from the "
-            "template; a greater control_size follows it better",
-        ),
-    )
-    return tuple(text for applies, text in possible if applies)
-
-
-def _all_placed(
-    template: CleanTemplate, subdivision: LoopSubdivision, control: ControlMesh, inner: SurfacePoints
-) -> SurfacePoints:
-    """Place all T vertices: cleaned ones where `inner` says, the others by the nearest of these."""
-    _, nearest = cKDTree(template.vertices).query(template.all_vertices)
-    face, barycentric = inner.face[nearest].copy(), inner.barycentric[nearest].copy()
-    apart = np.linalg.norm(template.vertices[nearest] - template.all_vertices, axis=1) > 1e-3
-    apart[template.source] = False
-    face[template.source], barycentric[template.source] = inner.face, inner.barycentric
-    if apart.any():
-        loose = project(subdivision, control.vertices, template.all_vertices[apart], np.zeros((1, 3)))
-        face[apart], barycentric[apart] = loose.face, loose.barycentric
-    return SurfacePoints(face, barycentric)
+    return (None, f"no texture will be painted: {why}") if why else (corners, "")
 
 
 def _chart(
@@ -167,10 +159,11 @@ def _chart(
     control: ControlMesh,
     matrix: sparse.csr_matrix,
     name: str,
-) -> tuple[FloatArray, tuple[str, ...]]:
+) -> tuple[FloatArray, str]:
     """Return (C, 2), the given chart solved for control vertices or a new one, and a note where it is new."""
     from scan2albedo.geometry.parametrization import parametrize_disc
 
+    note = ""
     if uv is not None:
         given = np.asarray(uv, np.float64)
         if given.shape != (len(template.all_vertices), 2):
@@ -178,73 +171,47 @@ def _chart(
                 f"{name}: uv has shape {given.shape}, expected ({len(template.all_vertices)}, 2): "
                 "one coordinate a vertex; split vertices at seams or leave uv out"
             )
-        if np.isfinite(given[template.source]).all():
-            chart = _control_chart(given[template.source], matrix[template.source])
+        known = given[template.source]
+        note = "a new chart was drawn: the uv given holds NaN"
+        if np.isfinite(known).all():
+            rows = matrix[template.source]
+            tie = 1e-6 * sparse.identity(rows.shape[1])
+            chart = np.clip(splu((rows.T @ rows + tie).tocsc()).solve(rows.T @ known), 0.0, 1.0)
             flat = np.column_stack([chart, np.zeros(len(chart))])
             if (face_cross_products(flat, control.faces)[:, 2] > 0).all():
-                return chart, ()
-            reason = "folds over or leaves the unit square"
-        else:
-            reason = "holds NaN"
-        note: tuple[str, ...] = (f"a new chart was drawn: the uv given {reason}",)
-    else:
-        note = ()
+                return chart, ""
+            note = "a new chart was drawn: the uv given folds over or leaves the unit square"
     return parametrize_disc(control.vertices, control.faces), note
 
 
-def _control_chart(uv: FloatArray, matrix: sparse.csr_matrix) -> FloatArray:
-    tie = 1e-6 * sparse.identity(matrix.shape[1])
-    chart = splu((matrix.T @ matrix + tie).tocsc()).solve(matrix.T @ uv)
-    return np.clip(chart, 0.0, 1.0)
-
-
-def _regions(
-    regions: Mapping[str, IntArray] | None,
-    faces: IntArray,
-    template: CleanTemplate,
-    control: ControlMesh,
-    name: str,
-) -> tuple[NDArray[np.uint8], dict[str, Region]]:
-    """Give each control face the region of the template vertex nearest to its centre."""
-    named = dict(regions or {})
+def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], dict[str, Region]]:
+    """Return the region (T,) of each template vertex, and the regions by name."""
+    name, named, count = given.name, dict(given.regions or {}), len(given.vertices)
     if taken := sorted({REST_REGION, FILLED_REGION} & set(named)):
         raise ModelError(
             f"{name}: the region name {taken[0]!r} is taken for faces in no region, or over holes; rename it"
         )
     if len(named) > MAX_REGIONS:
         raise ModelError(f"{name}: {len(named)} regions given, at most {MAX_REGIONS} fit the region map")
-    label = np.zeros(len(template.all_vertices), np.uint8)
+    label = np.zeros(count, np.uint8)
     table = {REST_REGION: Region(REST_REGION, 0)}
-    for index, (title, members) in enumerate(named.items(), start=1):
-        label[_member_vertices(title, np.asarray(members), faces, len(label), name)] = index
+    for index, (title, values) in enumerate(named.items(), start=1):
+        members = np.asarray(values)
+        is_index = members.dtype.kind in "iu" and members.ndim == 1
+        if members.dtype == bool and members.shape == (count,):
+            label[members] = index
+        elif members.dtype == bool and members.shape == (len(faces),):
+            label[faces[members]] = index
+        elif is_index and ((members >= 0) & (members < count)).all():
+            label[members] = index
+        else:
+            raise ModelError(
+                f"{name}: region {title!r} has shape {members.shape} and type {members.dtype}; expected "
+                f"vertex indices from 0 to {count - 1}, or a bool mask of {count} vertices or {len(faces)} "
+                "faces"
+            )
         table[title] = Region(title, index)
-    centres = control.vertices[control.faces].mean(1)
-    _, nearest = cKDTree(template.vertices).query(centres)
-    return label[template.source][nearest], table
-
-
-def _over_holes(template: CleanTemplate, subdivision: LoopSubdivision, control: ControlMesh) -> IntArray:
-    """Return the control faces over which the centres of filled faces lie."""
-    corners = template.vertices[template.faces[template.filled]]
-    centres = project(subdivision, control.vertices, corners.mean(1), np.zeros((1, 3)))
-    return np.unique(centres.face)
-
-
-def _member_vertices(
-    title: str, members: NDArray[np.generic], faces: IntArray, count: int, name: str
-) -> IntArray:
-    if members.dtype == bool and members.shape == (count,):
-        return np.flatnonzero(members)
-    if members.dtype == bool and members.shape == (len(faces),):
-        return np.unique(faces[members])
-    if members.dtype.kind in "iu" and members.ndim == 1:
-        index = members.astype(np.int64)
-        if ((index >= 0) & (index < count)).all():
-            return index
-    raise ModelError(
-        f"{name}: region {title!r} has shape {members.shape} and type {members.dtype}; expected vertex "
-        f"indices from 0 to {count - 1}, or a bool mask of {count} vertices or {len(faces)} faces"
-    )
+    return label, table
 
 
 def _landmarks(
@@ -264,29 +231,22 @@ def _landmarks(
             raise ModelError(f"{name}: landmark vertex {wrong} out of range 0 ... {len(vertices) - 1}")
         chosen = given.astype(np.int64)
     elif given.shape == (LANDMARK_COUNT, 3):
-        chosen = _nearest_vertices(given.astype(float), vertices, template, name)
+        # Points in the template's own unit and frame: the nearest cleaned vertices.
+        points, cleaned = given.astype(float), vertices[template.source]
+        if not np.isfinite(points).all():
+            wrong = int(np.flatnonzero(~np.isfinite(points).all(1))[0])
+            raise ModelError(f"{name}: landmark {wrong} is NaN or infinite; give its point, or no landmarks")
+        distance, nearest = cKDTree(cleaned).query(points)
+        distance /= float(np.ptp(cleaned, axis=0).max() / np.ptp(template.vertices, axis=0).max())
+        farthest = int(np.argmax(distance))
+        if distance[farthest] > LANDMARK_REACH_MM:
+            raise ModelError(
+                f"{name}: landmark {farthest} lies {distance[farthest]:.0f} mm from the template, at most "
+                f"{LANDMARK_REACH_MM:.0f} expected; give landmarks in the template's own frame"
+            )
+        chosen = template.source[nearest]
     else:
         raise ModelError(
             f"{name}: landmarks have shape {given.shape}, expected (68, 3) points or (68,) vertex indices"
         )
     return SurfacePoints(placed.face[chosen], placed.barycentric[chosen])
-
-
-def _nearest_vertices(
-    points: FloatArray, vertices: FloatArray, template: CleanTemplate, name: str
-) -> IntArray:
-    """Return the nearest cleaned template vertex to points in the template's own unit and frame."""
-    if not np.isfinite(points).all():
-        wrong = int(np.flatnonzero(~np.isfinite(points).all(1))[0])
-        raise ModelError(f"{name}: landmark {wrong} is NaN or infinite; give its point, or no landmarks")
-    distance, nearest = cKDTree(vertices[template.source]).query(points)
-    size_per_mm = float(
-        np.ptp(vertices[template.source], axis=0).max() / np.ptp(template.vertices, axis=0).max()
-    )
-    farthest = int(np.argmax(distance))
-    if distance[farthest] > LANDMARK_REACH_MM * size_per_mm:
-        raise ModelError(
-            f"{name}: landmark {farthest} lies {distance[farthest] / size_per_mm:.0f} mm from the "
-            f"template, at most {LANDMARK_REACH_MM:.0f} expected; give landmarks in the template's own frame"
-        )
-    return template.source[nearest]

@@ -15,10 +15,7 @@ from scan2albedo.geometry.mesh import adjacency, vertex_normals
 
 NORMAL_WEIGHT_MM = 12.0
 """Length equivalent to a turn of the normal by one radian when edges are collapsed."""
-LEVELS = 2
-ITERATIONS = 4
-SMOOTHNESS = 0.005
-MAX_TARGETS = 30_000
+LEVELS, ITERATIONS, SMOOTHNESS, MAX_TARGETS = 2, 4, 0.005, 30_000
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,11 @@ from scan2albedo.geometry.mesh import (
 )
 from scan2albedo.geometry.rigid import compose
 
-MIN_VERTICES = 100
-HEAD_SIZE_MM = (80.0, 600.0)
+MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
+"""A template with fewer vertices is refused, and one of which a greater share of faces would have to go to
+make it a surface."""
+HEAD_SIZE_MM, _TRIM_PERCENT = (80.0, 600.0), 0.5
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
-_TRIM_PERCENT = 0.5
-MENDABLE_SHARE = 0.02
-"""A template of which more than this share of faces would have to go to make it a surface is refused."""
 
 
 @dataclass(frozen=True)
@@ -55,10 +54,23 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     """
     given, index = _checked(vertices, faces, name)
     used = np.unique(index)
-    unit = _unit(given[used], name)
+    low, high = np.percentile(given[used], [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
+    size = float(np.max(high - low))
+    least, most = HEAD_SIZE_MM
+    unit = next((unit for unit, factor in UNITS_MM.items() if least <= size * factor <= most), None)
+    if unit is None:
+        raise ModelError(
+            f"{name}: the template is {size:.4g} units large, which is no head in mm, cm, m or um "
+            f"({least:.0f} to {most:.0f} mm); scale it to millimetres"
+        )
     origin = given[used].mean(0)
     xyz = (given - origin) * UNITS_MM[unit]
-    welded = _welded(xyz, index)
+    # Vertices at equal positions (UV seams) are joined, unless that makes an edge with three faces.
+    step = 1e-7 * float(np.max(np.ptp(xyz, axis=0)))
+    _, first, inverse = np.unique(np.round(xyz / step), axis=0, return_index=True, return_inverse=True)
+    welded = _proper(xyz, first[inverse.ravel()][index])
+    if len(welded) == 0 or int(edges_with_faces(welded)[1].max()) > 2:
+        welded = _proper(xyz, index)
     if len(welded) == 0:
         raise ModelError(
             f"{name}: every face of the template has zero area; it holds no surface: export it again"
@@ -66,18 +78,16 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
     far = len(used) - len(np.unique(index[~far_faces(xyz, index)]))
-    notes = (
-        f"unit {unit}",
-        *_note(far, "vertices far from the rest, which bend the surface: remove them"),
-        *_note(len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
-        *_note(dropped, "faces dropped at edges with three faces and at pinched points"),
+    found = (
+        (far, "vertices far from the rest, which bend the surface: remove them"),
+        (len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
+        (dropped, "faces dropped at edges with three faces and at pinched points"),
     )
-    back = compose(np.eye(3) / UNITS_MM[unit], origin)
-    return TemplateSurface(xyz, _outward(xyz, mesh), unit, back, notes)
-
-
-def _note(count: int, text: str) -> tuple[str, ...]:
-    return (f"{text}: {count}",) if count else ()
+    corner = xyz[mesh[:, 0]] - xyz[np.unique(mesh)].mean(0)
+    if float(np.sum(face_cross_products(xyz, mesh) * corner)) < 0:
+        mesh = mesh[:, ::-1].copy()
+    notes = (f"unit {unit}", *(f"{text}: {count}" for count, text in found if count))
+    return TemplateSurface(xyz, mesh, unit, compose(np.eye(3) / UNITS_MM[unit], origin), notes)
 
 
 def _checked(vertices: FloatArray, faces: IntArray, name: str) -> tuple[FloatArray, IntArray]:
@@ -100,27 +110,6 @@ def _checked(vertices: FloatArray, faces: IntArray, name: str) -> tuple[FloatArr
     if used < MIN_VERTICES:
         raise ModelError(f"{name}: the template has {used} vertices in faces, at least {MIN_VERTICES} needed")
     return xyz, index
-
-
-def _unit(xyz: FloatArray, name: str) -> str:
-    low, high = np.percentile(xyz, [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
-    size = float(np.max(high - low))
-    for unit, factor in UNITS_MM.items():
-        if HEAD_SIZE_MM[0] <= size * factor <= HEAD_SIZE_MM[1]:
-            return unit
-    raise ModelError(
-        f"{name}: the template is {size:.4g} units large, which is no head in mm, cm, m or um "
-        f"({HEAD_SIZE_MM[0]:.0f} to {HEAD_SIZE_MM[1]:.0f} mm); scale it to millimetres"
-    )
-
-
-def _welded(xyz: FloatArray, faces: IntArray) -> IntArray:
-    """Join vertices at equal positions (UV seams), unless that makes an edge with three faces."""
-    step = 1e-7 * float(np.max(np.ptp(xyz, axis=0)))
-    _, first, inverse = np.unique(np.round(xyz / step), axis=0, return_index=True, return_inverse=True)
-    joined = _proper(xyz, first[inverse.ravel()][faces])
-    manifold = len(joined) > 0 and int(edges_with_faces(joined)[1].max()) <= 2
-    return joined if manifold else _proper(xyz, faces)
 
 
 def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
@@ -178,9 +167,3 @@ def _spoilt(faces: IntArray) -> IntArray:
     # Vertices without a face count as pinched, but no face is at them.
     pinched = np.flatnonzero(~igl.is_vertex_manifold(faces))
     return np.flatnonzero(np.isin(faces, pinched).any(1))
-
-
-def _outward(xyz: FloatArray, faces: IntArray) -> IntArray:
-    corner = xyz[faces[:, 0]] - xyz[np.unique(faces)].mean(0)
-    volume = float(np.sum(face_cross_products(xyz, faces) * corner))
-    return faces if volume >= 0 else faces[:, ::-1].copy()

@@ -8,6 +8,7 @@ import pytest
 from scan2albedo.applications import blend_faces, relight
 from scan2albedo.applications.face_features import feature_texels, grown
 from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import light_at
 
@@ -74,7 +75,7 @@ def test_normals_are_those_of_the_new_surface(person):
     made = blend_faces(person(0), person(1), 0.5)
     inner = made.mask & ~made.image.border
     own = np.zeros_like(made.image.normal)
-    own[made.mask] = made.mesh.chart_normals(made.mask)
+    own[made.mask] = normalized(made.mesh.on_chart(made.mesh.normals, made.mask))
     cosine = np.einsum("ijk,ijk->ij", own, made.image.normal)[inner]
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 3
 

@@ -53,5 +53,5 @@ def test_masks_that_differ_a_little_are_cut_to_what_both_have(person):
     assert np.array_equal(cut.mask, other.mask)
     assert np.array_equal(cut.mesh.faces, other.mesh.faces)
     assert not cut.albedo_linear[31, 31].any()
-    assert cut.region[31, 31] == 255
+    assert cut.image.region[31, 31] == 255
     assert blend_faces(a, smaller).mask.sum() == cut.mask.sum()

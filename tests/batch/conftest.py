@@ -117,9 +117,4 @@ def no_workers(monkeypatch, tmp_path, tries):
 @pytest.fixture
 def stages_in_this_process(monkeypatch):
     """The stages, without workers."""
-    import cv2
-
-    threads = cv2.getNumThreads()
     monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
-    yield
-    cv2.setNumThreads(threads)

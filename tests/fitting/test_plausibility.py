@@ -34,7 +34,7 @@ def someone(model, seed, expression="neutral", strength=1.0):
 def test_nothing_is_told_of_whole_faces(model, seed, expression):
     fitted = fitted_to(model, someone(model, seed, expression))
     assert list(doubts(fitted)) == []
-    assert asymmetry(fitted).unlikeness < 0.5
+    assert asymmetry(fitted).excess < 0.5
 
 
 @pytest.mark.parametrize("expression", ["smile", "frown", "puff"])
@@ -43,7 +43,7 @@ def test_an_expression_of_one_side_is_none_of_two_people(model, expression):
     moved = sum(displacement(bump, rest, model.landmarks) for bump in EXPRESSION_BUMPS[expression])
     of_one_side = np.clip(0.5 + rest[:, :1] / 20, 0, 1) * moved
     fitted = fitted_to(model, someone(model, 4) + 1.5 * of_one_side)
-    assert asymmetry(fitted).unlikeness < 0.9
+    assert asymmetry(fitted).excess < 0.9
     assert list(doubts(fitted)) == []
 
 
@@ -71,17 +71,17 @@ def test_halves_of_two_people_are_told(model, joint_mm, seed):
     one, other = (someone(model, seed + k, strength=2.0) for k in range(2))
     of_one = np.clip(0.5 + model.control_vertices[:, :1] / joint_mm, 0, 1)
     fitted = fitted_to(model, of_one * one + (1 - of_one) * other)
-    assert asymmetry(fitted).unlikeness > 1
+    assert asymmetry(fitted).excess > 1
     assert any("asymmetry" in told.text for told in doubts(fitted))
     for whole in (one, other):
-        assert asymmetry(fitted_to(model, whole)).unlikeness < 0.7
+        assert asymmetry(fitted_to(model, whole)).excess < 0.7
 
 
 def test_no_halves_are_compared_where_one_is_not_seen_or_the_model_is_lopsided(model):
     fitted = fitted_to(model, someone(model, 7))
     right = fitted.vertices[:, 0] < -5
     half = asymmetry(replace(fitted, residual_mm=np.where(right, np.nan, fitted.residual_mm)))
-    assert half is None or half.unlikeness == 0
+    assert half is None or half.excess == 0
     skewed = model.control_vertices + np.outer(model.control_vertices[:, 1], [0.02, 0, 0])
     lopsided = replace(model, control_vertices=skewed, _subdivisions={}, _refined_uv={})
     assert asymmetry(replace(fitted, model=lopsided)) is None

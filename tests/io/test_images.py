@@ -1,13 +1,16 @@
+import sys
+
 import cv2
 import numpy as np
 import OpenEXR
 import pytest
 
-from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.errors import MissingDependencyError, OutputError, ScanError
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.images import (
     read_exr_channels,
     read_image_linear,
+    read_image_values,
     write_exr,
     write_exr_channels,
     write_png,
@@ -186,3 +189,24 @@ def test_an_exr_never_holds_what_is_not_finite(tmp_path, value):
     ):
         write_exr(tmp_path / "a.exr", image)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (5, 7, 4)])
+def test_sixteen_bits_are_written_and_read_without_loss(tmp_path, shape):
+    pixels = RNG.integers(0, 65536, shape).astype(np.uint16)
+    write_png(tmp_path / "a.png", pixels)
+    expected = np.repeat(pixels[..., None], 3, axis=2) if pixels.ndim == 2 else pixels[..., :3]
+    np.testing.assert_array_equal(read_image_values(tmp_path / "a.png"), expected)
+
+
+def test_only_formats_that_pillow_lacks_need_opencv(tmp_path, monkeypatch):
+    values = RNG.random((6, 5, 3)).astype(np.float32)
+    cv2.imwrite(str(tmp_path / "a.hdr"), values)
+    for name in ("a.png", "a.jpg", "a.tif"):
+        write_by_extension(tmp_path / name, values)
+    write_png(tmp_path / "b.png", (65535 * values).astype(np.uint16))
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    for name in ("a.png", "a.jpg", "a.tif", "b.png"):
+        read_image_linear(tmp_path / name)
+    with pytest.raises(MissingDependencyError, match=r"scan2albedo\[opencv\]"):
+        read_image_linear(tmp_path / "a.hdr")

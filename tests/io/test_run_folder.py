@@ -13,8 +13,10 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 import scan2albedo
+from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
 from scan2albedo.io import publishing
 from scan2albedo.io.leftovers import JOURNAL, is_hidden_path, remove_leftovers, settle
@@ -372,3 +374,43 @@ def test_no_command_touches_files_of_the_users(tmp_path, name, files):
         with pytest.raises(OutputError, match=rf"no run of {files.command} wrote"):
             RunFolder(folder, files).check()
         assert not files.holds(f"sub/{pattern}")
+
+
+COMMANDS = {
+    "process": (["process", "scan.ply", "-o", "OUT"], "scan/albedo.png"),
+    "demo": (["demo", "-o", "OUT"], "synthetic-0/albedo.png"),
+    "relight --sweep": (["relight", "none", "--sweep", "3", "-o", "OUT"], "frame_007.png"),
+    "swap": (["swap", "a", "b", "-o", "OUT"], "albedo.exr"),
+    "blend": (["blend", "a", "b", "-o", "OUT"], "picture.png"),
+    "transfer-expression": (["transfer-expression", "a", "b", "c", "-o", "OUT"], "fitted.glb"),
+    "identify": (["identify", "--gallery", "a.csv", "--probes", "b.csv", "-o", "OUT"], "cmc.png"),
+    "glasses canonicalize": (["glasses", "canonicalize", "frame.obj", "-o", "OUT"], "frame/result.json"),
+    "glasses register": (
+        ["glasses", "register", "a.obj", "--cameras", "b", "--labels", "c", "-o", "OUT"],
+        "overview.png",
+    ),
+    "glasses lenses": (
+        ["glasses", "lenses", "a.obj", "--cameras", "b", "--head", "c", "-o", "OUT"],
+        "a_lenses.png",
+    ),
+    "glasses demo": (["glasses", "demo", "-o", "OUT"], "lenses/overview.png"),
+    "reflectance olat": (["reflectance", "olat", "a.json", "-o", "OUT"], "olat.png"),
+    "reflectance fit": (["reflectance", "fit", "a.json", "-o", "OUT"], "face.ply"),
+    "reflectance build": (["reflectance", "build", "a", "b", "-o", "OUT"], "model.png"),
+    "reflectance sample": (["reflectance", "sample", "a", "-o", "OUT"], "samples.png"),
+    "reflectance fit-image": (["reflectance", "fit-image", "a.json", "-o", "OUT"], "reflectance.npz"),
+    "reflectance finetune": (["reflectance", "finetune", "a", "b.json", "-o", "OUT"], "trace.csv"),
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_refuses_a_file_of_the_users_before_the_work(tmp_path, monkeypatch, name):
+    arguments, file = COMMANDS[name]
+    monkeypatch.chdir(tmp_path)
+    mine = tmp_path / "OUT" / file
+    mine.parent.mkdir(parents=True)
+    mine.write_text("mine")
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code != 0
+    assert "no run of scan2albedo" in f"{done.output} {done.exception}"
+    assert [path.read_text() for path in tmp_path.rglob("*") if path.is_file()] == ["mine"]

@@ -48,7 +48,7 @@ def test_scenes_cover_every_light_texture_and_reflectance(monkeypatch):
     asked = []
 
     def recorded(scene, angle, brdf):
-        asked.append((brdf, scene.parameters.texture, angle, scene.lights[0]))
+        asked.append((brdf, scene.texture, angle, scene.lights[0]))
         return row(light_angle_deg=angle, brdf=brdf)
 
     monkeypatch.setattr(validation, "validation_row", recorded)

@@ -201,7 +201,7 @@ def test_an_error_that_hardly_changes_is_a_line_that_hardly_rises():
 
 @pytest.mark.parametrize("values", [[0.0], [3.0, 3.0], [-1.0, 1e-9], [1e-12, 1e12], [5e7, 5.1e7]])
 def test_axes_hold_any_values(values):
-    axis = Axis.around(values, 10, 110, log_from=50)
+    axis = Axis.around(values, 10, 110)
     assert all(10 <= axis.place(value) <= 110 for value in values)
     assert 1 <= len(axis.ticks()) <= 12
 

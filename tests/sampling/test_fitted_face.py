@@ -102,7 +102,8 @@ def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size, monkey
     checker = (np.indices((509, 509)).sum(0) % 2).astype(np.float32)
     scan = textured_scan(fitted, np.repeat(checker[..., None], 3, 2))
     filtered = geometry_image(fitted, scan, size).texture_linear
-    monkeypatch.setattr(texture_lookup, "_needed_taps", lambda footprint: 1)
+    monkeypatch.setattr(texture_lookup, "FEWEST_TAPS", 1)
+    monkeypatch.setattr(texture_lookup, "MOST_TAPS", 1)
     aliased = geometry_image(fitted, scan, size).texture_linear
     assert np.abs(filtered - 0.5).max() < 0.02
     assert np.abs(aliased - 0.5).max() > 0.2
@@ -115,7 +116,8 @@ def test_the_footprint_average_agrees_with_supersampling(monkeypatch):
     scan = textured_scan(fitted, noise)
     fine = geometry_image(fitted, scan, 1024).texture_linear.reshape(64, 16, 64, 16, 3).mean((1, 3))
     coarse = geometry_image(fitted, scan, 64).texture_linear
-    monkeypatch.setattr(texture_lookup, "_needed_taps", lambda footprint: 1)
+    monkeypatch.setattr(texture_lookup, "FEWEST_TAPS", 1)
+    monkeypatch.setattr(texture_lookup, "MOST_TAPS", 1)
     plain = geometry_image(fitted, scan, 64).texture_linear
     error = np.abs(coarse - fine).mean()
     assert error < 0.01

@@ -71,4 +71,4 @@ def test_the_same_seed_gives_the_same_person(person):
 
 def test_a_bend_of_ones_own_is_kept():
     bend = GlassesBend(temple_spread_mm=-4, bridge_deg=2)
-    assert wearer(1, bend=bend, options=CLEAN).glasses.bend == bend
+    assert wearer(1, bend=bend, **CLEAN).glasses.bend == bend

@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
-from scan2albedo.templates.from_mesh import DenseTemplate, _corner_uv, _vertex_uv
+from scan2albedo.templates.from_mesh import DenseTemplate, corner_uv, vertex_uv
 
 
 @pytest.fixture(scope="module")
@@ -41,21 +41,21 @@ def test_a_vertex_with_two_texture_coordinates_has_none():
     def given(corners):
         return DenseTemplate(vertices, faces, corners, None, None, "mine")
 
-    np.testing.assert_array_equal(_vertex_uv(given(uv[faces]))[:4], uv)
-    np.testing.assert_array_equal(_corner_uv(given(uv[faces]))[0], uv[faces])
+    np.testing.assert_array_equal(vertex_uv(given(uv[faces]))[:4], uv)
+    np.testing.assert_array_equal(corner_uv(given(uv[faces]))[0], uv[faces])
     seam = uv[faces]
     seam[1, 0] = [0.5, 0.5]
-    assert _vertex_uv(given(seam)) is None
-    np.testing.assert_array_equal(_corner_uv(given(seam))[0], seam)
+    assert vertex_uv(given(seam)) is None
+    np.testing.assert_array_equal(corner_uv(given(seam))[0], seam)
     gaps = given(np.full((2, 3, 2), np.nan))
-    assert _vertex_uv(gaps) is None
+    assert vertex_uv(gaps) is None
     beyond, flat = given(seam - 2), given(0 * seam)
     for useless, why in ((gaps, "2 faces have no"), (beyond, "beyond the tiles"), (flat, "the same")):
-        found, (note,) = _corner_uv(useless)
+        found, note = corner_uv(useless)
         assert found is None
         assert why in note
     with pytest.raises(ModelError, match=r"uv has shape \(1, 3, 2\), expected \(2, 3, 2\)"):
-        _vertex_uv(given(seam[:1]))
+        vertex_uv(given(seam[:1]))
 
 
 @pytest.mark.parametrize("text", ["", "hello\n", "v 0 0 0\n"])

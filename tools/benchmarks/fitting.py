@@ -57,9 +57,6 @@ def _settings(quick: bool) -> list[Setting]:
         *varied("steps", options, (1, 2, 4, 6, 20, 40)),
         *varied("rigid_iterations", options, (0, 2, 15)),
         *varied("proportion_iterations", options, (0, 3, 20)),
-        *varied("open_mouth", options, (False,)),
-        *varied("result_levels", options, (1, 3)),
-        *varied("gain_tolerance", options, (0.03, 0.0), "{:g}".format),
         *varied("smoothing_mm", options, (0.0, 1.6), "{:g} mm".format),
         *within(options, (1, 5, 10, 20, 40, 80)),
     ]

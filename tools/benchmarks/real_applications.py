@@ -124,9 +124,9 @@ def feature_texels(face: ProcessedFace) -> dict[str, BoolArray]:
 
 
 def _region_texels(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
-    assert face.region is not None
+    assert face.image.region is not None
     regions = AnnotatedFaceModel.default().regions
-    return np.isin(face.region, [regions[name].index for name in names])
+    return np.isin(face.image.region, [regions[name].index for name in names])
 
 
 def _slopes(face: ProcessedFace) -> FloatArray:

@@ -256,7 +256,7 @@ def build_scan(recipe: ScanRecipe, folder: Path, *, size: int, paths: int, threa
     )
     used = used_pixels(measured, pods, size)
     taken = photographs(recipe, sitter, pods, used, size=size, paths=paths, threads=threads)
-    pose = random_pose(rng, recipe.turned_deg, SCANNER.translation_max_mm)
+    pose = random_pose(rng, recipe.turned_deg)
     scan_from_truth = np.diag([1 / recipe.unit_mm] * 3 + [1.0]) @ pose
     texture = taken.texture.astype(np.float32)
     scan = assembled(measured, pods, texture, scan_from_truth, SCANNER, rng, recipe.name)

@@ -24,7 +24,7 @@ from scipy.ndimage import map_coordinates
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_around
+from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
 from scan2albedo.synthetic.raw_scan import assembled
 from scan2albedo.synthetic.scanner import Pod, RangeMesh, Scanner, capture, random_pose
@@ -125,7 +125,7 @@ def _painted(heads: Heads, rng: np.random.Generator, *, own_marks: bool = True) 
         brow_reach=float(rng.uniform(0.75, 1.1)),
         lip_fullness=float(rng.uniform(-0.005, 0.005)),
     )
-    albedo = paint_around(
+    albedo = paint_face(
         millimetres / _CHART_MM + 0.5,
         unrolled[heads.landmarks] / _CHART_MM + 0.5,
         rng,
@@ -261,7 +261,7 @@ def build_session(
     measured = capture(vertices, heads.faces, pods, spacing_mm=SCANNER.spacing_mm, rng=rng, axis_mm=axis)
     number = 1000 * (seed + 1) + 10 * person + session
     texture = _texture(heads, vertices, albedo, pods, measured, rig, number)
-    pose = random_pose(rng, 30.0, SCANNER.translation_max_mm)
+    pose = random_pose(rng, 30.0)
     scan = assembled(measured, pods, texture.astype(np.float32), pose, SCANNER, rng, path.stem)
     write_obj(scan, path)
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
+from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from stability_cases.scanned_person import (
 CASES = Cases()
 STAGE = "fit"
 
-QUICK = {"levels": (0, 1, 1), "finest_level": 0, "result_levels": 1, "open_mouth": False}
+QUICK = {"levels": (0, 1, 1), "finest_level": 0}
 """A schedule that ends where the full one does to 0.1 mm, in a third of the time."""
 
 
@@ -53,7 +54,22 @@ def fitted(
 def as_stiff(stiffness: float, most_mm: float) -> tuple[FittedFace, str]:
     """Fit with one stiffness at all stages, 1 being a plate of 10 mm and a membrane of 1 mm."""
     bending, membrane = 10 * stiffness**0.25, stiffness**0.5
-    return fitted(person(), most_mm, bending_mm=(bending, bending), membrane_mm=(membrane, membrane))
+    with constants(MEMBRANE_MM=(membrane, membrane)):
+        return fitted(person(), most_mm, bending_mm=(bending, bending))
+
+
+def constants(**values: object) -> AbstractContextManager[object]:
+    """Give constants of the stages other values for a while."""
+    return patch.multiple("scan2albedo.fitting.stages", **values)
+
+
+def each_of(most_mm: float, *settings: dict[str, float]) -> str:
+    """Fit with each of some values of constants, and return the figures."""
+    figures = []
+    for values in settings:
+        with constants(**values):
+            figures.append(fitted(person(), most_mm)[1])
+    return ", ".join(figures)
 
 
 @CASES.extreme(STAGE, "stiffness 1 and 1e8", slow=True)
@@ -69,49 +85,55 @@ def _() -> str:
 
 @CASES.extreme(STAGE, "no stiffness at all", "measured warning")
 def _() -> str:
-    face, _ = fitted(person(), 0.6, bending_mm=(0.0, 0.0), membrane_mm=(0.0, 0.0))
+    with constants(MEMBRANE_MM=(0.0, 0.0)):
+        face, _ = fitted(person(), 0.6, bending_mm=(0.0, 0.0))
     assert face.metrics["flipped_faces"] + face.metrics["strain"] > 0.15
     return said(f"{face.metrics['flipped_faces']:.0f} faces flipped", face.plan)
 
 
 @CASES.extreme(STAGE, "stiffness beyond doubles (lengths of 1e8 mm)")
 def _() -> str:
-    return fitted(person(), 0.7, bending_mm=(1e8, 1e8), membrane_mm=(1e6, 1e6))[1] + ": a rigid sheet"
+    with constants(MEMBRANE_MM=(1e6, 1e6)):
+        return fitted(person(), 0.7, bending_mm=(1e8, 1e8))[1] + ": a rigid sheet"
 
 
 @CASES.extreme(STAGE, "time step 1e-6 and 1e-3", "measured warning")
 def _() -> str:
-    faces = [fitted(person(), 0.7, time_step=step)[0] for step in (1e-6, 1e-3)]
+    faces = []
+    for step in (1e-6, 1e-3):
+        with constants(TIME_STEP=step):
+            faces.append(fitted(person(), 0.7)[0])
     assert not any(face.converged for face in faces)
     return Measured(f"converged False: {faces[0].metrics['imbalance_mm']:.2f} mm from balance")
 
 
 @CASES.extreme(STAGE, "time step 1, 1e3 and 1e30")
 def _() -> str:
-    return ", ".join(fitted(person(), 0.4, time_step=step)[1] for step in (1.0, 1e3, 1e30))
+    return each_of(0.4, *({"TIME_STEP": step} for step in (1.0, 1e3, 1e30)))
 
 
 @CASES.extreme(STAGE, "mass 1e6", "measured warning")
 def _() -> str:
-    face, figure = fitted(person(), 0.7, mass=1e6)
+    with constants(MASS=1e6):
+        face, figure = fitted(person(), 0.7)
     assert not face.converged
     return Measured(f"{figure}, converged False: {face.metrics['imbalance_mm']:.2f} mm from balance")
 
 
 @CASES.extreme(STAGE, "mass 0 and 1e-6; no damping")
 def _() -> str:
-    settings = ({"mass": 0.0}, {"mass": 1e-6}, {"damping": 0.0}, {"mass": 0.0, "damping": 0.0})
-    return ", ".join(fitted(person(), 0.4, **s)[1] for s in settings)
+    return each_of(0.4, {"MASS": 0.0}, {"MASS": 1e-6}, {"DAMPING": 0.0}, {"MASS": 0.0, "DAMPING": 0.0})
 
 
 @CASES.extreme(STAGE, "mass to damping 1e6 and 1e-6")
 def _() -> str:
-    return ", ".join(fitted(person(), 0.5, mass=r**0.5, damping=r**-0.5)[1] for r in (1e6, 1e-6))
+    return each_of(0.5, *({"MASS": r**0.5, "DAMPING": r**-0.5} for r in (1e6, 1e-6)))
 
 
 @CASES.extreme(STAGE, "forces without gates (reach 1e6 mm)")
 def _() -> str:
-    return fitted(person(), 0.5, gate_mm=(1e6, 1e6))[1]
+    with patch("scan2albedo.fitting.forces.GATE_MM", (1e6, 1e6)):
+        return fitted(person(), 0.5)[1]
 
 
 @CASES.extreme(STAGE, "refinements that would fill the memory", "named error")
@@ -120,12 +142,11 @@ def _() -> str:
         return fitted(person(), 1.0, levels=(9,))[1]
 
 
-@CASES.extreme(STAGE, "a negative mass, no time step, an empty schedule", "named error")
+@CASES.extreme(STAGE, "negative steps, no stiffness, an empty schedule", "named error")
 def _() -> str:
     for wrong, told in (
-        ({"mass": -1.0}, "mass must be finite and 0 or more"),
-        ({"time_step": 0.0}, "time_step must be finite and above 0"),
-        ({"damping": np.nan}, "damping must be"),
+        ({"steps": -1}, "steps must be finite and 0 or more"),
+        ({"bending_mm": (np.nan, 1.0)}, "bending_mm must be"),
         ({"scale_range": (2.0, 1.0)}, "scale_range must be"),
     ):
         try:

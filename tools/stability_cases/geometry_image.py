@@ -27,7 +27,7 @@ SIZE = 64
 @cache
 def face() -> FittedFace:
     """Return the person's fitted face."""
-    options = FitOptions(levels=(0, 1, 1), finest_level=0, open_mouth=False)
+    options = FitOptions(levels=(0, 1, 1), finest_level=0)
     return fit(person().scan, model(), person().model_from_scan, options=options)
 
 

@@ -23,10 +23,10 @@ _ROOM = 0.04
 """Beyond the outermost values, in parts of their span."""
 _LEAST_SPAN = 0.002
 """Of an axis, in parts of its greatest value."""
-_BINS, _MOST_WHOLE = 20, 12
-"""Bars of a distribution at most; up to which range whole numbers get a bar each."""
-_LOG_RATIO, _LOG_ERROR_RATIO = 50.0, 5.0
-"""Ratios of greatest to least from which an axis is logarithmic; that of errors."""
+_BINS = 20
+"""Bars of a distribution at most; whole numbers of a smaller range get a bar each."""
+_LOG_RATIO = 10.0
+"""Of greatest to least, from which an axis is logarithmic."""
 MOST_POINTS = 400
 """Points that a chart of 300 pixels can show; of more, every n-th."""
 
@@ -42,10 +42,10 @@ class Axis:
     log: bool = False
 
     @classmethod
-    def around(cls, values: Sequence[float], start: float, end: float, *, log_from: float = math.inf) -> Axis:
-        """Return the axis that holds all values, with some room; logarithmic from a ratio of `log_from`."""
+    def around(cls, values: Sequence[float], start: float, end: float) -> Axis:
+        """Return the axis that holds all values, with some room; logarithmic from a decade on."""
         low, high = min(values), max(values)
-        if low > 0 and high / low >= log_from:
+        if low > 0 and high / low >= _LOG_RATIO:
             margin = (high / low) ** _ROOM
             return cls(low / margin, high * margin, start, end, True)
         # What hardly changes is drawn as a line that hardly rises.
@@ -113,7 +113,7 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
     if len(known) < 2:
         return None
     low, high = float(known.min()), float(known.max())
-    whole, log = bool((known == np.round(known)).all() and high - low < _MOST_WHOLE), False
+    whole, log = bool((known == np.round(known)).all() and high - low < _BINS), False
     bins = int(np.clip(2 * np.sqrt(len(known)), 5, _BINS))
     if whole:
         edges = np.arange(low - 0.5, high + 1)
@@ -200,8 +200,8 @@ def _stage_chart(stage: str, rows: list[TraceRow]) -> dict[str, Any]:
     shown = rows if step == 1 else [*rows[:-1:step], last]
     drawing = {"width": 360, "height": 230, "left": 58, "right": 348, "top": 12, "bottom": 190}
     times, errors = [row.elapsed_s for row in shown], [row.error for row in shown]
-    time = Axis.around(times, drawing["left"], drawing["right"], log_from=_LOG_RATIO)
-    error = Axis.around(errors, drawing["bottom"], drawing["top"], log_from=_LOG_ERROR_RATIO)
+    time = Axis.around(times, drawing["left"], drawing["right"])
+    error = Axis.around(errors, drawing["bottom"], drawing["top"])
     places = [(time.place(row.elapsed_s), error.place(row.error)) for row in shown]
     texts = [
         f"{number_text(row.error, 4)} {last.unit} · {number_text(row.elapsed_s, 4)} s · "

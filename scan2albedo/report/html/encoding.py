@@ -19,7 +19,7 @@ from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.color import encode_srgb_bytes
 
-_LEVELS = 65535
+_LEVELS = np.iinfo(np.uint16).max
 MOST_VERTICES = 60_000
 """Of a chart's mesh; finer ones are thinned."""
 _BRIGHT_PERCENTILE = 99.9

@@ -33,7 +33,7 @@ from scan2albedo.report.html.encoding import (
 )
 from scan2albedo.report.overview import RESIDUAL_SCALE_MM, preview_factor
 
-_NO_RESIDUAL = 255
+_NO_RESIDUAL = np.iinfo(np.uint8).max
 """In the bytes of the residuals: not measured."""
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.face_model.proportions import FARTHEST, proportions
+from scan2albedo.fitting.plausibility import FARTHEST, proportions
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, person
 

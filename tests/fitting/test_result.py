@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.fitting.landmark_deviation import landmark_deviation_mm
+from scan2albedo.fitting.result import landmark_deviation_mm
 
 
 @pytest.fixture(scope="module")
