@@ -34,7 +34,7 @@ from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.icp import icp
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
-from scan2albedo.registration.texture_evidence import TextureWitness
+from scan2albedo.registration.texture_evidence import ColourScorer
 from scan2albedo.synthetic.face_paint import PaintedFeatures, landmark_uv, paint_face
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, Expression
 from scan2albedo.synthetic.raw_scan import scan_of
@@ -212,7 +212,7 @@ def measured(people: int) -> tuple[list[str], list[Row]]:
     names, rows = list[str](), list[Row]()
     for person in range(people):
         scan, right, scale = person_scan(model, person)
-        witness = TextureWitness.of(scan, model)
+        witness = ColourScorer.of(scan, model)
         assert witness is not None
         for kind, pose, size in poses(scan, right, scale, template, np.random.default_rng(person)):
             found = witness.scores(pose, size)

@@ -30,7 +30,7 @@ _LIT = 0.02
 which do not follow the light."""
 _BLACK = 1e-3
 """Parts of the median below which logarithms are not taken."""
-_TELLING = 0.12
+MIN_EXPLAINED = 0.12
 """Part of log V's local change that hue has to explain to be used."""
 
 
@@ -52,7 +52,7 @@ def color_guide(
     specular: FloatArray | None = None,
     tint: FloatArray | None = None,
     *,
-    told: bool = False,
+    min_explained: float = MIN_EXPLAINED,
 ) -> ColorGuide:
     """Return how V of the cells' albedo follows from their hues.
 
@@ -62,6 +62,7 @@ def color_guide(
     first. Noise that V and the ratios share predicts nothing and is taken off, so each slope is the best
     predictor from ratios as noisy as they are. A white highlight `specular` (N,), in the unit of the level's
     value, is taken off first, and the colours are divided by `tint` (N, 3), which coloured light gave them.
+    A guide that explains less than `min_explained` of the local change of V predicts nothing.
 
     References
     ----------
@@ -96,7 +97,7 @@ def color_guide(
     change = np.sum([octave.value for octave in octaves], 0)
     before, after = (float(value @ np.abs(d)) for d in (change, change - predicted))
     explained = 1 - after / before if before > 0 else 0.0
-    if explained < (0.0 if told else _TELLING):
+    if explained < min_explained:
         return ColorGuide.none(len(value))
     wide = slow - local_mean(level, slow, _LOWEST * side)
     predicted += (wide[:, 1:-1] - wide[:, :1]) @ slope

@@ -108,8 +108,8 @@ def estimate_albedo(
     that is not modelled.
 
     Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface cannot
-    be told from pigment: the mean light is white. Texels that are not skin weigh a quarter in the search.
-    White noise is filtered, and outlines of the light that the texture does not show are spread.
+    be distinguished from pigment: the mean light is white. Texels that are not skin weigh a quarter in the
+    search. White noise is filtered, and outlines of the light that the texture does not show are spread.
 
     The paper's objective knows lamps under constant white ambient light alone: one lamp at least, no
     occlusion, environment, bounce, colours or spread outlines.

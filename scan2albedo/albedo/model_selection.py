@@ -284,8 +284,8 @@ def _decide_highlight(
     glossy_problem = problem.guided(highlight, tint)
     if (plain_problem.guide.explained > 0) != (glossy_problem.guide.explained > 0):
         # One with and one without a guide do not compare.
-        plain_problem = problem.guided(None, tint, told=True)
-        glossy_problem = problem.guided(highlight, tint, told=True)
+        plain_problem = problem.guided(None, tint, min_explained=0.0)
+        glossy_problem = problem.guided(highlight, tint, min_explained=0.0)
     glossy = descend(glossy_problem, full.model, full.x, options.descent_iterations)
     if options.choice(part.stage):
         rows.append(PlanStep(part.stage, True, "asked for"))

@@ -1,4 +1,4 @@
-"""Noise told from texture: it is white in space, not quite shared by channels, blind to the light."""
+"""Noise apart from texture: it is white in space, not quite shared by channels, blind to the light."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def channel_noise(
 ) -> ChannelNoise:
     """Return how noisy the quotient of texture and light is.
 
-    Noise is white in space, texture is not (`white_variance`). White texture, such as pores, is told by the
+    Noise is white in space, texture is not (`white_variance`). White texture, such as pores, shows in the
     channels: it moves all of them together, noise hardly ever does. So the noise of the leading channel is
     the white part of its variance, less what texture may have of it, at most a multiple, the same for the
     whole image, of the least white part d_ij of a difference of two channels; and at least what it does not
     share with the others, which is half of d_01 + d_02 - d_12. What 8 bits do to differences is taken off.
-    Where all channels are equal, noise that does not depend on the light is all that can be told
+    Where all channels are equal, noise that does not depend on the light is all that can be found
     (`additive_deviation`).
 
     Parameters
@@ -107,8 +107,8 @@ def channel_noise(
 
 def _ratio(white: FloatArray, least: FloatArray, usable: BoolArray) -> float:
     """Return the largest multiple of `least` (H, W) that the leading channel's noise has."""
-    told = usable & (least > 0)
-    usual = float(np.median(white[told] / least[told])) if told.any() else 0.0
+    known = usable & (least > 0)
+    usual = float(np.median(white[known] / least[known])) if known.any() else 0.0
     return float(np.clip(_ABOVE * usual, *_RATIO))
 
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.color_guide import ColorGuide, color_guide
+from scan2albedo.albedo.color_guide import MIN_EXPLAINED, ColorGuide, color_guide
 from scan2albedo.albedo.levels import Level, local_mean
 from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.normal_equations import block_albedos, cluster_scores, normal_equations
@@ -71,15 +71,19 @@ class ResidualProblem:
         self.total = len(_SHIFTS) * float(self.weight @ self.value)
 
     def guided(
-        self, specular: FloatArray | None, tint: FloatArray | None = None, *, told: bool = False
+        self,
+        specular: FloatArray | None,
+        tint: FloatArray | None = None,
+        *,
+        min_explained: float = MIN_EXPLAINED,
     ) -> ResidualProblem:
         """Return the problem without the texture that colour predicts.
 
         Before, a highlight (N,) is subtracted from the colours, and they are divided by `tint` (N, 3), what
-        the light does to them. Where it is `told` that colour predicts texture, little of it serves.
+        the light does to them. A colour guide that explains less than `min_explained` is left out.
         """
         other = copy.copy(self)
-        other._use(color_guide(self.level, specular, tint, told=told))
+        other._use(color_guide(self.level, specular, tint, min_explained=min_explained))
         return other
 
     def at(self, model: LightModel, x: FloatArray, *, outlines: bool = True) -> Residual:

@@ -151,7 +151,7 @@ def _read_elements(path: Path) -> _PlyFile:
     lines = data[: end.start()].decode("latin-1").splitlines()
     order, elements = _parse_header(path, lines)
     for element in elements:
-        if element.count <= len(data):  # else it is cut short, which is told below
+        if element.count <= len(data):  # else it is cut short, which is reported below
             most = {"vertex": limits.VERTICES, "face": limits.TRIANGLES}.get(element.name, limits.TEXT_LINES)
             limits.require_at_most(path.name, f"rows of {element.name}", element.count, most, "decimate it")
         count, what = len(element.properties), f"properties of {element.name}"

@@ -94,8 +94,8 @@ class RocCurve:
     """`persons`, `resamples`, `confidence`: numbers behind the intervals, and their confidence."""
 
     @property
-    def carried(self) -> BoolArray:
-        """(F,): false accept rates of one impostor's claim or more; what is below is told by no claim."""
+    def supported(self) -> BoolArray:
+        """(F,): false accept rates of one impostor's claim or more; no claim tells what is below."""
         return self.false_accept_rate * self.impostors >= 1 - 1e-9
 
 

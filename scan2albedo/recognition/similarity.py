@@ -79,10 +79,10 @@ def cw_ssim(
         raise RecognitionError(
             f"the images have {np.shape(a)[:2]} and {np.shape(b)[:2]} pixels; give images of one size"
         )
-    first, carried = image_coefficients(a, mask, options, "the first image")
+    first, supported = image_coefficients(a, mask, options, "the first image")
     of_second = mask if mask_b is None else mask_b
-    second, also_carried = image_coefficients(b, of_second, options, "the second image")
-    return pair_similarity(first, second, carried & also_carried, window)
+    second, also_supported = image_coefficients(b, of_second, options, "the second image")
+    return pair_similarity(first, second, supported & also_supported, window)
 
 
 def pair_similarity(

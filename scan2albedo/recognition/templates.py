@@ -232,18 +232,18 @@ def _templates(
     if len(images) == 0:
         raise RecognitionError("no image was given; templates need one or more")
     coefficients: list[NDArray[np.complex64]] = []
-    carried: list[BoolArray] = []
+    supported: list[BoolArray] = []
     for k, image in enumerate(images):
         what = f"image {k} ({names[k]})"
         bands, mask = kind_coefficients(kind, image, None if masks is None else masks[k], options, what)
-        if carried and mask.shape != carried[0].shape:
+        if supported and mask.shape != supported[0].shape:
             raise RecognitionError(
                 f"{what} has {np.shape(image)[:2]} pixels, image 0 {np.shape(images[0])[:2]}; "
                 "give images of one size, or options with a size that both have"
             )
         coefficients.append(bands)
-        carried.append(mask)
-    return Templates(np.stack(coefficients), np.stack(carried), tuple(names), options, kind=kind)
+        supported.append(mask)
+    return Templates(np.stack(coefficients), np.stack(supported), tuple(names), options, kind=kind)
 
 
 def kind_coefficients(
@@ -300,8 +300,8 @@ def image_coefficients(
                 "compare as it is (unit_mean=False)"
             )
         pixels = pixels / mean
-    carried = carried_mask(without_holes(valid, HOLE_RADIUS))
-    if not carried.any():
+    supported = supported_mask(without_holes(valid, HOLE_RADIUS))
+    if not supported.any():
         raise NothingToCompareError(
             f"{what}: no coefficient lies {STEP // 2} pixels inside its mask; widen the mask"
         )
@@ -314,8 +314,8 @@ def image_coefficients(
             f"{what} has {' x '.join(map(str, pixels.shape))} pixels, too few for {SCALES} scales; "
             "give a larger image"
         )
-    bands = coarsest_bands(padded)[:, : carried.shape[0], : carried.shape[1]]
-    return np.where(carried, bands, 0.0), carried
+    bands = coarsest_bands(padded)[:, : supported.shape[0], : supported.shape[1]]
+    return np.where(supported, bands, 0.0), supported
 
 
 def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:
@@ -341,7 +341,7 @@ def without_holes(mask: BoolArray, radius: float) -> BoolArray:
     return np.asarray(distance_transform_edt(grown)[inside, inside] > reach)
 
 
-def carried_mask(mask: BoolArray) -> BoolArray:
+def supported_mask(mask: BoolArray) -> BoolArray:
     """Return the mask (ceil(H / 4), ceil(W / 4)) of coefficients.
 
     A coefficient lies on pixel `STEP` times its index; it is valid when all pixels up to `STEP` / 2 away are.

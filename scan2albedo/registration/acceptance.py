@@ -26,7 +26,7 @@ _MIXED_SHARE = 0.02
 """A greater share of triangles wound against their neighbours is the reason to name."""
 _OTHER_FACE_MM = 100.0
 """Poses farther apart than a face is wide are of another one."""
-_LIKE_A_FACE = 0.55
+_FACE_LIKENESS = 0.55
 """Likeness at which a pose that was not looked at closely is reported as another face."""
 
 
@@ -75,7 +75,7 @@ def accepted(
     apart = [
         _distance_mm(other, best)
         for other in candidates[1:]
-        if other.log_odds > 0 or other.likeness > _LIKE_A_FACE
+        if other.log_odds > 0 or other.likeness > _FACE_LIKENESS
     ]
     if best.log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
         text = (

@@ -26,7 +26,7 @@ from scan2albedo.registration.placed_pose import PlacedPose
 from scan2albedo.registration.relief import ReliefAgreement, normal_relief
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
-from scan2albedo.registration.texture_evidence import TextureWitness
+from scan2albedo.registration.texture_evidence import ColourScorer
 
 CONVINCING, _CONVINCING_PERSON = 4.0, 0.95
 """Log odds of a face (98 %), and probability of its proportions, beyond which no other pose is refined."""
@@ -100,8 +100,8 @@ class Colors:
     model: AnnotatedSurface
 
     @cached_property
-    def _scorer(self) -> TextureWitness | None:
-        return TextureWitness.of(self.scan.raw, self.model)
+    def _scorer(self) -> ColourScorer | None:
+        return ColourScorer.of(self.scan.raw, self.model)
 
     def rescored(self, candidates: Candidates) -> Candidates:
         """Return the candidates, those that were looked at with what the colours say; the best first."""

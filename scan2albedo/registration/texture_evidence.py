@@ -107,7 +107,7 @@ class _Part:
         return float(difference / (abs(difference) + spread + floor))
 
 
-class TextureWitness:
+class ColourScorer:
     """A coloured scan, prepared to say of many poses how a face's colours speak for them.
 
     `of` returns None where there is nothing to say: a scan without colours, a model without landmarks.
@@ -126,7 +126,7 @@ class TextureWitness:
         self._smooth = np.stack([x**i * y**j for i, j in powers], axis=1)
 
     @classmethod
-    def of(cls, scan: RawScan, model: AnnotatedSurface) -> TextureWitness | None:
+    def of(cls, scan: RawScan, model: AnnotatedSurface) -> ColourScorer | None:
         """Prepare a scan (mm)."""
         if not scan.has_color or model.landmarks is None:
             return None
@@ -161,8 +161,8 @@ class TextureWitness:
             scores[name], weights[name] = _best(places, values, seen, floor)
         rough = light - self._smooth @ np.linalg.lstsq(self._smooth[seen], light[seen], rcond=None)[0]
         scores["symmetry"], weights["symmetry"] = self._symmetry(rough, seen)
-        told = float(np.clip((rough[seen].std() - _FAINT) / (_PLAIN - _FAINT), 0, 1))
-        return scores, {name: told * weight for name, weight in weights.items()}
+        clear = float(np.clip((rough[seen].std() - _FAINT) / (_PLAIN - _FAINT), 0, 1))
+        return scores, {name: clear * weight for name, weight in weights.items()}
 
     def _colors(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Return the colours (N, 3) of the scan nearest to points (N, 3) in its frame, and which are near."""
@@ -194,7 +194,7 @@ class TextureWitness:
 def texture_evidence(
     scan: RawScan, model: AnnotatedSurface, model_from_scan: FloatArray, face_scale: float = 1.0
 ) -> TextureEvidence | None:
-    """Return what a scan's colours say of one pose, None without any; for several see `TextureWitness`.
+    """Return what a scan's colours say of one pose, None without any; for several see `ColourScorer`.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def texture_evidence(
     face_scale : float
         Size of the face relative to the model's, which keeps the place of its front.
     """
-    witness = TextureWitness.of(scan, model)
+    witness = ColourScorer.of(scan, model)
     return None if witness is None else witness.evidence(model_from_scan, face_scale)
 
 

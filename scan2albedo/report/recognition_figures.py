@@ -72,7 +72,7 @@ def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
     figure, axis = _figure(curves, "ROC", "false accept rate", "true accept rate")
     drawn = {}
     for name, curve in curves.items():
-        shown = curve.carried
+        shown = curve.supported
         least, most = curve.equal_error_interval
         equal = f"{curve.equal_error_rate:.2%} ({least:.2%} to {most:.2%})"
         text = f"{curve.genuine} genuine claims: equal error {equal}"

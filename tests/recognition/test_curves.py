@@ -93,7 +93,7 @@ def test_few_claims_that_never_err_have_wide_intervals():
     np.testing.assert_allclose(curve.low, exact.low)
     assert curve.equal_error_rate == 0
     assert curve.equal_error_interval == (0, pytest.approx(1 - exact.low))
-    assert curve.carried.sum() == (curve.false_accept_rate >= 1 / 6).sum()
+    assert curve.supported.sum() == (curve.false_accept_rate >= 1 / 6).sum()
 
 
 def test_one_seed_gives_one_result():
@@ -122,7 +122,7 @@ def test_figures_show_every_curve_with_its_interval():
     axis = roc_figure(rocs).axes[0]
     assert axis.get_xscale() == "log"
     texture = rocs["texture"]
-    np.testing.assert_array_equal(axis.lines[1].get_ydata(), texture.true_accept_rate[texture.carried])
+    np.testing.assert_array_equal(axis.lines[1].get_ydata(), texture.true_accept_rate[texture.supported])
     assert axis.lines[1].get_xdata().min() >= 1 / texture.impostors
     with pytest.raises(ValueError, match="no curve"):
         cmc_figure({})

@@ -7,7 +7,7 @@ from scan2albedo.errors import RecognitionError
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.recognition import TemplateOptions, Templates, albedo_templates, similarity_matrix
 from scan2albedo.recognition import templates as templates_module
-from scan2albedo.recognition.templates import averaged_down, carried_mask, coarsest_bands, without_holes
+from scan2albedo.recognition.templates import averaged_down, supported_mask, coarsest_bands, without_holes
 
 
 def test_sizes_are_brought_to_one(albedo):
@@ -52,7 +52,7 @@ def test_a_coefficient_is_valid_when_its_surroundings_are():
     mask[6, 9] = False
     expected = np.ones((4, 4), bool)
     expected[1:3, 2] = False  # pixel 6 is two away from pixels 4 and 8; 9 is one away from 8, three from 12
-    np.testing.assert_array_equal(carried_mask(mask), expected)
+    np.testing.assert_array_equal(supported_mask(mask), expected)
 
 
 def test_the_outline_of_a_mask_is_no_feature(face_like_mask):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.registration.texture_evidence import TextureEvidence, TextureWitness, texture_evidence
+from scan2albedo.registration.texture_evidence import TextureEvidence, ColourScorer, texture_evidence
 from scan2albedo.synthetic import Scanner, raw_scan
 
 SCORES = [field.name for field in fields(TextureEvidence) if field.name != "log_odds"]
@@ -18,7 +18,7 @@ def case(request, model):
     """A coloured scan, its right pose, and what its colours say."""
     scanner = Scanner(size=32, picture_size=300, spacing_mm=4.0)
     scan, truth = raw_scan(request.param, scanner=scanner)
-    return scan, truth.model_from_scan, TextureWitness.of(scan, model)
+    return scan, truth.model_from_scan, ColourScorer.of(scan, model)
 
 
 def assert_alike(one, other, tolerance):
@@ -80,7 +80,7 @@ def test_where_there_is_no_colour_there_is_no_evidence(case, model):
     black = replace(scan, texture_linear=np.zeros_like(scan.texture_linear))
     assert texture_evidence(black, model, pose) is None
     assert witness.evidence(compose(np.eye(3), [0, 0, 500]) @ pose) is None
-    assert TextureWitness.of(scan, replace(model, landmark_points=None)) is None
+    assert ColourScorer.of(scan, replace(model, landmark_points=None)) is None
 
 
 def test_a_strange_texture_cannot_refuse_a_face(case, model):
