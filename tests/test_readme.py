@@ -67,7 +67,7 @@ def command_of(words: list[str]) -> tuple[Any, list[str]]:
     """The command that a line calls and the words after its name."""
     command, rest = root(), words
     while is_group(command) and rest:
-        assert rest[0] in command.commands, f"{' '.join(words)}: {rest[0]!r} is no command"
+        assert rest[0] in command.commands, f"{' '.join(words)}: {rest[0]!r} is not a command"
         command, rest = command.commands[rest[0]], rest[1:]
     return command, rest
 

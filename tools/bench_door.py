@@ -137,7 +137,7 @@ def main() -> None:
     parser.add_argument("--placed", type=int, default=0, metavar="N", help="the same with landmarks given")
     parser.add_argument("--scraps", type=int, default=0, metavar="N", help="scraps that show no face")
     parser.add_argument("--reliefs", type=int, default=0, metavar="N", help="random reliefs and bodies")
-    parser.add_argument("--objects", action="store_true", help="43 things that are no faces")
+    parser.add_argument("--objects", action="store_true", help="43 things that are not faces")
     parser.add_argument("--repeat", type=int, default=0, metavar="N", help=f"shapes, up to {SHAPES}")
     parser.add_argument("--fit", action="store_true", help="also the poses that fits end with, for --repeat")
     parser.add_argument("--told", action="store_true", help="what process says of false faces")

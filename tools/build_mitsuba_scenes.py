@@ -139,7 +139,7 @@ def synthetic_surface(geometry: str) -> tuple[s2a.GeometryImage, dict[str, NDArr
 
 
 def store_surface(geometry: str, folder: Path) -> None:
-    """Write a geometry, rounded; the bake reads it back, so that rounding is no error of the set."""
+    """Write a geometry, rounded; the bake reads it back, so that rounding is not an error of the set."""
     image, albedos = synthetic_surface(geometry)
     mask = image.mask
     tilted = with_normal_error(image, TILT_DEG, np.random.default_rng(0)).normal

@@ -3,12 +3,12 @@
     OMP_NUM_THREADS=1 python tools/calibrate_registration.py [--scans 200] [--jobs 2] [--keep cues.npz]
 
 Of each kind of scan, so many are drawn: people in raw stereo, as measured and worse, clean people, and as
-what is no face scraps, reliefs, bodies, heaps of solids and gratings. The best poses of the search are judged
-by the truth, and `scan2albedo.registration.evidence` gets the weights that this prints: those of a logistic
-regression whose signs are given. Every second scan judges the weights fitted to the others. The proportions
-of people are printed beside those of people stretched 1.4 to 1.6 times along one axis. No scan is among those
-of tools/bench_door.py; but the weight of scraps, and how noise counts (`relief`), were chosen with the first
-140 of its parts in sight.
+what is not a face scraps, reliefs, bodies, heaps of solids and gratings. The best poses of the search are
+judged by the truth, and `scan2albedo.registration.evidence` gets the weights that this prints: those of a
+logistic regression whose signs are given. Every second scan judges the weights fitted to the others. The
+proportions of people are printed beside those of people stretched 1.4 to 1.6 times along one axis. No scan is
+among those of tools/bench_door.py; but the weight of scraps, and how noise counts (`relief`), were chosen
+with the first 140 of its parts in sight.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 
 Columns:
 
-- lines: of all Python files; code: of those the lines that are no comment, docstring or blank;
+- lines: of all Python files; code: of those the lines that are not comment, docstring or blank;
 - modules: files; types: data classes and records;
 - constants: statements at module level that set at least one number (in a tuple, a call or a sum too);
 - literals: fractions written inside functions, without 0.5: where a constant that was moved would hide;

@@ -1,4 +1,4 @@
-"""Pages of the documentation's site that are no files of docs/: README, CHANGELOG, and Python's names.
+"""Pages of the documentation's site that are not files of docs/: README, CHANGELOG, and Python's names.
 
 `mkdocs.yml` names this module as a hook; `make docs` builds the site.
 """

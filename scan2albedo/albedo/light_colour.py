@@ -69,7 +69,8 @@ def solve_colours(
     with the ratio q_b of channel and V in each block's albedo eliminated [1]_ and rho the robust loss of V.
     Brightness, its grain, and what the white light misses are in V' as in T', and so do not count. What is
     left is colour: of pigment, in patches, and of the light, along the surface. The ridge draws C x_c toward
-    I. Light of one colour cannot be distinguished from skin of that colour: the mean light is white in every channel.
+    I. Light of one colour cannot be distinguished from skin of that colour: the mean light is white in every
+    channel.
 
     Parameters
     ----------

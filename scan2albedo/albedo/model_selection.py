@@ -336,7 +336,7 @@ def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
     """Return the plan's row about parameters of the light that are at an end of their range.
 
     A better light may lie beyond: an ambient light too weak to be seen, a lamp that touches the skin, no
-    light at all. Light that is no part of the model stays in the albedo: the row also says where the
+    light at all. Light that is not part of the model stays in the albedo: the row also says where the
     brightest 0.2 % of `albedo` (N,), its V where it was measured, is many times the median.
     """
     found = _at_end(solution)

@@ -14,7 +14,7 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 
 _LARGEST_HIGHLIGHT = 0.25
-"""More white texels than this part of the surface are no highlight but over-exposure."""
+"""More white texels than this part of the surface are not highlights but over-exposure."""
 _LEAST_DEVIATION = 0.02
 """Least standard deviation of log albedo that a highlight is measured in."""
 _RADIUS = 40 / 512

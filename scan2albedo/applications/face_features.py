@@ -84,7 +84,7 @@ def taken_features(
 def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = None) -> FloatArray:
     """Return (H, W, 3) the albedo without small spots on the eyes that are brighter than skin.
 
-    They are reflections of the scan's lamps, which are no albedo: V is lowered to its morphological opening.
+    They are reflections of the scan's lamps, which are not albedo: V is lowered to its morphological opening.
     """
     albedo, eyes = face.albedo_linear.astype(np.float64), region_texels(face, FEATURES["eyes"], model)
     if not eyes.any():
@@ -116,7 +116,7 @@ def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> 
 
 
 def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
-    """Return (H, W) dark texels of temples and cheeks along the chart's rim that are no skin.
+    """Return (H, W) dark texels of temples and cheeks along the chart's rim that are not skin.
 
     Hair before the ears, or what was too dark to be seen there: cut out by the face's outline it is a black
     patch. What goes on over the jaw is a beard and stays.

@@ -179,7 +179,7 @@ def relight(
     ValueError
         For an environment of another shape.
     TypeError
-        For other objects than a face and lights, or an environment in integers, which is no linear light.
+        For other objects than a face and lights, or an environment in integers, which is not linear light.
 
     Examples
     --------

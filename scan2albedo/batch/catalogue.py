@@ -101,7 +101,7 @@ def load_catalogue(out: str | Path) -> pyarrow.Table:
         raise BatchError(f"{path}: no such file; give the folder that `scan2albedo batch` wrote") from error
     except (OSError, pa.ArrowInvalid) as error:
         raise BatchError(
-            f"{path}: is no whole catalogue ({error}); `batch --resume` makes it anew"
+            f"{path}: is not a whole catalogue ({error}); `batch --resume` makes it anew"
         ) from error
 
 
@@ -155,7 +155,7 @@ def load_albedos(
         file = folder / path
         if ".." in Path(path).parts or len(Path(path).parts) != 2 or file.parent.is_symlink():
             raise BatchError(
-                f"{folder}: its catalogue names {path!r}, which is no file of a scan in it; {anew}"
+                f"{folder}: its catalogue names {path!r}, which is not a file of a scan in it; {anew}"
             )
         try:
             settle(file.parent)

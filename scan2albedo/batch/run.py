@@ -81,7 +81,7 @@ def run_batch(
     MissingDependencyError
         When a library of the extra `batch`, or `cluster` with a scheduler, is not installed.
     BatchError
-        When this is no POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
+        When this is not a POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
         not given, another batch works there, or no worker can be started or reached.
     ModelError
         When a model's file is missing.
@@ -124,7 +124,7 @@ def run_batch(
         if os.path.lexists(layout.record):
             read_record(layout.record, BatchRecord, advice=advice, error=BatchError)
         elif os.path.lexists(layout.catalogue) and not set(FIXED) <= set(load_catalogue(out).column_names):
-            raise BatchError(f"{layout.catalogue}: is no catalogue of a batch; {advice}")
+            raise BatchError(f"{layout.catalogue}: is not a catalogue of a batch; {advice}")
         asked = jobs or int(cpu_count())
         run = _Run(manifest, layout, options, asked, scheduler, on_progress, tasks[0].run)
         return run.report(tasks, resume)

@@ -126,7 +126,7 @@ def require_known_names(names: Iterable[str]) -> None:
         return
     guesses = {name: difflib.get_close_matches(name, KEY_POINT_NAMES, n=1) for name in strange}
     said = [f"{name!r} (probably {found[0]!r})" if found else repr(name) for name, found in guesses.items()]
-    verb = "is no key point" if len(said) == 1 else "are no key points"
+    verb = "is not a key point" if len(said) == 1 else "are not key points"
     raise ValueError(f"{', '.join(said)} {verb}; names are {', '.join(KEY_POINT_NAMES)}")
 
 
@@ -159,7 +159,7 @@ class KeyPoints:
 def read_keypoints(path: str | Path) -> FloatArray:
     """Return the key points (20, 3) of a file in the file's own unit, NaN where one is missing.
 
-    Raises EyeglassesError, naming the file, when it cannot be read or is no key-point file, when it has
+    Raises EyeglassesError, naming the file, when it cannot be read or is not a key-point file, when it has
     names of no key points, or when key points lie where others belong (names exchanged).
 
     Parameters
@@ -351,7 +351,7 @@ class StartFile(Record):
 def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUnit = "mm") -> None:
     """Write a rigid pose (4, 4) as JSON, atomically; the translation's `unit` is only noted in the file.
 
-    Raises ValueError when it is no rigid transform, OutputError when the file cannot be written.
+    Raises ValueError when it is not a rigid transform, OutputError when the file cannot be written.
 
     Parameters
     ----------

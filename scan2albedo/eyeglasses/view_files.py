@@ -25,8 +25,8 @@ from scan2albedo.io.units import MM_PER_UNIT
 class Camera:
     """A pinhole camera.
 
-    Raises ValueError, naming the camera, when the name is no file name, the matrix is not finite, has another
-    shape or a singular left 3x3 part, or the shape is not positive.
+    Raises ValueError, naming the camera, when the name is not a file name, the matrix is not finite, has
+    another shape or a singular left 3x3 part, or the shape is not positive.
     """
 
     name: str
@@ -135,7 +135,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit 
 def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     """Return the cameras of a file, for points in mm whatever the file's unit.
 
-    Raises EyeglassesError, naming file and camera, when the file cannot be read, is no camera file, or a
+    Raises EyeglassesError, naming file and camera, when the file cannot be read, is not a camera file, or a
     matrix is not finite or singular.
 
     Parameters
@@ -296,7 +296,8 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
 def read_labels(path: str | Path) -> ViewLabels:
     """Return the labels of a file, NaN where one is missing.
 
-    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is no label file.
+    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is not a label
+    file.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ from scan2albedo.io.records import read_record, write_record
 LANDMARK_LEVELS = 3
 """Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
 MOUTH_REGION = "between_lips"
-"""The film between the lips, which closes the model's surface. It is no skin: no scan pulls at it."""
+"""The film between the lips, which closes the model's surface. It is not skin: no scan pulls at it."""
 REST_REGION, FILLED_REGION = "face", "filled"
 """Of models made from templates: what is in no region, and the faces over the template's own holes."""
 SKIN_SHARE: Mapping[str, float] = MappingProxyType(

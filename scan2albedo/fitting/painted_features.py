@@ -177,7 +177,7 @@ def painted_features(
     eyes = _located((_eye(here, 36), replace(_eye(here, 42), mirrored=True)), channels, picture, _EYES)
     for eye in eyes:
         here[list(eye.numbers)] = eye.places
-    # What is dark in and about an eye is no brow, nor skin below one.
+    # What is dark in and about an eye is not a brow, nor skin below one.
     rows, columns = np.indices(seen.shape)
     places = picture.low + picture.step_mm * np.stack([columns.ravel(), rows.ravel()], axis=1)
     hidden = np.zeros(len(places), bool)

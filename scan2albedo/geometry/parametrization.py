@@ -25,7 +25,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     the chart is turned so that u grows with +x and v with +y. With the mirror image of each vertex (itself on
     the midline) in `mirror` (V,) the chart is exactly symmetric about u = 0.5. It starts from uniform
     weights, flip-free on a convex boundary [1]_, and is improved by SLIM [2]_. Raises ModelError when the
-    surface is no disc, or the chart has flipped faces (faces without area).
+    surface is not a disc, or the chart has flipped faces (faces without area).
 
     .. [1] W. T. Tutte, "How to draw a graph", 1963.
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
@@ -115,8 +115,8 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
         loop.append(following[loop[-1]])
     if components != 1 or uses.max() > 2 or euler != 1 or len(loop) != len(following):
         raise ModelError(
-            f"the mesh is no disc: {components} components, {int((uses > 2).sum())} edges with more than two "
-            f"faces, Euler characteristic {euler}, {len(following)} boundary edges of which one loop has "
+            f"the mesh is not a disc: {components} components, {int((uses > 2).sum())} edges with more than "
+            f"two faces, Euler characteristic {euler}, {len(following)} boundary edges of which one loop has "
             f"{len(loop)}; expected one component, characteristic 1 and one loop. Fill its holes, or cut it"
         )
     if len(used) != vertex_count:

@@ -16,7 +16,7 @@ _UTF16 = (b"\xff\xfe", b"\xfe\xff")
 def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError]) -> str:
     """Return the text of a UTF-8 file, with or without a byte order mark.
 
-    Raises `error`, which calls the file `what`, when it cannot be read, is no file or no text.
+    Raises `error`, which calls the file `what`, when it cannot be read, is not a file or no text.
     """
     try:
         data = read_bytes(file, TABLE_BYTES, "split it")
@@ -32,7 +32,7 @@ def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoErro
         byte = f"byte {cause.start} is {data[cause.start]:#04x}"
         raise error(f"{what} is no UTF-8 text ({byte}); save it as CSV in UTF-8") from cause
     if "\0" in text:
-        raise error(f"{what} is no text file; {advice}")
+        raise error(f"{what} is not a text file; {advice}")
     return text
 
 

@@ -118,7 +118,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
     missing = [name for name in ("position_mm", "normal", "mask") if name not in arrays]
     if missing:
         raise GeometryImageError(
-            f"{file.name}: holds no {', '.join(missing)}; it is no geometry image of scan2albedo "
+            f"{file.name}: holds no {', '.join(missing)}; it is not a geometry image of scan2albedo "
             f"(found: {', '.join(sorted(arrays)) or 'nothing'})"
         )
     fields = {field: arrays.get(stored) for field, stored in _NAME_IN_FILE.items()}

@@ -192,6 +192,6 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
 def plain_material(
     name: str, color: Sequence[float], roughness: float, *, double_sided: bool = True
 ) -> dict[str, Any]:
-    """Return the entry of a material of one colour (red, green, blue, opacity), which is no metal."""
+    """Return the entry of a material of one colour (red, green, blue, opacity), which is not a metal."""
     surface = {"baseColorFactor": list(color), "metallicFactor": 0.0, "roughnessFactor": roughness}
     return {"name": name, "doubleSided": double_sided, "pbrMetallicRoughness": surface}

@@ -47,8 +47,8 @@ def load_scan(
     Its `notes` name the unit, every repair, missing textures and the number of loose components.
 
     Raises ScanError when the file is missing, of an unsupported kind, damaged, without faces, of a size that
-    is no head in any unit, or so far from the origin that rounding destroys its shape; TooLargeError when it
-    declares or holds more than `io/limits.py` allows; MissingDependencyError when it is compressed and the
+    is not a head in any unit, or so far from the origin that rounding destroys its shape; TooLargeError when
+    it declares or holds more than `io/limits.py` allows; MissingDependencyError when it is compressed and the
     library that decodes it is missing. The message names the file, what is wrong and what to do. Raises
     ValueError for an unknown unit.
 

@@ -92,7 +92,7 @@ def read_obj(path: Path, textures: Path | None = None) -> ParsedMesh:
         corner = corners[triangles, 1]
         uv = np.where((corner >= 0)[..., None], coordinates[corner], np.nan)
     srgb, colors = positions[:, 3:6], None
-    # Numbers below 0 are no colours, but normals.
+    # Numbers below 0 are not colours, but normals.
     if len(positions) and (tokens >= 6).all() and np.isfinite(srgb).all() and srgb.min() >= 0:
         colors = linear_of_srgb_numbers(srgb)
     lost = not materials or any(note.startswith("texture ") for note in notes)

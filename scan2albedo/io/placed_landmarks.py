@@ -90,7 +90,7 @@ def _finite(point: _Point, value: Any) -> float:
     except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not math.isfinite(found):
-        raise ScanError(f"{point.where}: {str(value)[:40]!r} is no finite number; {_ADVICE}")
+        raise ScanError(f"{point.where}: {str(value)[:40]!r} is not a finite number; {_ADVICE}")
     return found
 
 
@@ -138,7 +138,7 @@ def _of_picked_points(text: str, file: Path) -> Iterator[_Point]:
     try:
         tree = ElementTree.fromstring(text)
     except (ElementTree.ParseError, RecursionError) as error:
-        raise ScanError(f"{file}: is no file of picked points ({error}); {_ADVICE}") from error
+        raise ScanError(f"{file}: is not a file of picked points ({error}); {_ADVICE}") from error
     for index, point in enumerate(tree.iter("point")):
         if point.get("active", "1") != "0":
             place = tuple(point.get(axis) for axis in "xyz")

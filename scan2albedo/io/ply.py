@@ -241,7 +241,7 @@ def _converted(path: Path, element: _Element, prop: _Property, values: FloatArra
         limits = np.iinfo(prop.item_type)
         fits = (values >= limits.min) & (values < float(limits.max) + 1)
         if not fits.all():
-            wrong = f"{values[~fits][0]:g}, which is no {prop.item_type.name}"
+            wrong = f"{values[~fits][0]:g}, which {prop.item_type.name} cannot hold"
             raise _damaged(path, f"{prop.name} of {element.name} holds {wrong}")
     with np.errstate(over="ignore"):  # beyond float32 is infinite; infinite vertices in use raise later
         return values.astype(prop.item_type)

@@ -116,7 +116,7 @@ def read_record(
     except OSError as cause:
         raise error(f"{place}: cannot be read: {cause.strerror or cause}; {advice}") from cause
     except UnicodeDecodeError as cause:
-        raise error(f"{place}: is no text file; {advice}") from cause
+        raise error(f"{place}: is not a text file; {advice}") from cause
     return parse_record(text, kind, place=place, advice=advice, error=error)
 
 

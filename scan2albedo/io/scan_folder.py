@@ -18,8 +18,8 @@ _CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
 class ScanFolder:
     """The files that a scan may refer to: those in its folder and, where given, in the folder `textures`.
 
-    Links are resolved: one that leads elsewhere is no file of these folders. Raises ScanError when `textures`
-    is no folder.
+    Links are resolved: one that leads elsewhere is not a file of these folders. Raises ScanError when
+    `textures` is not a folder.
     """
 
     path: Path
@@ -27,7 +27,7 @@ class ScanFolder:
 
     def __post_init__(self) -> None:
         if self.textures is not None and not os.path.isdir(self.textures):
-            raise ScanError(f"{self.textures}: is no folder; give the folder that holds the textures")
+            raise ScanError(f"{self.textures}: is not a folder; give the folder that holds the textures")
 
     def find(self, name: str) -> Path | None:
         """Return a file by its path as written, or by its name alone, in any case; None when there is none.

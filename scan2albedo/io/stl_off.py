@@ -53,7 +53,7 @@ def read_stl(path: Path) -> ParsedMesh:
             advice = "save it as binary STL"
             limits.require_at_most(path.name, "bytes", len(data), limits.SLOW_TEXT_BYTES, advice)
             with warnings.catch_warnings():
-                warnings.simplefilter("error", DeprecationWarning)  # of text that is no numbers
+                warnings.simplefilter("error", DeprecationWarning)  # of text that is not numbers
                 loaded = load_stl_ascii(StringIO(data.decode("utf-8", "replace")))
         else:
             what = f"it has {len(data)} bytes, but {declared} triangles need {needed}"

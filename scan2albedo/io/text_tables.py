@@ -252,8 +252,8 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
     """Find the properties of `count` binary rows with lists of any length in `body` (N,) uint8.
 
     `item_sizes` and `counter_sizes` (P,) are bytes of an item and of a list's counter, 0 for a property that
-    is no list. Returns where the first item stands (count, P), how many items there are (count, P), 1 for a
-    property that is no list, and the bytes of all rows, -1 when `body` ends before.
+    is not a list. Returns where the first item stands (count, P), how many items there are (count, P), 1 for
+    a property that is not a list, and the bytes of all rows, -1 when `body` ends before.
     """
     offsets = np.zeros((count, item_sizes.size), np.int64)
     counts = np.ones((count, item_sizes.size), np.int64)

@@ -116,7 +116,7 @@ def _decided(
         if not fitting:
             verb = "are" if thing.endswith("s") else "is"
             raise UnitError(
-                f"{name}: the {thing} {verb} {extent:.4g} units long, which is no {kind} in mm, cm or m "
+                f"{name}: the {thing} {verb} {extent:.4g} units long, which is not a {kind} in mm, cm or m "
                 f"(expected {low:.3g} to {high:.3g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
             )
         if len(fitting) > 1:

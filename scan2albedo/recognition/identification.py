@@ -132,7 +132,7 @@ def similarities_by_person(
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the persons of a gallery, in alphabetical order, and the similarities (P, persons) to them.
 
-    NaN in scores (P, images) is no similarity: a person's best is that of the others, the mean is NaN.
+    NaN in scores (P, images) is not a similarity: a person's best is that of the others, the mean is NaN.
     """
     persons = tuple(sorted(set(gallery_names)))
     person = np.searchsorted(persons, gallery_names)

@@ -57,7 +57,7 @@ def cw_ssim(
     Raises
     ------
     ValueError
-        When an image is not (H, W) or (H, W, 3), or the window is no whole number of 1 or more.
+        When an image is not (H, W) or (H, W, 3), or the window is not a whole number of 1 or more.
     RecognitionError
         When the sizes differ, an image cannot be used, or no window lies inside the mask.
 

@@ -22,7 +22,7 @@ _GREY, _LARGEST = 0.9, 1.5
 ones are holes, hair or other surfaces."""
 _LEAST_OPEN, _LEAST_LIGHT, _LEAST_DIFFUSE = 0.4, 0.2, 0.5
 """Vertices with less of these do not count: share of the light around that a fold leaves, light over the
-median, and share of the observed light that is no highlight, whose errors look like albedo."""
+median, and share of the observed light that is not a highlight, whose errors look like albedo."""
 _TINY = np.finfo(np.float64).eps
 
 

@@ -41,7 +41,7 @@ _LANDMARK_GROWTH, _LANDMARK_SLACK_PX = 1.5, 0.5
 """Photometry is not accepted when it makes the landmarks' error larger than this times the error without, and
 by more than this many pixels."""
 _TOLERANCE, _LARGEST_FIRST_DAMPING = 1e-4, 0.1
-"""Part of the objective that is no progress; a search goes on with the damping that the one before ended
+"""Part of the objective that is not progress; a search goes on with the damping that the one before ended
 with, but with no more than this."""
 
 
@@ -221,7 +221,7 @@ def _initial_state(
         rigid = np.isfinite(matrix).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
         if not (rigid and np.linalg.det(turn) > 0 and np.array_equal(matrix[3], [0, 0, 0, 1])):
             raise ReflectanceError(
-                "initial_scene_from_model is no rigid transform; give rotation and translation"
+                "initial_scene_from_model is not a rigid transform; give rotation and translation"
             )
         return GeometryState.from_pose(model, matrix, coefficients)
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))

@@ -32,7 +32,7 @@ MOST_UNEXPLAINED = 0.25
 """Where a fit's relative RMSE is larger, light, shape or reflectance are wrong."""
 _PERCEPTUAL_WEIGHT = 0.1
 _STEPS, _TOLERANCE, _LARGEST_LOG_SCALE_STEP = 200, 1e-5, 5.0
-"""Most steps, of which 10 to 20 are usual; part of the objective that is no progress; a scale that grows by
+"""Most steps, of which 10 to 20 are usual; part of the objective that is not progress; a scale that grows by
 e^5 in a step is a runaway, and would overflow in the exponential."""
 
 

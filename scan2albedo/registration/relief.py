@@ -20,7 +20,7 @@ _LEAST_NORMAL_Z = 0.3
 _FEWEST_SAMPLES = 60
 _SIZE = 72
 LOOK_THROUGH_MM = 30.0
-"""What lies farther before the model is no face: a hand, a lock of hair."""
+"""What lies farther before the model is not a face: a hand, a lock of hair."""
 _SAME_SURFACE_MM, _SAME_POINT_MM = 20.0, 10.0
 """A vertex this near to the depth image is on the surface it shows, however steep and noisy that is."""
 _STEEPEST_SLOPE = 1.5

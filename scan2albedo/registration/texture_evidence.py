@@ -22,7 +22,7 @@ _MOST_FACES = 50_000
 """Of more faces of a scan every so-manieth is looked at: they are far smaller than a feature then."""
 _NEAR_MM = 8.0
 _BLACK = 0.02
-"""Added to brightness, relative to the usual, before the logarithm: a shadow is no feature."""
+"""Added to brightness, relative to the usual, before the logarithm: a shadow is not a feature."""
 _LEAST_SEEN, _LEAST_PART, _LEAST_PAIRS = 0.25, 0.4, 0.3
 """Least share of all points, of a feature or the skin around it, and of pairs of points that must be seen."""
 _GAP_MM, _SURROUND_MM = 3.0, 15.0

@@ -156,7 +156,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     seen, hidden = np.zeros((2, *size), bool)
     seen[at[~behind, 1], at[~behind, 0]] = True
     hidden[at[behind, 1], at[behind, 0]] = True
-    # The silhouette's own border; what the head cuts off is no border of the frame.
+    # The silhouette's own border; what the head cuts off is not a border of the frame.
     picture[hidden & binary_dilation(~(seen | hidden), iterations=2)] = _HIDDEN_COLOR
     picture[seen & binary_dilation(~seen, iterations=2)] = _SEEN_COLOR
     errors, close = frame.label_errors_px[number], frame.inliers[number]

@@ -23,7 +23,7 @@ _TOLERATED_RELIEF, _PER_RELIEF = 1.5, 2.0
 _SPOT, _SPOT_MM2 = 0.75, 80.0
 """Islands below this weight, up to the size of a large mole and its rim, are moles."""
 _LIKELY = 0.9
-"""Prior below which islands are left: eyes and brows are no moles."""
+"""Prior below which islands are left: eyes and brows are not moles."""
 _CLOSE_MM, _FAR_MM = 1.0, 3.0
 """Residuals of a good fit, and of hair or glasses over it."""
 _RELIEF_MM, _SMOOTH_MM = 12.0, 0.05

@@ -87,7 +87,7 @@ class Material:
     sigma_rad: float = 0.3
     """Oren-Nayar roughness: standard deviation of the facets' slope angle; 0 is Lambert."""
     specular_strength: float = 0.0
-    """Phong's k_s, relative to an albedo of 1; 0 is no highlight."""
+    """Phong's k_s, relative to an albedo of 1; 0 is not a highlight."""
     specular_exponent: float = 20.0
     """Phong's n."""
 

@@ -1,6 +1,6 @@
 """Soft light of several colours from all around, as in a room: windows, lit walls, a ceiling.
 
-Rays and shading are the renderer's own. The sources are no spherical harmonics, as which the estimator
+Rays and shading are the renderer's own. The sources are not spherical harmonics, as which the estimator
 represents soft light.
 """
 

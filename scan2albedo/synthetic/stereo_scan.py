@@ -1,4 +1,4 @@
-"""Raw passive stereo of a synthetic person: coarse, noisy, in pieces, with much that is no face.
+"""Raw passive stereo of a synthetic person: coarse, noisy, in pieces, with much that is not a face.
 
 Features hide, change or cut off the face: glasses, beards, hair, an open mouth; scraps show none.
 """

@@ -60,7 +60,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     unit = next((unit for unit, factor in UNITS_MM.items() if least <= size * factor <= most), None)
     if unit is None:
         raise ModelError(
-            f"{name}: the template is {size:.4g} units large, which is no head in mm, cm, m or um "
+            f"{name}: the template is {size:.4g} units large, which is not a head in mm, cm, m or um "
             f"({least:.0f} to {most:.0f} mm); scale it to millimetres"
         )
     origin = given[used].mean(0)

@@ -255,7 +255,7 @@ def test_wrong_options_are_usage_errors(people, tmp_path, arguments, told):
         (("build", "{people}/capture_0", "-o", "{out}"), "neither"),
         (("build", "{people}/fit_0/overview.png", "-o", "{out}"), "overview.png"),
         (("sample", "{people}/fit_0", "-o", "{out}"), "reflectance_model.npz"),
-        (("sample", "{people}/fit_0/reflectance.npz", "-o", "{out}"), "is no folder"),
+        (("sample", "{people}/fit_0/reflectance.npz", "-o", "{out}"), "is not a folder"),
     ],
 )
 def test_wrong_files_are_named_and_leave_nothing(people, tmp_path, arguments, told):

@@ -58,10 +58,10 @@ def test_a_name_left_out_is_a_missing_key_point(tmp_path):
     ("text", "message"),
     [
         ("{", "Invalid JSON"),
-        ('{"key_points": {"nose": [1, 2, 3]}}', "'nose' is no key point"),
+        ('{"key_points": {"nose": [1, 2, 3]}}', "'nose' is not a key point"),
         (
             '{"key_points": {"left_rim_tpo": null, "hinge_left": null}}',
-            r"'hinge_left', 'left_rim_tpo' \(probably 'left_rim_top'\) are no key points; names are",
+            r"'hinge_left', 'left_rim_tpo' \(probably 'left_rim_top'\) are not key points; names are",
         ),
         ('{"key_points": {"left_hinge": [1, 2]}}', "left_hinge"),
         ('{"format_version": 2, "key_points": {}}', "format_version"),
@@ -77,7 +77,7 @@ def test_no_file_and_no_text_name_the_file(tmp_path):
     with pytest.raises(EyeglassesError, match=r"none\.json: .*No such file"):
         read_keypoints(tmp_path / "none.json")
     (tmp_path / "binary.json").write_bytes(b"\xff\xfe\x80")
-    with pytest.raises(EyeglassesError, match=r"binary\.json: is no text"):
+    with pytest.raises(EyeglassesError, match=r"binary\.json: is not text"):
         read_keypoints(tmp_path / "binary.json")
     with pytest.raises(ValueError, match=r"\(20, 3\), got \(19, 3\)"):
         write_keypoints(tmp_path / "a.json", np.zeros((19, 3)))

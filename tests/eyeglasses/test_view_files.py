@@ -82,7 +82,7 @@ def test_labels_follow_the_order_of_the_cameras(tmp_path):
     ("text", "message"),
     [
         ("{", "Invalid JSON"),
-        ('{"views": {"front": {"nose": [1, 2]}}}', "'nose' is no key point"),
+        ('{"views": {"front": {"nose": [1, 2]}}}', "'nose' is not a key point"),
         ('{"views": {"front": {"left_hinge": [1, NaN]}}}', "left_hinge.*finite"),
         ('{"views": {"a/b": {}}}', "cannot be named 'a/b'"),
         ('{"views": {"A": {}, "a": {}}}', "two cameras are named"),

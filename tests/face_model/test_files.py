@@ -85,7 +85,7 @@ def test_a_broken_json_is_refused(saved: Path, text: str):
 
 
 def test_the_binary_given_as_json_is_refused(saved: Path):
-    with pytest.raises(ModelError, match="is no text file"):
+    with pytest.raises(ModelError, match="is not a text file"):
         AnnotatedSurface.load(saved.with_suffix(".npz"))
 
 

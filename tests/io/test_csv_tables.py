@@ -23,7 +23,7 @@ def test_text_is_read_with_and_without_a_byte_order_mark(tmp_path, encoding):
     [
         ("a".encode("utf-16"), "list a.csv is UTF-16 text"),
         (b"a\xe4", r"list a.csv is no UTF-8 text \(byte 1 is 0xe4\)"),
-        (b"a\0", "list a.csv is no text file; give another"),
+        (b"a\0", "list a.csv is not a text file; give another"),
         (None, "list a.csv cannot be read .*; give another"),
     ],
 )

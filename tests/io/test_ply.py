@@ -182,7 +182,7 @@ def test_truncated_files_are_refused_by_name(tmp_path, layout, part):
         ((b"3 0 1 2", b"3 0 1 -2"), "a face refers to vertex -2, but there are 4"),
         ((b"3 0 1 2", b"7 0 1 2"), "a list vertex_indices of face is cut short"),
         ((b"100.0 0.0 0.0", b"100.0 nan 0.0"), "1 vertices used by faces are NaN.*vertex 1"),
-        ((b"3 0 1 2", b"3 0 1 nan"), "vertex_indices of face holds nan, which is no int32"),
+        ((b"3 0 1 2", b"3 0 1 nan"), "vertex_indices of face holds nan, which int32 cannot hold"),
         ((b"3 0 1 2", b"nan 0 1 2"), "a list vertex_indices of face is cut short"),
         ((b"property float y", b"property float x"), "its vertex has no properties, or one twice"),
         ((b"100.0 0.0 0.0", b"1e99 0.0 0.0"), "1 vertices used by faces are NaN or infinite.*vertex 1"),

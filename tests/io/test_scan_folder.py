@@ -104,7 +104,7 @@ def test_links_inside_the_folder_and_a_folder_that_is_a_link_are_no_fault(places
 def test_a_folder_of_textures_that_is_none_is_named(places):
     scan, other = places
     path = obj(scan, "secret.png")
-    with pytest.raises(ScanError, match=r"secret\.png: is no folder"):
+    with pytest.raises(ScanError, match=r"secret\.png: is not a folder"):
         load_scan(path, textures=other / "secret.png")
     assert load_scan(path, textures=str(other)).texture_linear is not None
 

@@ -1,4 +1,4 @@
-"""Coefficients of environment maps: closed forms, distant lights, and what is no map."""
+"""Coefficients of environment maps: closed forms, distant lights, and what is not a map."""
 
 import numpy as np
 import pytest

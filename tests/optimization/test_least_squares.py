@@ -1,4 +1,4 @@
-"""Damped least squares: closed forms, bounds, budgets and costs that are no numbers."""
+"""Damped least squares: closed forms, bounds, budgets and costs that are not numbers."""
 
 from dataclasses import dataclass
 from typing import Any

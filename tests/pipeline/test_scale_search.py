@@ -1,4 +1,4 @@
-"""Scans of any scale: the face gives it, a given unit stands, and what is no face is refused at any."""
+"""Scans of any scale: the face gives it, a given unit stands, and what is not a face is refused at any."""
 
 from dataclasses import replace
 

@@ -7,7 +7,7 @@ from scan2albedo.errors import RecognitionError
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.recognition import TemplateOptions, Templates, albedo_templates, similarity_matrix
 from scan2albedo.recognition import templates as templates_module
-from scan2albedo.recognition.templates import averaged_down, supported_mask, coarsest_bands, without_holes
+from scan2albedo.recognition.templates import averaged_down, coarsest_bands, supported_mask, without_holes
 
 
 def test_sizes_are_brought_to_one(albedo):

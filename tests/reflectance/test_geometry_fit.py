@@ -103,7 +103,7 @@ def vertex_error(vertices, truth):
 
 @pytest.fixture(autouse=True)
 def no_smoothing(monkeypatch):
-    """The pictures are no finer than the mesh, so nothing is to be smoothed."""
+    """The pictures are not finer than the mesh, so nothing is to be smoothed."""
     monkeypatch.setattr("scan2albedo.reflectance.geometry_fit.BLUR_EDGES", 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Photographs looked up at vertices: colours, hidden places, masks, tone, and pictures that are no use."""
+"""Photographs looked up at vertices: colours, hidden places, masks, tone, and pictures that are not use."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is no face is refused with the figures; what is one in hard conditions is not."""
+"""What is not a face is refused with the figures; what is one in hard conditions is not."""
 
 import numpy as np
 import pytest

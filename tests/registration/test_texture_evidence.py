@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.registration.texture_evidence import TextureEvidence, ColourScorer, texture_evidence
+from scan2albedo.registration.texture_evidence import ColourScorer, TextureEvidence, texture_evidence
 from scan2albedo.synthetic import Scanner, raw_scan
 
 SCORES = [field.name for field in fields(TextureEvidence) if field.name != "log_odds"]

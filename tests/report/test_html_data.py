@@ -211,7 +211,7 @@ def test_traces_leave_out_what_is_not_finite_and_refuse_other_files(tmp_path):
     file.write_text("stage,elapsed_s,cpu_s,evaluations,error,unit\na,1,1,1,nan,mm\na,2,2,2,0.5,mm\n")
     assert [row.error for row in read_trace(file)] == [0.5]
     file.write_text("x,y\n1,2\n")
-    with pytest.raises(Scan2AlbedoError, match="line 2 is no row of a trace"):
+    with pytest.raises(Scan2AlbedoError, match="line 2 is not a row of a trace"):
         read_trace(file)
     with pytest.raises(Scan2AlbedoError, match="cannot be read"):
         read_trace(tmp_path / "none.csv")

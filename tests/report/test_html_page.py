@@ -115,7 +115,7 @@ def test_files_that_are_missing_leave_their_part_out_and_say_so(write_scan, tmp_
 def test_a_damaged_trace_names_the_line(write_scan, tmp_path):
     folder = write_scan(tmp_path / "scan")
     (folder / "trace.csv").write_text("stage,elapsed_s,cpu_s,evaluations,error,unit\nfit,one,1,1,1,mm\n")
-    assert "line 2 is no row of a trace" in written(folder, tmp_path / "page.html").words()
+    assert "line 2 is not a row of a trace" in written(folder, tmp_path / "page.html").words()
 
 
 def test_a_result_without_an_albedo_shows_its_shape(write_scan, tmp_path):

@@ -11,7 +11,7 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import boundary_loops, face_areas, face_cross_products
 
 plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
-"""The domes below are no faces, so nothing is to be recognised in them."""
+"""The domes below are not faces, so nothing is to be recognised in them."""
 
 
 def dome(size: int = 40) -> tuple[np.ndarray, np.ndarray]:

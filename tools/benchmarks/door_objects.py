@@ -1,4 +1,4 @@
-"""Forty-three objects of a head's size that are no faces."""
+"""Forty-three objects of a head's size that are not faces."""
 
 from __future__ import annotations
 

@@ -83,7 +83,8 @@ class StageReport:
         return ", ".join(words)
 
     def beaten_by(self, peer: Point) -> str:
-        """Return how our cheapest point that is no worse than a peer in the first error compares with it."""
+        """Return how our cheapest point that is not worse than a peer in the first error compares with
+        it."""
         if not peer.errors[0] >= 0:
             return "failed"
         better = [p for p in self.ours if p.errors[0] <= peer.errors[0]]

@@ -59,7 +59,7 @@ def method_image(method: str, session: Session, options: RecognitionExperimentOp
         return histogram_equalized(bright, session.seen)
     if method == RETINEX:
         return multi_scale_retinex(bright, session.seen)
-    raise ValueError(f"{method!r} is no method, expected one of {', '.join(method_names(options))}")
+    raise ValueError(f"{method!r} is not a method, expected one of {', '.join(method_names(options))}")
 
 
 def session_templates(

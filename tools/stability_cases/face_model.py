@@ -64,7 +64,7 @@ def _() -> str:
 
 @CASES.extreme(STAGE, "kilometres", "named error")
 def _() -> str:
-    with naming("which is no head in mm, cm, m or um", "scale it to millimetres"):
+    with naming("which is not a head in mm, cm, m or um", "scale it to millimetres"):
         return modelled(1e-6 * face()[0], face()[1])[1]
 
 

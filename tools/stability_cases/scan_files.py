@@ -64,7 +64,7 @@ def _() -> str:
 
 def _no_head(factor: float) -> str:
     vertices, faces = head()
-    with naming("scan.ply: the scan is .* units long, which is no head", "unit='mm', 'cm' or 'm'"):
+    with naming("scan.ply: the scan is .* units long, which is not a head", "unit='mm', 'cm' or 'm'"):
         return loaded(factor * vertices, faces).notes[0]
 
 

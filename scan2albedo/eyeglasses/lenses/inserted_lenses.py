@@ -27,7 +27,7 @@ from scan2albedo.geometry.rays import RayCaster
 SIDES = ("left", "right")
 _BEHIND = ("hinge", "temple_middle", "ear_bend", "temple_tip")
 _RADII_MM = (5.0, 100.0)
-"""Mean radii of lenses, a reader's slit to a diving mask: others are no millimetres."""
+"""Mean radii of lenses, a reader's slit to a diving mask: others are not millimetres."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def insert_lens(
     the outline that were measured move `seat_mm` outward, into the rim.
 
     Raises EyeglassesError, naming the lens, when key points of the rim are missing, no rim is found, or its
-    size is no lens's in mm.
+    size is not a lens's in mm.
     """
     marks = rim_key_points(keypoints, side)
     top, bridge, inner, bottom, outer = marks

@@ -133,7 +133,7 @@ def insert_lenses(
     ------
     EyeglassesError
         When a rim's key points are missing or no lens fits into it (the message names which), a surface or
-        the picture is not finite, or sizes are no millimetres.
+        the picture is not finite, or sizes are not millimetres.
     ValueError
         When shapes do not fit together, or it is not clear what to draw: both or none of `shape` and
         `picture_linear`, no light, lights for a photograph.

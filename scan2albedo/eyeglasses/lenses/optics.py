@@ -128,7 +128,7 @@ def mirror_on_sphere(
     flat one.
     """
     axis = normalized(np.asarray(normal, np.float64))
-    # Divided by the radius, so that a flat front is no special case.
+    # Divided by the radius, so that a flat front is not a special case.
     outward = normalized(axis + (points - np.asarray(center, np.float64)) / radius_mm)
     heading = normalized(directions)
     return heading - 2 * np.einsum("ni,ni->n", heading, outward)[:, None] * outward

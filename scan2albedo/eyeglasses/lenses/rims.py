@@ -29,7 +29,7 @@ _AT_RIM = 0.25
 _ENOUGH = 0.75
 """Share of the places at which a lens is met; what crosses fewer is a strut or a nose pad."""
 _LONGEST_GAP_RAD = np.deg2rad(30.0)
-"""Wider gaps are no hole in a scan but an open rim, which a straight line would cut off."""
+"""Wider gaps are not holes in a scan but an open rim, which a straight line would cut off."""
 _FLAT = 0.05
 """Spread of rim points across their longest direction below which they are a line and hold no plane."""
 _REACH, _HEIGHTS = 0.16, 33

@@ -177,7 +177,7 @@ def cover(
 def trace_outline(
     covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
 ) -> Outline:
-    """Return the covered pixels with an uncovered 4-neighbour; the picture's border is no outline."""
+    """Return the covered pixels with an uncovered 4-neighbour; the picture's border is not an outline."""
     row, column, outward = _border(covered)
     length = np.linalg.norm(outward, axis=1)
     kept = length > 0

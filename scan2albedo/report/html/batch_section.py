@@ -129,7 +129,7 @@ def rows_of_catalogue(file: Path) -> list[ScanRow]:
     missing = [name for name in ("name", "status") if name not in table.column_names]
     if missing:
         raise Scan2AlbedoError(
-            f"{file}: has no column {' and no column '.join(missing)}; it is no catalogue of a batch"
+            f"{file}: has no column {' and no column '.join(missing)}; it is not a catalogue of a batch"
         )
     return [_row(entry, file.parent) for entry in table.to_pylist()]
 

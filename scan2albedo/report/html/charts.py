@@ -177,7 +177,7 @@ def read_trace(file: Path) -> list[TraceRow]:
                 line["unit"],
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise Scan2AlbedoError(f"{file}: line {k} is no row of a trace ({error})") from error
+            raise Scan2AlbedoError(f"{file}: line {k} is not a row of a trace ({error})") from error
         if math.isfinite(row.error) and math.isfinite(row.elapsed_s):
             rows.append(row)
     return rows

@@ -290,8 +290,8 @@ def material_pair(
 ) -> tuple[LensMaterial, LensMaterial]:
     """Return the left and the right lens of the command's options.
 
-    Raises ValueError when a text is no number or holds too many or too few, EyeglassesError when one is out
-    of range.
+    Raises ValueError when a text is not a number or holds too many or too few, EyeglassesError when one is
+    out of range.
     """
     powers = _numbers("--dioptres", dioptres, (1, 2))
     color = (

@@ -35,7 +35,7 @@ class RegisteredViewRecord(Record):
     camera: str
     labels: int = Field(ge=0, description="Key points labelled.")
     outliers: int = Field(ge=0, description="Labels farther off than three times their noise.")
-    label_rms_px: OptionalNumber = Field(None, description="Of the labels that are no outliers.")
+    label_rms_px: OptionalNumber = Field(None, description="Of the labels that are not outliers.")
     mask: bool = Field(description="Whether there was one.")
     outline_rms_px: OptionalNumber = Field(None, description="Where outline and mask can be compared.")
     iou: OptionalNumber = Field(

@@ -243,7 +243,7 @@ def read_model_folder(path: Path) -> FaceModels:
     Raises `ReflectanceError` when files are missing or damaged, or do not belong together.
     """
     if not path.is_dir():
-        raise ReflectanceError(f"{path} is no folder; give the one that `reflectance build` wrote")
+        raise ReflectanceError(f"{path} is not a folder; give the one that `reflectance build` wrote")
     model, mean = MorphableReflectanceModel.load(path / MODEL_FILE), read_reflectance(path / MEAN_FILE)
     if len(mean.vertices) != len(model.known):
         raise ReflectanceError(

@@ -162,7 +162,7 @@ def test_intervals_and_comparison(filled_cache, small_options):
 
 
 def test_an_unknown_method_is_refused(small_options, charts):
-    with pytest.raises(ValueError, match="is no method"):
+    with pytest.raises(ValueError, match="is not a method"):
         method_image("eigenfaces", charts[0, 0], small_options)
 
 
