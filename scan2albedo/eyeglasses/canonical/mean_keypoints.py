@@ -185,8 +185,8 @@ def unit_exponent(points: FloatArray, widths_mm: tuple[float, float], mesh_width
     if not low <= width * 10.0**exponent <= high:
         raise EyeglassesError(
             f"its front is {width:.4g} units wide, which is not a width of spectacles in mm, cm, m or "
-            f"another decimal unit (expected {low:g} to {high:g} mm): bring mesh and key points to their true "
-            "size, check the key points, or admit other widths (widths_mm; in the shell --widths)"
+            f"another decimal unit (expected {low:g} to {high:g} mm): bring mesh and key points to their "
+            "true size, check the key points, or admit other widths (widths_mm; in the shell --widths)"
         )
     return exponent
 
