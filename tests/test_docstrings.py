@@ -14,7 +14,7 @@ TITLES = ("Parameters", "Returns", "Yields", "Raises", "Warns", "Notes", "Refere
 RETURNING = ("Return", "Give", "Yield")
 """A first line that begins so says what is returned."""
 DESCRIBED_IN_TEXT = 2
-"""Methods of no more parameters may describe them in their text."""
+"""Functions and methods of no more parameters may describe them in their text, by name."""
 Function = ast.FunctionDef
 
 
@@ -138,13 +138,14 @@ def lacks_of_function(function: Function) -> Iterator[str]:
     """What a function's docstring lacks, or documents without need."""
     text = docstring(function)
     documented = documented_parameters(text)
-    yield from sorted(parameters(function) - documented)
+    if len(parameters(function)) > DESCRIBED_IN_TEXT or documented:
+        yield from sorted(parameters(function) - documented)
+    else:
+        yield from sorted(name for name in parameters(function) if not re.search(rf"\b{name}\b", text))
     yield from (f"no parameter {name}" for name in sorted(documented - parameters(function)))
     if returns_something(function) and not text.startswith(RETURNING) and section(text, "Returns") is None:
         yield "section Returns"
-    yield from (
-        f"raises {error}" for error in raised(function) if error not in (section(text, "Raises") or "")
-    )
+    yield from (f"raises {error}" for error in raised(function) if error not in text)
 
 
 def lacks_of_dataclass(node: ast.ClassDef) -> Iterator[str]:

@@ -72,6 +72,7 @@ def refine_similarity(
         steps=iterations,
         precision=precision,
         scale_range=scale_range,
+        growth=np.inf,
     ).pose
 
 

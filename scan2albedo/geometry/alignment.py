@@ -66,6 +66,7 @@ def align(
     modes: FloatArray | None = None,
     precision: FloatArray | None = None,
     scale_range: tuple[float, float] = (0.0, np.inf),
+    growth: float = _LARGEST_GROWTH,
     settled: float = 0.0,
 ) -> Alignment:
     """Return where reweighted Gauss-Newton steps take points (N, 3) with modes (N, 3, K) of their shape.
@@ -78,8 +79,8 @@ def align(
     with the targets y_i, normals n_i and robust weights r_i that `pairs` finds anew for the points (N, 3)
     where the present alignment puts them; None ends the search, as does a step shorter than `settled`.
     `weights` w (N,) have the sum W. `precision` P (K + 1, K + 1) is that of log s and c before the target is
-    seen, 0 by default; `scale_range` bounds s, and fixes it where both ends are the same. One step costs
-    O(N (K + 7)^2).
+    seen, 0 by default; `scale_range` bounds s, and fixes it where both ends are the same; `growth` bounds the
+    change of log s in one step. One step costs O(N (K + 7)^2).
     """
     count = 0 if modes is None else modes.shape[2]
     known = np.zeros((count + 1, count + 1)) if precision is None else precision
@@ -115,7 +116,7 @@ def align(
         gradient[6:] += prior @ np.concatenate([[size], c])
         upper, lower = np.full(7 + count, np.inf), np.full(7 + count, -np.inf)
         low, high = np.log(np.maximum(scale_range, 1e-300)) - size
-        lower[6], upper[6] = max(-_LARGEST_GROWTH, min(low, 0.0)), min(_LARGEST_GROWTH, max(high, 0.0))
+        lower[6], upper[6] = max(-growth, min(low, 0.0)), min(growth, max(high, 0.0))
         change = damped_step(NormalEquations(matrix, gradient, lower, upper), _RIDGE)
         pose = Similarity(
             rotation_from_vector(change[:3]) @ pose.rotation,

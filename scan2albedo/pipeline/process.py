@@ -96,6 +96,8 @@ landmarks, unlit, texture_size
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
+    **unknown
+        None: a misspelt option is refused with the one that was meant.
     """
     for wrong in unknown:
         names = ["name", "on_progress", *(option.name for option in fields(ProcessOptions))]

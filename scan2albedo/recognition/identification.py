@@ -100,9 +100,17 @@ def identify_by_similarity(
 ) -> Identification:
     """Return the identification by given similarities of any kind; larger is more alike.
 
-    `similarities` (P, images) are those of probes to gallery images, and the names those of their persons;
-    `combine` as in `identify`. ValueError when the shape does not fit the names or `combine` is unknown,
-    RecognitionError when a set is empty, a probe's person is not in the gallery, or one is not finite.
+    ValueError when the shape does not fit the names or `combine` is unknown, RecognitionError when a set is
+    empty, a probe's person is not in the gallery, or a similarity is not finite.
+
+    Parameters
+    ----------
+    similarities : (P, images) array_like
+        Those of probes to gallery images.
+    gallery_names, probe_names : sequence of str
+        Persons of the gallery's images and of the probes.
+    combine : {"best", "mean"}
+        As in `identify`.
 
     Examples
     --------
@@ -217,8 +225,14 @@ def match_probes(
 ) -> ProbeMatches:
     """Return the persons of a gallery, ranked by their similarity to each probe.
 
-    As `identify_by_similarity`, with None for probes whose person is unknown. The set is closed: a probe of a
-    stranger gets the most similar person too.
+    The set is closed: a probe of a stranger gets the most similar person too.
+
+    Parameters
+    ----------
+    similarities, gallery_names, combine
+        As in `identify_by_similarity`.
+    probe_persons : sequence of str or None
+        None for probes whose person is unknown.
 
     Examples
     --------

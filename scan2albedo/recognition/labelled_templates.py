@@ -220,15 +220,20 @@ def shape_file(file: Path) -> Path:
 
 
 def write_labelled_templates(path: str | Path, labelled: LabelledTemplates) -> tuple[Path, ...]:
-    """Write templates as NPZ files, each whole or not at all, and return their names.
+    """Write templates as NPZ files, each whole or not at all.
 
-    These are NAME.npz, and NAME.shape.npz where there are both albedo and shape.
+    Their names are NAME.npz, and NAME.shape.npz where there are both albedo and shape.
 
     Parameters
     ----------
     path : path
         Ends in .npz.
     labelled : LabelledTemplates
+
+    Returns
+    -------
+    tuple of path
+        The files.
 
     Raises
     ------
@@ -285,7 +290,7 @@ class TemplatesHeader(BaseModel):
 
 
 def write_templates(path: str | Path, templates: Templates) -> None:
-    """Write templates as an NPZ file, whole or not at all.
+    """Write templates as an NPZ file at `path`, whole or not at all.
 
     330 kB a template of an albedo of 256 pixels, three times that of a shape; not compressed, for the bits of
     coefficients do not repeat. ValueError when the name does not end in .npz, RecognitionError when there is
@@ -302,7 +307,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
 
 
 def read_templates(path: str | Path) -> Templates:
-    """Return the templates of a file that `write_templates` wrote.
+    """Return the templates of the file at `path` that `write_templates` wrote.
 
     RecognitionError when the file is missing, damaged, something else, or holds templates that cannot be
     used; names it.

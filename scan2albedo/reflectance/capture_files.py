@@ -88,7 +88,7 @@ class PhotographFiles:
 
 
 def read_photograph(path: str | Path) -> PhotographFiles:
-    """Return what a photograph file says, with its image, mask and mesh.
+    """Return what the photograph file at `path` says, with its image, mask and mesh.
 
     Raises `ReflectanceError` when the file is invalid, or mask and image differ in size; names it and the
     first fault; `ScanError` when image, mask or mesh cannot be read.
@@ -119,7 +119,7 @@ def read_photograph(path: str | Path) -> PhotographFiles:
 
 
 def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
-    """Write a photograph file, whole or not at all; the rest is the caller's. Raises `OutputError`."""
+    """Write `content` to `path`, whole or not at all; the rest is the caller's. Raises `OutputError`."""
     write_record(path, content, indent=1)
 
 
@@ -298,7 +298,7 @@ class CaptureFiles:
 
 
 def read_capture(path: str | Path) -> CaptureFiles:
-    """Return what a capture file says, and its mesh; no picture is read.
+    """Return what the capture file at `path` says, and its mesh; no picture is read.
 
     Raises `ReflectanceError` when the file or a pose in it is invalid; names it and the first fault;
     `ScanError` when the mesh cannot be read.
@@ -330,5 +330,8 @@ def read_capture(path: str | Path) -> CaptureFiles:
 
 
 def write_capture(path: str | Path, content: FlashCaptureFile) -> None:
-    """Write a capture file, whole or not at all; pictures and mesh are the caller's. Raises `OutputError`."""
+    """Write `content` to `path`, whole or not at all; pictures and mesh are the caller's.
+
+    Raises `OutputError`.
+    """
     write_record(path, content, indent=1)

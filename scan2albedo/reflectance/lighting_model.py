@@ -43,7 +43,13 @@ class LightingModel(LinearModel):
     def generate(cls, *, count: int = 600, components: int = COMPONENTS, seed: int = 0) -> LightingModel:
         """Learn a model of `components` directions from `count` maps of `generated_environment`.
 
-        Same seed, same model. Raises `ReflectanceError` when `count` is below 2, which has no directions.
+        Raises `ReflectanceError` when `count` is below 2, which has no directions.
+
+        Parameters
+        ----------
+        count, components : int
+        seed : int
+            Same seed, same model.
         """
         if count < 2:
             raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")

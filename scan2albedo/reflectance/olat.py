@@ -53,10 +53,11 @@ class CaptureDiagnostic:
     """One of "room_brighter_than_flash", "saturated", "not_finite"."""
     pair: int
     part: float
-    """Of the pair's pixels."""
+    """Share of the pixels of the `pair`."""
     left_out: bool
     """Whether the whole pair is."""
     message: str
+    """One sentence for a person."""
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,11 @@ def lobe_slopes(
 
     A normal tilted by t is (n + t_1 e_1 + t_2 e_2) / |.|, which multiplies n.l by
     (1 + t_1 e_1.l / n.l + t_2 e_2.l / n.l) / sqrt(1 + t.t), and n.h likewise. 0 where the light is behind.
-    Takes what `point_light_lobes` takes.
+
+    Parameters
+    ----------
+    vertices, normals, camera_positions, light_positions
+        As in `point_light_lobes`.
 
     Examples
     --------
@@ -207,7 +211,8 @@ def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-de
 def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> FloatArray:
     """Return (J, V, 3) linear radiance of vertices whose lobes (J, V, 4) are lit; NaN where not known.
 
-    `lobes` are those of `point_light_lobes`. Raises `ValueError` when they have another shape.
+    `reflectance` is that of V vertices; `lobes` are those of `point_light_lobes`. Raises `ValueError` when
+    they have another shape.
 
     Examples
     --------

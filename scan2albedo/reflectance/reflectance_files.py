@@ -93,6 +93,13 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
     """Write a mesh's reflectance as an .npz file, whole or not at all, with the figures of its fit if given.
 
     Raises `ValueError` when the name does not end in .npz, `OutputError` when the file cannot be written.
+
+    Parameters
+    ----------
+    path : path
+    mesh : MeshReflectance
+    fit : ReflectanceFit, optional
+        Whose figures go into the file.
     """
     one = mesh.reflectance
     header = MeshReflectanceHeader(exponents=EXPONENTS, vertices=len(mesh.vertices), faces=len(mesh.faces))
@@ -107,7 +114,7 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
 
 
 def read_reflectance(path: str | Path) -> MeshReflectance:
-    """Return a mesh's reflectance from its file, or from the folder that `fit` or `fit-image` wrote.
+    """Return a mesh's reflectance from its file at `path`, or from the folder of a fit.
 
     Raises `ReflectanceError` when the file is missing, damaged or something else; names it.
     """

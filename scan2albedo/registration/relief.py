@@ -155,9 +155,10 @@ class FaceImage:
             return ReliefAgreement(coverage, local, whole)
         # Noise of the vertices that lie on the surface which the image shows.
         points = transform_points(model_from_scan, vertices)
-        column, row = np.rint(self.frame.pixels(points)).astype(np.int64).T
+        # Far vertices have pixels that no integer holds.
+        column, row = np.rint(self.frame.pixels(points)).T
         shown = (column >= 0) & (column < _SIZE) & (row >= 0) & (row < _SIZE)
-        at = np.where(common, seen, np.inf)[row[shown], column[shown]]
+        at = np.where(common, seen, np.inf)[row[shown].astype(int), column[shown].astype(int)]
         shown[shown] = np.abs(points[shown, 2] - at) < _SAME_POINT_MM
         noise_mm, area_mm2 = noise.among(shown)
         # Variance of blurred slopes (both axes). Of independent depths, one in an area, under a Gaussian

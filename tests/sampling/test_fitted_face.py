@@ -211,7 +211,7 @@ def test_vertex_colours_serve_where_there_is_no_texture():
 
 
 def test_too_small_a_size_is_refused():
-    with pytest.raises(GeometryImageError, match="size 4 is too small"):
+    with pytest.raises(GeometryImageError, match="size 4 does not suit"):
         geometry_image(patch(), None, size=4)
 
 

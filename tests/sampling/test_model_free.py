@@ -52,5 +52,5 @@ def test_colours_come_along():
 
 def test_too_small_a_size_is_refused():
     sphere = trimesh.creation.icosphere(1, 80.0)
-    with pytest.raises(GeometryImageError, match="size 7 is too small"):
+    with pytest.raises(GeometryImageError, match="size 7 does not suit"):
         geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 7)
