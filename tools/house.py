@@ -7,7 +7,8 @@ Columns:
 
 - lines: of all Python files; code: of those the lines that are not comment, docstring or blank;
 - modules: files; types: data classes and records;
-- constants: statements at module level that set at least one number (in a tuple, a call or a sum too);
+- constants: names at module level that are set to numbers (in a tuple, a call or a sum too), each name of a
+  statement that sets several;
 - literals: fractions written inside functions, without 0.5: where a constant that was moved would hide;
 - once: private functions of a module that stand once beside their definition;
 - options: fields of classes named `...Options`; unset: of those the ones that no call in the package sets,
@@ -47,7 +48,7 @@ def figures(root: Path = ROOT) -> dict[str, Counter[str]]:
         row["lines"] += text.count("\n")
         row["code"] += _code_lines(text, tree)
         row["modules"] += 1
-        row["constants"] += sum(map(_sets_numbers, tree.body))
+        row["constants"] += sum(map(_numbers_set, tree.body))
         row["literals"] += _fractions(tree)
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
@@ -105,10 +106,13 @@ def _holds_number(node: ast.AST) -> bool:
     return _is_number(node)
 
 
-def _sets_numbers(node: ast.stmt) -> bool:
-    return (
-        isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None and _holds_number(node.value)
-    )
+def _numbers_set(node: ast.stmt) -> int:
+    """Return how many names a statement sets to numbers."""
+    if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
+        return 0
+    target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+    names = len(target.elts) if isinstance(target, ast.Tuple) else 1
+    return names if _holds_number(node.value) else 0
 
 
 def _fractions(tree: ast.Module) -> int:

@@ -29,7 +29,7 @@ def test_each_column_counts_what_it_says(tmp_path):
         "from dataclasses import dataclass\n\n"
         "_LIMIT = 0.25\n"
         "_NAMES = ('a', 'b')\n"
-        "_PAIR = (1, 2)\n\n"
+        "_LOW, _HIGH = 1, 2\n\n"
         "@dataclass\n"
         "class LampOptions:\n"
         '    """Doc."""\n'
@@ -41,5 +41,5 @@ def test_each_column_counts_what_it_says(tmp_path):
         "    return _helper(LampOptions(size=2))\n"
     )
     lines = {"lines": 18, "code": 12, "modules": 1, "types": 1}
-    numbers = {"constants": 2, "literals": 1, "once": 1, "options": 2, "unset": 1}
+    numbers = {"constants": 3, "literals": 1, "once": 1, "options": 2, "unset": 1}
     assert house.figures(tmp_path) == {"light": Counter(lines | numbers)}
