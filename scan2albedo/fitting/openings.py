@@ -6,13 +6,14 @@ from itertools import product
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_HOLE, LandmarkPull
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.mesh import boundary_loops
+from scan2albedo.geometry.mesh import boundary_edges
 
 EYES = (tuple(range(36, 42)), tuple(range(42, 48)))
 """iBUG-68, the subject's right eye first."""
@@ -30,13 +31,13 @@ _MIDDLE_MM, _END_MM = 1.5, 3.0
 
 
 class _Hole:
-    """The hole with a border (N, 3): its middle, `ends` (2, 3) on the subject's right and left, width,
-    height."""
+    """The hole with a border of edges (N, 2, 3): its middle, `ends` (2, 3) on the subject's right and left,
+    width, height."""
 
-    def __init__(self, points: FloatArray) -> None:
-        after = np.roll(points, -1, axis=0)
-        edges = np.linalg.norm(after - points, axis=1)
-        self.middle = edges @ (after + points) / 2 / max(float(edges.sum()), 1e-12)
+    def __init__(self, border: FloatArray) -> None:
+        edges = np.linalg.norm(border[:, 1] - border[:, 0], axis=1)
+        self.middle = edges @ border.mean(1) / max(float(edges.sum()), 1e-12)
+        points = border.reshape(-1, 3)
         self.ends = points[[np.argmin(points[:, 0]), np.argmax(points[:, 0])]]
         self.size = np.ptp(points, axis=0)[:2]
 
@@ -58,7 +59,11 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     landmarks = model.landmarks
     if landmarks is None or model.landmark_points is None or not scan.boundary.any():
         return None
-    holes = [_Hole(scan.vertices[loop]) for loop in boundary_loops(scan.faces)]
+    # Edges that hang together: where a border touches itself, loops would cut a mouth in two.
+    edges = boundary_edges(scan.faces)
+    links = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(scan.vertices),) * 2)
+    label = connected_components(links, directed=False)[1][edges[:, 0]]
+    holes = [_Hole(scan.vertices[edges[label == one]]) for one in np.unique(label)]
     right_eye, left_eye = (landmarks[list(eye)].mean(0) for eye in EYES)
     pairs = []
     for right, left in product(
