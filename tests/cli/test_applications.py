@@ -97,7 +97,7 @@ def test_relight_writes_glb_and_sweeps(folders, tmp_path):
     with Image.open(tmp_path / "sweep.gif") as gif:
         assert gif.n_frames == 4
     assert run(*sweep, tmp_path / "frames").exit_code == 0
-    assert len(list((tmp_path / "frames").iterdir())) == 3
+    assert len(list((tmp_path / "frames").glob("frame_*.png"))) == 3
 
 
 @pytest.mark.parametrize(

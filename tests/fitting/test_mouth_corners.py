@@ -1,5 +1,7 @@
 """The corners of the mouth are drawn back before the face bends."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,8 @@ from scan2albedo.fitting.mouth_corners import CORNERS, FIRST_MM, FURTHER_MM, Mou
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.synthetic import raw_like
+
+FIT = import_module("scan2albedo.fitting.fit")
 
 RIGHT, LEFT = CORNERS
 
@@ -88,8 +92,8 @@ def test_a_smile_is_followed_only_with_the_search(ict, shape, monkeypatch):
     error = {}
     for search in (True, False):
         if not search:
-            monkeypatch.setattr("scan2albedo.fitting.fit.mouth_opened", lambda deformation, _: deformation)
-            monkeypatch.setattr("scan2albedo.fitting.fit.corners_pulled", lambda deformation: deformation)
+            monkeypatch.setattr(FIT, "mouth_opened", lambda deformation, _: deformation)
+            monkeypatch.setattr(FIT, "corners_pulled", lambda deformation: deformation)
         fitted = fit(scan, ict.model, pose)
         truth = transform_points(fitted.model_from_scan @ scan_from_shape, given)
         error[search] = np.linalg.norm(fitted.landmarks - truth, axis=1)[list(CORNERS)].mean()

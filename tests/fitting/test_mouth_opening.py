@@ -1,4 +1,5 @@
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.fitting.stages import Deformation
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.synthetic import raw_like
+
+FIT = import_module("scan2albedo.fitting.fit")
 
 
 def without_film(model, control_points):
@@ -126,8 +129,8 @@ def test_an_open_mouth_is_followed_only_with_the_search(ict, monkeypatch):
         return np.linalg.norm(fitted.landmarks - goal, axis=1)[list(MOVING)].mean()
 
     assert chin_error() < 2.0
-    monkeypatch.setattr("scan2albedo.fitting.fit.mouth_opened", lambda deformation, _: deformation)
-    monkeypatch.setattr("scan2albedo.fitting.fit.corners_pulled", lambda deformation: deformation)
+    monkeypatch.setattr(FIT, "mouth_opened", lambda deformation, _: deformation)
+    monkeypatch.setattr(FIT, "corners_pulled", lambda deformation: deformation)
     assert chin_error() > 6.0
 
 

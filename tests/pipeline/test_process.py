@@ -21,6 +21,7 @@ from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.io import publishing
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.pipeline import process as pipeline_process
@@ -471,19 +472,18 @@ def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
 
 
 @pytest.mark.slow
-def test_an_interrupted_renaming_leaves_no_folder_that_looks_whole(result, tmp_path, monkeypatch):
+def test_an_interrupted_publication_leaves_the_whole_old_result(result, tmp_path, monkeypatch):
     folder = result_files.write_result(result, tmp_path)
-    replace_file = os.replace
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
 
-    def killed(source, target):
-        if Path(target).name == "overview.png" and Path(target).parent == folder:
-            raise KeyboardInterrupt
-        replace_file(source, target)
+    def interrupted(*paths):
+        raise KeyboardInterrupt
 
-    monkeypatch.setattr(os, "replace", killed)
+    monkeypatch.setattr(publishing, "_exchange", interrupted)
     with pytest.raises(KeyboardInterrupt):
         result_files.write_result(result, tmp_path)
-    assert not (folder / "result.json").exists()
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
     monkeypatch.undo()
     assert (result_files.write_result(result, tmp_path) / "result.json").is_file()
 

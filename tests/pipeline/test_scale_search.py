@@ -40,7 +40,7 @@ def test_a_unit_that_is_given_stands(case, tmp_path):
     file = write(tmp_path / "any.obj", case[0], 0.037)
     with pytest.raises(RegistrationError):
         s2a.process(file, unit="mm", size=64)
-    with pytest.raises(UnitError, match="no head in mm, cm or m"):
+    with pytest.raises(UnitError, match="not a head in mm, cm or m"):
         s2a.load_scan(write(tmp_path / "huge.obj", case[0], 41.0))
 
 

@@ -528,7 +528,7 @@ for _name, _focal in (("1", 1.0), ("1e6", 1e6)):
     def _wrong_focal(focal: float = _focal) -> str:
         cameras = np.stack(
             [
-                np.diag([focal / SMALL.focal_px, focal / SMALL.focal_px, 1]) @ camera
+                np.diag([focal / SMALL["focal_px"], focal / SMALL["focal_px"], 1]) @ camera
                 for camera in _worn().cameras
             ]
         )

@@ -314,7 +314,7 @@ class _View:
             parts, through = (c.reshape(len(edge), -1, 3) for c in (fine.bare, fine.shaded))
             # Means of equal numbers may differ from them in the last digit; differences of 0 stay 0.
             once.bare[edge] = parts[:, 0] + (parts - parts[:, :1]).mean(1)
-            once.shaded[edge] = once.bare[edge] + (through - parts).mean(1)
+            once.shaded[edge] = np.maximum(once.bare[edge] + (through - parts).mean(1), 0.0)
             once.unknown[edge] = fine.unknown.reshape(len(edge), -1).any(1)
         return once
 

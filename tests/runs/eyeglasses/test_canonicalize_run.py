@@ -212,7 +212,7 @@ def test_a_dense_screw_does_not_decide_the_unit(tmp_path):
     screw.apply_translation([60, 0, 0])
     path, glasses = save(tmp_path, extra=screw, marks="unknown")
     assert len(screw.vertices) > len(glasses.vertices)
-    with pytest.raises(ScanError, match="no head"):
+    with pytest.raises(ScanError, match="not a head"):
         load_scan(path)
     assert read_frame(path).mm_per_unit == 1.0
 
@@ -229,7 +229,7 @@ def test_sizes_of_no_glasses_are_told(tmp_path):
     path, _ = save(tmp_path)
     marks = read_keypoints(tmp_path / "frame.keypoints.json")
     write_keypoints(tmp_path / "frame.keypoints.json", marks / 5, unit="unknown")
-    with pytest.raises(ScanError, match=r"frame\.ply: the glasses are \d\d\.\d* units long, which is no"):
+    with pytest.raises(ScanError, match=r"frame\.ply: the glasses are \d\d\.\d* units long, which is not a"):
         read_frame(path)
     with pytest.raises(ScanError, match=r"are \d\d\.\d* m long, but glasses measure 50 to 400 mm"):
         read_frame(path, unit="m")
