@@ -31,8 +31,7 @@ _MIDDLE_MM, _END_MM = 1.5, 3.0
 
 
 class _Hole:
-    """The hole with a border of edges (N, 2, 3): its middle, `ends` (2, 3) on the subject's right and left,
-    width, height."""
+    """The hole with a border of edges (N, 2, 3); its `ends` (2, 3) are the subject's right and left."""
 
     def __init__(self, border: FloatArray) -> None:
         edges = np.linalg.norm(border[:, 1] - border[:, 0], axis=1)

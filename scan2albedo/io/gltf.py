@@ -202,18 +202,12 @@ def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tup
     material = [p.material for p in parts if p.material is not None]
     colors = None
     if any(p.vertex_color_linear is not None for p in parts):
-        plain = [
-            materials[p.material[0]] if p.material is not None and len(p.material) else Material("")
-            for p in parts
-        ]
-        colors = np.concatenate(
-            [
-                np.tile(np.array(base.base_color_linear, np.float32), (len(p.vertices), 1))
-                if p.vertex_color_linear is None
-                else p.vertex_color_linear
-                for p, base in zip(parts, plain, strict=True)
-            ]
-        )
+        every = []
+        for p in parts:
+            own = Material("") if p.material is None or not len(p.material) else materials[p.material[0]]
+            plain = np.tile(np.array(own.base_color_linear, np.float32), (len(p.vertices), 1))
+            every.append(plain if p.vertex_color_linear is None else p.vertex_color_linear)
+        colors = np.concatenate(every)
     return ParsedMesh(
         vertices=np.concatenate([p.vertices for p in parts]),
         faces=np.concatenate([p.faces + offset for p, offset in zip(parts, offsets, strict=False)]),

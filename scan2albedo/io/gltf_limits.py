@@ -19,8 +19,6 @@ _NOT_DECODED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _MANY_COPIES = "KHR_materials_pbrSpecularGlossiness"
 """Its pictures are converted in floats of 64 bits, several at a time."""
 _COPIES = 8
-_STRIP = 5
-"""Mode of a primitive."""
 
 
 def require_readable(name: str, tree: Tree, image_bytes: Callable[[int], bytes | None]) -> None:
@@ -56,7 +54,7 @@ def require_readable(name: str, tree: Tree, image_bytes: Callable[[int], bytes |
             if "indices" in primitive:
                 corners = tree["accessors"][primitive["indices"]]["count"]
             vertices += count
-            triangles += corners if primitive.get("mode") == _STRIP else corners // 3
+            triangles += corners if primitive.get("mode") == 5 else corners // 3  # 5 is a strip
         meshes.append((vertices, triangles, len(mesh["primitives"])))
     most = {"vertices": limits.VERTICES, "triangles": limits.TRIANGLES, "primitives": limits.NODES}
     shown = [meshes[node["mesh"]] for node in _nodes(name, tree) if "mesh" in node]

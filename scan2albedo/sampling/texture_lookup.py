@@ -145,12 +145,10 @@ class TextureLookup:
         center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
         inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
         footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
-        taps = FEWEST_TAPS
-        if len(footprint):
-            # So many that no pixel between them is left out.
-            sides = np.linalg.norm(footprint, axis=1).max(1)
-            longest = np.ceil(float(np.percentile(sides, TAPS_PERCENTILE)))
-            taps = int(np.clip(longest, FEWEST_TAPS, MOST_TAPS))
+        # So many that no pixel between them is left out.
+        sides = np.linalg.norm(footprint, axis=1).max(1)
+        longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
+        taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
         return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
 
     def _uv_gradients(self, near: IntArray) -> FloatArray:
