@@ -80,7 +80,7 @@ def test_a_folder_without_textures_results_and_hidden_files(tmp_path):
         ("scan,x\n,1\n", "line 2: names no scan"),
         ("scan\na.ply,b\n", "line 2: has 2 cells, the header 1"),
         ('scan\n"a.ply\n', "mend its quotes"),
-        ("scan\na\0.ply\n", "no text file"),
+        ("scan\na\0.ply\n", "not a text file"),
     ],
 )
 def test_a_faulty_table_is_one_clear_error(tmp_path, text, words):

@@ -77,7 +77,7 @@ def test_no_file_and_no_text_name_the_file(tmp_path):
     with pytest.raises(EyeglassesError, match=r"none\.json: .*No such file"):
         read_keypoints(tmp_path / "none.json")
     (tmp_path / "binary.json").write_bytes(b"\xff\xfe\x80")
-    with pytest.raises(EyeglassesError, match=r"binary\.json: is not text"):
+    with pytest.raises(EyeglassesError, match=r"binary\.json: is not a text file"):
         read_keypoints(tmp_path / "binary.json")
     with pytest.raises(ValueError, match=r"\(20, 3\), got \(19, 3\)"):
         write_keypoints(tmp_path / "a.json", np.zeros((19, 3)))

@@ -71,7 +71,7 @@ def test_what_process_wrote_is_read_back_with_its_deviations(tmp_path):
         ("a.json", '{"30": [1, 2, NaN]}', "'nan' is not a finite number"),
         ("a.json", '{"30": [1, 2, true]}', "'True' is not a finite number"),
         ("a.json", '{"landmarks": 5}', "holds no landmarks"),
-        ("a.pp", "<a><b></a>", "no file of picked points"),
+        ("a.pp", "<a><b></a>", "not a file of picked points"),
         ("a.pp", '<a><point x="1" y="2" z="3" name="nose"/></a>', "'nose' is not the number of a landmark"),
         ("a.pp", '<a><point x="1" y="2" name="30"/></a>', "'None' is not a finite number"),
         ("a.xyz", "", "read from .csv, .json and .pp"),

@@ -72,7 +72,7 @@ def test_persons_may_be_left_open(folder):
         ("person,result\nann,out/ann\nbob,out/../out/ann\n", "shows ann on line 2 and bob on line 3"),
         (b"person,result\nZo\xeb,out/ann\n", r"no UTF-8 text \(byte 16 is 0xeb\)"),
         ("person,result\nann,out/ann\n".encode("utf-16"), "UTF-16"),
-        (b"PK\x03\x04\x00\x00person,result", "no text file"),
+        (b"PK\x03\x04\x00\x00person,result", "not a text file"),
     ],
 )
 def test_what_is_wrong_is_told_with_its_line(folder, text, words):

@@ -346,7 +346,7 @@ def test_what_cannot_be_fitted_is_refused(model, face):
     image = face.image
     with pytest.raises(ReflectanceError, match="undetermined"):
         refine_geometry(image, CAMERA, NO_MARKS, model, initial_scene_from_model=np.eye(4))
-    with pytest.raises(ReflectanceError, match="no rigid"):
+    with pytest.raises(ReflectanceError, match="not a rigid"):
         refine_geometry(image, CAMERA, face.landmarks, model, initial_scene_from_model=2 * np.eye(4))
     few = VertexReflectance(np.ones((5, 3)), np.ones((5, 3)), np.ones(5, bool))
     with pytest.raises(ReflectanceError, match="topology"):
