@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -18,7 +20,7 @@ from scan2albedo.cli.common import (
     refuse_shared_folders,
     stop_cleanly_on_interrupt,
 )
-from scan2albedo.errors import one_line
+from scan2albedo.errors import EyeglassesError, OutputError, Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
@@ -28,9 +30,19 @@ app = typer.Typer(help="Eyeglasses: canonical frames, frames registered on faces
 UnitOption = Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")]
 
 
-@app.callback()
-def _common() -> None:
-    """Eyeglasses."""
+@contextmanager
+def _one_frame(frame: Path, stage: str, json_summary: bool) -> Iterator[ProgressLines]:
+    """Say progress, and end the command with one line, and JSON if wanted, on an error about the frame."""
+    from scan2albedo.cli.progress import ProgressLines
+
+    with ProgressLines(stage) as progress:
+        try:
+            yield progress
+        except Scan2AlbedoError as error:
+            progress.say(f"scan2albedo: error: {one_line(error)}")
+            if json_summary:
+                echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
+            raise typer.Exit(USAGE_ERROR) from None
 
 
 @app.command("key-points")
@@ -40,7 +52,6 @@ def key_points(
     ] = None,
 ) -> None:
     """Say where the 20 key points of a frame go; with -o, show it in a labelled picture."""
-    from scan2albedo.errors import OutputError
     from scan2albedo.io.atomic import atomic_path, check_writable
     from scan2albedo.report.key_point_chart import key_point_chart, key_point_table
 
@@ -73,14 +84,14 @@ def canonicalize(
         typer.Option(help="mean_keypoints.json of an earlier set, to use in place of this set's mean."),
     ] = None,
     mode: Annotated[
-        str,
+        Literal["unbend", "mean"],
         typer.Option(
             help="unbend: take pose and bend away, keep each frame's own shape and sizes. mean: bring all "
             "key points to the mean's, with the proportions of the mean for all."
         ),
     ] = "unbend",
     handles: Annotated[
-        str,
+        Literal["turned", "translated"],
         typer.Option(
             help="For mode mean: turned, or translated: key points turn their surroundings or only shift it."
         ),
@@ -102,7 +113,6 @@ def canonicalize(
             f"--keypoints is given {len(keypoints)} times for {len(meshes)} meshes; give it once for each"
         )
     from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.errors import EyeglassesError
     from scan2albedo.io.atomic import check_writable
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.eyeglasses.canonicalize_run import (
@@ -112,23 +122,23 @@ def canonicalize(
         read_frames,
         write_canonical_files,
     )
+    from scan2albedo.runs.eyeglasses.inputs import numbers
 
-    if handles not in ("turned", "translated"):
-        raise typer.BadParameter(f"handles is {handles!r}, expected turned or translated")
-    if mode not in ("unbend", "mean"):
-        raise typer.BadParameter(f"mode is {mode!r}, expected unbend or mean")
     if mode == "unbend" and handles != "turned":
         raise typer.BadParameter("--handles translated is for --mode mean")
-    carrier: Literal["turned", "translated"] = "turned" if handles == "turned" else "translated"
-    wish: Literal["unbend", "mean"] = "unbend" if mode == "unbend" else "mean"
-    limits = _widths(widths)
+    try:
+        low, high = numbers("--widths", widths, 2)
+        if not 0 < low < high:
+            raise ValueError(f"--widths is {widths!r}, expected two lengths in mm such as 110,170")
+    except ValueError as error:
+        raise typer.BadParameter(one_line(error)) from None
     spend = checked_budget(budget, unit)
     stop_cleanly_on_interrupt(out)
     check_writable(out)
     RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
     figures: dict[str, dict[str, Any]] = {}
     with ProgressLines("glasses") as progress:
-        frames, failures = read_frames(meshes, keypoints, unit, limits)
+        frames, failures = read_frames(meshes, keypoints, unit, (low, high))
         for frame in frames:
             for note in frame.scan.notes:
                 progress.say(f"{frame.name}: {note}")
@@ -139,9 +149,9 @@ def canonicalize(
                 frames,
                 failures,
                 mean=mean,
-                mode=wish,
-                handles=carrier,
-                widths_mm=limits,
+                mode=mode,
+                handles=handles,
+                widths_mm=(low, high),
                 budget=spend,
                 on_progress=progress.update,
             )
@@ -160,32 +170,15 @@ def canonicalize(
             progress.say(f"{name}: key points were {bend:.2f} mm rms off {of}; files in {out / name}")
     if json_summary:
         reasons = {failure.file: one_line(failure.reason) for failure in failures}
-        rows = [_row(mesh, reasons.get(str(mesh)), figures, out) for mesh in meshes]
+        rows: list[dict[str, Any]] = [
+            {"frame": str(mesh), "status": "failed", "reason": reasons[str(mesh)]}
+            if str(mesh) in reasons
+            else {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}
+            for mesh in meshes
+        ]
         echo_json(rows if len(rows) > 1 else rows[0])
     if failures:
         raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)
-
-
-def _widths(text: str) -> tuple[float, float]:
-    try:
-        low, high = (float(part) for part in text.split(","))
-    except ValueError:
-        low, high = 0.0, 0.0
-    if not 0 < low < high:
-        raise typer.BadParameter(f"--widths is {text!r}, expected two lengths in mm such as 110,170")
-    return low, high
-
-
-def _row(mesh: Path, reason: str | None, figures: dict[str, dict[str, Any]], out: Path) -> dict[str, Any]:
-    if reason is not None:
-        return {"frame": str(mesh), "status": "failed", "reason": reason}
-    return {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}
-
-
-def _report_failure(frame: Path, error: Exception, progress: ProgressLines, json_summary: bool) -> None:
-    progress.say(f"scan2albedo: error: {one_line(error)}")
-    if json_summary:
-        echo_json(_row(frame, one_line(error), {}, frame))
 
 
 @app.command()
@@ -220,8 +213,6 @@ def register(
     calibrated with the scanner come into it by their matrices times the inverse of model_from_scan in the
     registration.json beside it.
     """
-    from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.io.atomic import check_writable
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.eyeglasses.inputs import CANONICAL, read_registration
@@ -233,32 +224,19 @@ def register(
     stop_cleanly_on_interrupt(out)
     check_writable(out)
     RunFolder(out, FILES).check()
-    with ProgressLines("glasses") as progress:
+    with _one_frame(mesh, "glasses", json_summary) as progress:
         progress.say(f"glasses: reading {mesh}")
-        try:
-            more = {"masks": masks, "head": head, "keypoints": keypoints, "start": start}
-            given = read_registration(mesh, cameras, labels, **more, unit=unit)
-            done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
-            figures = write_registration_files(done, out)
-        except Scan2AlbedoError as error:
-            _report_failure(mesh, error, progress, json_summary)
-            raise typer.Exit(USAGE_ERROR) from None
+        more = {"masks": masks, "head": head, "keypoints": keypoints, "start": start}
+        given = read_registration(mesh, cameras, labels, **more, unit=unit)
+        done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
+        figures = write_registration_files(done, out)
         for note in done.notes:
             progress.say(f"{given.frame.name}: {note}")
         progress.say(f"{done.summary()}; files in {out}")
     if json_summary:
-        result = done.result
-        echo_json(
-            {
-                "frame": str(mesh),
-                "status": "done",
-                "out": str(out),
-                **figures,
-                "converged": result.converged,
-                "unobserved": result.unobserved,
-                "views": [view.model_dump() for view in done.views],
-            }
-        )
+        views = [view.model_dump() for view in done.views]
+        ended = {"converged": done.result.converged, "unobserved": done.result.unobserved, "views": views}
+        echo_json({"frame": str(mesh), "status": "done", "out": str(out), **figures, **ended})
 
 
 @app.command()
@@ -347,41 +325,26 @@ def lenses(
     so that a white plate that faces as the frame does is 0.9 of white, the same for all views; the factor is
     printed. Photographs keep their own light and exposure. Lenses are clear window glass by default.
     """
-    from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.eyeglasses import LensPictureOptions
     from scan2albedo.io.atomic import check_writable
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.io.units import check_unit
-    from scan2albedo.runs.eyeglasses.inputs import read_lens_scene
-    from scan2albedo.runs.eyeglasses.lenses_run import FILES, material_pair, run_lenses
+    from scan2albedo.runs.eyeglasses.inputs import material_pair, read_lens_scene
+    from scan2albedo.runs.eyeglasses.lenses_run import FILES, run_lenses
 
+    shares: dict[str, Any] = {"alpha": alpha, "beta": beta}
+    files: dict[str, Any] = {"keypoints": keypoints, "views": view or (), "pictures": picture or ()}
     try:
         check_unit(unit)
-        materials = material_pair(
-            dioptres, tint=tint, alpha=alpha, beta=beta, sunglasses=sunglasses, fresnel=fresnel
-        )
+        materials = material_pair(dioptres, tint=tint, **shares, sunglasses=sunglasses, fresnel=fresnel)
     except (ValueError, Scan2AlbedoError) as error:
         raise typer.BadParameter(one_line(error)) from None
     stop_cleanly_on_interrupt(out)
-    with ProgressLines("lenses") as progress:
-        try:
-            RunFolder(out, FILES).check()
-            source = read_lens_scene(
-                frame,
-                head,
-                cameras,
-                keypoints=keypoints,
-                views=view or (),
-                pictures=picture or (),
-                environment=environment,
-                unit=unit,
-            )
-            check_writable(out)
-            options = LensPictureOptions(supersampling=supersampling, light_count=lights)
-            record = run_lenses(source, materials, options, out, progress.say)
-        except Scan2AlbedoError as error:
-            _report_failure(frame, error, progress, json_summary)
-            raise typer.Exit(USAGE_ERROR) from None
+    with _one_frame(frame, "lenses", json_summary) as progress:
+        RunFolder(out, FILES).check()
+        source = read_lens_scene(frame, head, cameras, **files, environment=environment, unit=unit)
+        check_writable(out)
+        options = LensPictureOptions(supersampling=supersampling, light_count=lights)
+        record = run_lenses(source, materials, options, out, progress.say)
     if json_summary:
         echo_json({"frame": str(frame), "status": "done", "out": str(out), **record.model_dump(mode="json")})

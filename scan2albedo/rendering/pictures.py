@@ -16,8 +16,6 @@ DISTANCE_MM = 700.0
 """From the camera of a portrait to the middle of the face."""
 PORTRAIT_MARGIN = 1.12
 """A portrait's width as a multiple of the face's."""
-_BRIGHT, _BRIGHT_PERCENTILE = 0.8, 98
-"""Automatic exposure shows this percentile of the brightest channel at this linear level."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +41,11 @@ class Picture:
         return encode_srgb_bytes(shown + background * (1 - self.alpha[..., None]))
 
 
-def auto_exposure(linear: ArrayLike, level: float = _BRIGHT, percentile: float = _BRIGHT_PERCENTILE) -> float:
-    """Return the factor that puts the bright part of colours (N, 3) just below white; 1 for black ones."""
+def auto_exposure(linear: ArrayLike, level: float = 0.8, percentile: float = 98) -> float:
+    """Return the factor that shows a percentile of the brightest channels at a linear level; 1 for black.
+
+    `linear` are colours (N, 3); the defaults put the bright part of a face just below white.
+    """
     brightest = np.asarray(linear).reshape(-1, 3).max(-1)
     bright = float(np.percentile(brightest, percentile)) if len(brightest) else 0.0
     return level / bright if bright > 0 else 1.0

@@ -81,11 +81,15 @@ def insert_lens(
     try:
         normal = _viewers_side(fit_normal(marks, vertices), guess, keypoints)
         rim = find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal)
-        # The rim's own plane and the centroid in it take the place of what they were guessed to be.
+        # The rim's own plane and the area's centroid in it take the place of what they were guessed to be.
         middle = rim.points.mean(0)
         axis = np.linalg.svd(rim.points - middle, full_matrices=False)[2][2]
         axis = axis * np.sign(axis @ rim.normal)
-        rim = replace(rim, normal=axis, center=_centroid(LensPlane.at(middle, axis), rim.points))
+        plane = LensPlane.at(middle, axis)
+        x, y = (rim.points - middle) @ plane.across, (rim.points - middle) @ plane.up
+        twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
+        cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
+        rim = replace(rim, normal=axis, center=middle + cx * plane.across + cy * plane.up)
         radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
         if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
             raise EyeglassesError(
@@ -146,15 +150,6 @@ def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray)
     if len(behind) == 0:
         return normal
     return -normal if (behind.mean(0) - center) @ normal > 0 else normal
-
-
-def _centroid(plane: LensPlane, outline: FloatArray) -> FloatArray:
-    """Return the area's centroid (3,) of an outline (R, 3) seen along the plane's normal."""
-    offset = outline - plane.center
-    x, y = offset @ plane.across, offset @ plane.up
-    twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
-    cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
-    return np.asarray(plane.center + cx * plane.across + cy * plane.up)
 
 
 def lens_mesh(

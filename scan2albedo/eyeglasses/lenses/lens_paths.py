@@ -71,8 +71,12 @@ def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], rays: SceneRa
         waiting, which, nearest = waiting[meets], which[meets], nearest[meets]
         ahead[waiting, which] = False
         for k, lens in enumerate(lenses):
-            if (which == k).any():
-                _cross(scene, lens, paths, waiting[which == k], nearest[which == k])
+            here = which == k
+            glancing = np.abs(own.directions[waiting] @ np.asarray(lens.optics.normal)) <= _GLANCING
+            glancing |= nearest <= _GLANCING
+            paths.glancing += int((here & glancing).sum())
+            if (here & ~glancing).any():
+                _cross(scene, lens, paths, waiting[here & ~glancing], nearest[here & ~glancing])
     return paths
 
 
@@ -82,11 +86,6 @@ def _cross(
     """Take rays (M,) through a lens that lies `distance` (M,) ahead of them."""
     own, material = paths.rays, lens.material
     normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
-    glancing = (np.abs(own.directions[rays] @ normal) <= _GLANCING) | (distance <= _GLANCING)
-    paths.glancing += int(glancing.sum())
-    rays, distance = rays[~glancing], distance[~glancing]
-    if len(rays) == 0:
-        return
     heading, before = own.directions[rays], own.origins[rays]
     position = before + heading * distance[:, None]
     # Rims are not flat: the plane of the thin lens is moved along its normal to where each ray meets the
@@ -108,11 +107,10 @@ def _cross(
     )
     paths.share[rays] = arriving * rest
     paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
-    if lens.optics.dioptres == 0:
-        return
-    own.origins[rays] = position
-    own.directions[rays] = refract(lens.optics, before - height, position - height).directions
-    paths.bent[rays] = True
-    hits = scene.caster.first_hit(position, own.directions[rays])
-    own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
-    own.hits.distance[rays] = hits.distance
+    if lens.optics.dioptres != 0:
+        own.origins[rays] = position
+        own.directions[rays] = refract(lens.optics, before - height, position - height).directions
+        paths.bent[rays] = True
+        hits = scene.caster.first_hit(position, own.directions[rays])
+        own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
+        own.hits.distance[rays] = hits.distance

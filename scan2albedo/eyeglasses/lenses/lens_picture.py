@@ -28,10 +28,8 @@ from scan2albedo.geometry.rays import blocks
 from scan2albedo.lighting.environment import DistantLights
 
 Lenses = LensMaterial | tuple[LensMaterial | None, LensMaterial | None]
+Window = tuple[slice, slice]
 
-_FRINGE_PX = 1
-"""Pixels around the frame, and of the background around surfaces, that a photograph's colours are not taken
-from: they may hold some of both."""
 _SEAT_MM = 0.3
 """How far lenses reach into their rims: outlines are exact to 0.2 mm, and no light shall pass between."""
 _BAND = 2**15
@@ -90,16 +88,15 @@ def insert_lenses(
 ) -> LensPicture:
     """Return a picture of a pair of glasses with lenses put in.
 
-    Each ray that meets a lens before anything else is bent as by a thin lens and goes on, through the other
-    lens too, to the scene behind; its mirror image leaves on the sphere of the lens's front. The colour is
+    A ray that meets a lens first is bent as by a thin lens and goes on, through the other lens too, to the
+    scene behind; its mirror image leaves on the sphere of the lens's front. The colour is
 
         (1 - alpha - beta) behind + alpha tint + beta mirrored,
 
     as in the supplement of Li et al., section 6.3 and equations S11 to S15.
 
-    With `shape` the scene is drawn under distant lights: those given, or those that stand for the
-    environment. With `picture_linear` colours come from a photograph of the same scene with empty rims: where
-    a bent ray meets a surface, that point is looked up in the photograph.
+    With `shape` the scene is drawn under distant lights. With `picture_linear` colours come from a
+    photograph of it with empty rims: where a bent ray meets a surface, that point is looked up in it.
 
     Parameters
     ----------
@@ -107,8 +104,7 @@ def insert_lenses(
         In its pose on the face. Glass of its own is left out where a lens goes, unless it is of one piece
         with the rim; `notes` say so. All lengths are mm: dioptres mean nothing in other units.
     keypoints : (20, 3) array_like of float
-        Of the frame in the same pose, in the order of `KEY_POINT_NAMES`. Those of each rim that gets a lens
-        are needed; others may be NaN.
+        Of the frame, as in `KEY_POINT_NAMES`; NaN but for those of each rim that gets a lens.
     lenses : LensMaterial, or (left, right) of LensMaterial or None
         For both eyes, or for each of the wearer's; None leaves a rim empty.
     surfaces : sequence of Surface
@@ -125,8 +121,7 @@ def insert_lenses(
     lights : DistantLights, optional
         Only with `shape`.
     lens_centers : (2, 3) array_like of float, optional
-        Optical centres of the left and the right lens, moved into their planes; otherwise the centroids of
-        their outlines.
+        Optical centres, left and right, moved into the lens planes; otherwise the outlines' centroids.
     options : LensPictureOptions
 
     Raises
@@ -144,12 +139,12 @@ def insert_lenses(
       under their sum, and `DistantLights.from_environment(map, count, "even")` are the same for all maps. A
       painted tint is a matte surface in the same light; in a photograph it is taken as it is.
     - In drawn scenes surfaces and lenses cast shadows (a lens according to its shares, without bending
-      light); in photographs none do, whose shadows stay.
+      light); in photographs none do, whose shadows stay, and whose background counts as far away.
     - What lenses mirror is seen past all lenses. Light does not bounce otherwise.
-    - A photograph's background counts as far away.
     - An environment's lights have no size: many of them, where it is bright, make shadows soft. 256 are 1 %
       rms off a reference of 8,192 directions, 64 are 2.5 %, 64 evenly spread ones 11 to 12 %.
-    - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights.
+    - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights, which
+      neighbouring pixels share where the surface is flat and they agree.
 
     Examples
     --------
@@ -171,12 +166,12 @@ def insert_lenses(
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     photograph = None if picture_linear is None else checked_image("picture_linear", picture_linear)
+    around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
     if (shape is None) == (photograph is None):
         raise ValueError("give either shape, to draw the scene, or picture_linear, a photograph of it")
     height, width = photograph.shape[:2] if photograph is not None else shape or (0, 0)
     if height < 1 or width < 1:
         raise ValueError(f"a picture needs pixels, got a shape of ({height}, {width})")
-    around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
     if photograph is not None and lights is not None:
         raise ValueError("a photograph has its own light; leave lights out, or give shape instead")
     if photograph is None and lights is None and around is None:
@@ -185,50 +180,42 @@ def insert_lenses(
     materials = (lenses, lenses) if isinstance(lenses, LensMaterial) else tuple(lenses)
     if len(materials) != 2:
         raise ValueError(f"lenses must be one material or (left, right), got {len(materials)}")
-    middles = None if lens_centers is None else np.asarray(lens_centers, np.float64)
-    if middles is not None and middles.shape != (2, 3):
-        raise ValueError(f"lens_centers must have shape (2, 3), got {middles.shape}")
+    middles: list[FloatArray | None] = [None, None]
+    if lens_centers is not None:
+        middles = list(np.asarray(lens_centers, np.float64))
+        if np.shape(lens_centers) != (2, 3):
+            raise ValueError(f"lens_centers must have shape (2, 3), got {np.shape(lens_centers)}")
     mesh = np.asarray(frame.vertices), np.asarray(frame.faces)
     placed = tuple(
-        insert_lens(
-            *mesh, marks, side, material, center=None if middles is None else middles[side], seat_mm=_SEAT_MM
-        )
+        insert_lens(*mesh, marks, side, material, center=middles[side], seat_mm=_SEAT_MM)
         for side, material in enumerate(materials)
         if material is not None
     )
     bare, notes = without_glass(frame, placed, marks)
-    scene = LensScene(bare, surfaces)
-    region = _pixels_of_lenses(placed, matrix, (height, width))
+    scene, region = LensScene(bare, surfaces), _pixels_of_lenses(placed, matrix, (height, width))
     colors: SceneColors
-    if photograph is None:
+    if photograph is not None:
+        # Outside the lenses a photograph stays as it is.
+        empty, window = photograph, region
+        colors = PhotographedScene(scene, photograph, matrix, region=region, environment=around)
+    else:
         if lights is None:
             assert around is not None
             lights = DistantLights.from_environment(around, options.light_count, "important")
-        colors, window = LitScene(scene, placed, lights, around), np.array([[0, 0], [width, height]])
-        empty = np.zeros((height, width, 3))
-    else:
-        # Outside the lenses a photograph stays as it is.
-        empty, window = photograph, region
-        part = _slices(region)
-        colors = PhotographedScene(
-            scene, photograph, matrix, fringe_px=_FRINGE_PX, region=part, environment=around
-        )
+        empty, window = np.zeros((height, width, 3)), (slice(0, height), slice(0, width))
+        colors = LitScene(scene, placed, lights, around)
     made = _View(scene, placed, colors, matrix, region).pixels(window, options.supersampling)
 
     def pasted(into: NDArray[Any], values: NDArray[Any]) -> NDArray[Any]:
         whole = into.copy()
-        whole[_slices(window)] = values.reshape(whole[_slices(window)].shape)
+        whole[window] = values.reshape(whole[window].shape)
         return whole
 
     unknown = pasted(np.zeros((height, width), bool), made.unknown)
     seen = pasted(np.full((height, width), -1, np.int8), made.lens)
+    more = _notes(placed, seen, unknown, made.glancing, around is None)
     return LensPicture(
-        pasted(empty, made.shaded),
-        pasted(empty, made.bare),
-        seen,
-        unknown,
-        placed,
-        notes + _notes(placed, seen, unknown, made.glancing, around is None),
+        pasted(empty, made.shaded), pasted(empty, made.bare), seen, unknown, placed, notes + more
     )
 
 
@@ -242,24 +229,19 @@ def checked_image(name: str, values: ArrayLike) -> FloatArray:
     return image
 
 
-def _slices(window: IntArray) -> tuple[slice, slice]:
-    """Return the rows and columns of a window: its first pixel and that behind its last, (column, row)."""
-    (left, top), (right, bottom) = window.tolist()
-    return slice(top, bottom), slice(left, right)
-
-
-def _pixels_of_lenses(lenses: Sequence[InsertedLens], camera: FloatArray, shape: tuple[int, int]) -> IntArray:
-    """Return the window of the pixels that may see a lens, with one to spare around them."""
-    nothing, size = np.zeros((2, 2), np.int64), np.array(shape[::-1])
+def _pixels_of_lenses(lenses: Sequence[InsertedLens], camera: FloatArray, shape: tuple[int, int]) -> Window:
+    """Return the rows and columns of the pixels that may see a lens, with one to spare around them."""
     if not lenses:
-        return nothing
+        return slice(0, 0), slice(0, 0)
     pixels, depth = project(camera, np.concatenate([lens.vertices for lens in lenses]))
     if (depth <= 0).all():
-        return nothing
-    if (depth <= 0).any():
-        return np.stack([np.zeros(2, np.int64), size])
-    low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
-    return np.clip(np.stack([low, high]), 0, size).astype(np.int64)
+        return slice(0, 0), slice(0, 0)
+    size = np.array(shape[::-1])
+    low, high = np.zeros(2), size
+    if (depth > 0).all():
+        low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
+    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
+    return slice(top, bottom), slice(left, right)
 
 
 @dataclass(frozen=True)
@@ -281,25 +263,25 @@ class _SeenRays:
 
 @dataclass(frozen=True)
 class _View:
-    """A normalised camera (3, 4) before a scene with lenses, which only pixels of a window may see."""
+    """A normalised camera (3, 4) before a scene with lenses, which only pixels of a region may see."""
 
     scene: LensScene
     lenses: Sequence[InsertedLens]
     colors: SceneColors
     camera: FloatArray
-    region: IntArray
+    region: Window
 
-    def pixels(self, window: IntArray, supersampling: int) -> _SeenRays:
+    def pixels(self, window: Window, supersampling: int) -> _SeenRays:
         """Return the pixels of a window; colours of those on edges are means of n x n rays."""
-        left, top = window[0].tolist()
-        width, height = (window[1] - window[0]).tolist()
-        pixels = pixel_grid((height, width)) + [left, top]
+        rows, columns = window
+        shape = rows.stop - rows.start, columns.stop - columns.start
+        pixels = pixel_grid(shape) + [columns.start, rows.start]
         once = self._rays(pixels)
         # Edges: pixels whose ray differs from a neighbour's in lens, surface or distance.
-        kind = (once.lens + (once.surface + 1) * 4).reshape(height, width)
+        kind = (once.lens + (once.surface + 1) * 4).reshape(shape)
         focal = np.sqrt(np.abs(np.linalg.det(self.camera[:, :3])))
-        distance = np.where(np.isfinite(once.distance), once.distance, 0.0).reshape(height, width)
-        edges = np.zeros((height, width), bool)
+        distance = np.where(np.isfinite(once.distance), once.distance, 0.0).reshape(shape)
+        edges = np.zeros(shape, bool)
         for axis in (0, 1):
             across, kinds, mark = (np.moveaxis(a, axis, 0) for a in (distance, kind, edges))
             pixel_mm = np.minimum(across[1:], across[:-1]) / focal
@@ -320,38 +302,39 @@ class _View:
 
     def _rays(self, pixels: FloatArray) -> _SeenRays:
         """Return one ray through each of the pixels (N, 2)."""
-        parts = [self._band(pixels[part]) for part in blocks(len(pixels), _BAND) or [slice(0)]]
-        names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
-        joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
-        return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
-
-    def _band(self, pixels: FloatArray) -> _SeenRays:
+        if len(pixels) > _BAND:
+            parts = [self._rays(pixels[part]) for part in blocks(len(pixels), _BAND)]
+            names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
+            joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
+            return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
         scene, center = self.scene, camera_centers(self.camera[None])[0]
-        straight = scene.rays(center, pixel_directions(self.camera, pixels))
-        low, high = self.region - 0.5
-        near = np.flatnonzero(((pixels >= low) & (pixels < high)).all(1))
+        straight = scene.rays(center, pixel_directions(self.camera, pixels), pixels)
+        rows, columns = self.region
+        cell = np.floor(pixels + 0.5)
+        inside = (cell >= [columns.start, rows.start]) & (cell < [columns.stop, rows.stop])
+        near = np.flatnonzero(inside.all(1))
         paths = trace_lenses(scene, self.lenses, straight.chosen(near))
-        colors = self.colors.straight(pixels, straight)
+        bent = np.flatnonzero(paths.bent)
+        reflecting = [np.flatnonzero(crossings.mirror_share.any(1)) for crossings in paths.crossings]
+        mirrored = [
+            scene.rays(c.position[which], c.mirrored[which], pixels[near[c.ray[which]]])
+            for c, which in zip(paths.crossings, reflecting, strict=True)
+        ]
+        colors, through, *reflections = self.colors.look(straight, paths.rays.chosen(bent), mirrored)
         shaded, unknown = colors.shaded.copy(), colors.unknown.copy()
-        behind, bent = shaded[near], np.flatnonzero(paths.bent)
-        seen = self.colors.seen(paths.rays.chosen(bent))
-        behind[bent] = seen.shaded
-        unknown[near[bent]] |= seen.unknown
+        behind = shaded[near]
+        behind[bent] = through.shaded
+        unknown[near[bent]] |= through.unknown
         shaded[near] = paths.share * behind
-        for crossings in paths.crossings:
+        for crossings, which, reflection in zip(paths.crossings, reflecting, reflections, strict=True):
             ray, tint = near[crossings.ray], np.asarray(crossings.lens.material.tint_linear)
             if crossings.tint_share.any() and tint.any():
                 normal = np.asarray(crossings.lens.optics.normal)
                 toward_viewer = -np.sign(crossings.direction @ normal)[:, None] * normal
                 plate = self.colors.matte(crossings.position, toward_viewer, tint)
                 shaded[ray] += crossings.tint_share * plate
-            which = np.flatnonzero(crossings.mirror_share.any(1))
-            if len(which):
-                mirrored = self.colors.mirrored(
-                    scene.rays(crossings.position[which], crossings.mirrored[which])
-                )
-                shaded[ray[which]] += crossings.mirror_share[which] * mirrored.shaded
-                unknown[ray[which]] |= mirrored.unknown
+            shaded[ray[which]] += crossings.mirror_share[which] * reflection.shaded
+            unknown[ray[which]] |= reflection.unknown
         lens, face, distance = np.full(len(pixels), -1), straight.hits.face.copy(), straight.hits.distance
         lens[near], face[near] = paths.first, paths.rays.hits.face
         distance = distance.copy()
@@ -365,19 +348,16 @@ def _notes(
 ) -> tuple[str, ...]:
     notes = []
     for lens in lenses:
-        rim = lens.rim
-        if rim.gaps != "none":
-            source = "its key points" if rim.gaps == "subdivided" else "the rim on both sides"
-            share = f"{int((~rim.measured).sum())} of {len(rim.points)} points"
+        if lens.rim.gaps != "none":
+            source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
+            share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
             notes.append(f"the {lens.name}: {share} of its rim come from {source}")
         if not (seen == lens.side).any():
             notes.append(f"the {lens.name}: no pixel sees it")
     if glancing:
         notes.append(f"{glancing} rays run along a lens and pass it as if it were not there")
-    if unknown.any():
-        notes.append(
-            f"{int(unknown.sum())} pixels show in a lens what the photograph hides; their colours are guesses"
-        )
+    if lost := int(unknown.sum()):
+        notes.append(f"{lost} pixels show in a lens what the photograph hides; their colours are guesses")
     if not lenses:
         notes.append(f"no lens is given, neither {SIDES[0]} nor {SIDES[1]}")
     if dark and any(lens.material.beta > 0 or lens.material.fresnel for lens in lenses):

@@ -50,22 +50,11 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     S12 of Li et al.) times 1 + u P: it holds for P = 0, where it is the ray itself, for 1 + u P = 0, where
     all rays become parallel, and beyond, where the image lies in front.
 
-    Parameters
-    ----------
-    lens : ThinLens
-    camera : (3,) or (N, 3) array_like of float
-        Centre of projection, or one origin a ray; mm.
-    points : (N, 3) array_like of float
-        Where each ray is heading, mm: any point on it but its origin, such as a hit on a lens mesh, which
-        need not be flat.
+    `camera` is the centre of projection (3,), or one origin a ray (N, 3), in mm. `points` (N, 3) mm are where
+    rays are heading: any point on each but its origin, such as a hit on a lens mesh, which need not be flat.
 
-    Raises
-    ------
-    EyeglassesError
-        When numbers are not finite, the normal is zero, a camera lies in the lens plane, or a ray runs
-        along the plane or away from it.
-    ValueError
-        When an array has the wrong shape.
+    Raises EyeglassesError when numbers are not finite, the normal is zero, a camera lies in the lens plane,
+    or a ray runs along the plane or away from it; ValueError for a wrong shape.
 
     Notes
     -----
@@ -80,22 +69,22 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     array([[ 0.,  0., -1.]])
     """
     center, normal = np.asarray(lens.center, np.float64), np.asarray(lens.normal, np.float64)
-    for name, values in (("center", center), ("normal", normal)):
-        if values.shape != (3,):
-            raise ValueError(f"the lens's {name} must have shape (3,), got {values.shape}")
-    if not (np.isfinite(center).all() and np.isfinite(normal).all() and np.isfinite(lens.dioptres)):
-        raise EyeglassesError(f"the lens holds numbers that are not finite: {lens}; plane glass has 0 D")
+    origins, through = np.asarray(camera, np.float64), np.asarray(points, np.float64)
+    for name, array, shapes in (
+        ("the lens's center", center, [(3,)]),
+        ("the lens's normal", normal, [(3,)]),
+        ("points", through, [(len(through), 3)] if through.ndim else []),
+        ("camera", origins, [(3,), through.shape]),
+    ):
+        if array.shape not in shapes:
+            raise ValueError(f"{name} must have shape {' or '.join(map(str, shapes))}, got {array.shape}")
+        if not np.isfinite(array).all():
+            raise EyeglassesError(f"{name} holds numbers that are not finite; leave such rays out")
+    if not np.isfinite(lens.dioptres):
+        raise EyeglassesError(f"the lens has {lens.dioptres} dioptres; plane glass has 0")
     if not normal.any():
         raise EyeglassesError("the lens's normal is zero; give the direction of its optical axis")
     normal = normal / np.linalg.norm(normal)
-    origins, through = np.asarray(camera, np.float64), np.asarray(points, np.float64)
-    if through.ndim != 2 or through.shape[1] != 3:
-        raise ValueError(f"points must have shape (N, 3), got {through.shape}")
-    if origins.shape not in ((3,), through.shape):
-        raise ValueError(f"camera must have shape (3,) or {through.shape}, got {origins.shape}")
-    for name, values in (("camera", origins), ("points", through)):
-        if not np.isfinite(values).all():
-            raise EyeglassesError(f"{name} holds numbers that are not finite; leave such rays out")
     from_center = np.broadcast_to(origins - center, through.shape)
     height = from_center @ normal
     flat = np.abs(height) <= _GRAZING * np.linalg.norm(from_center, axis=1)

@@ -16,14 +16,12 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized, vertex_components
 from scan2albedo.geometry.rays import RayCaster
 
-_POINTS, _PLACES = 128, 12
-"""Points of a rim, and places on a circle, beside its centre, at which a lens is looked for."""
+_POINTS = 128
+"""Of a rim."""
 _GUESS = 0.15
 """Lens radius as a part of the mesh's longest side: 0.16 to 0.2 for a front, more for a rim alone."""
 _DEPTH = 0.6
 """Lens radii in front of the plane and behind it within which a part is a lens; temples are farther off."""
-_LARGEST = 2.0
-"""Lens radii within which one lens lies; a pane for both eyes, or a frame, reaches farther."""
 _AT_RIM = 0.25
 """Lens radii between a rim's key points and its surface, at most."""
 _ENOUGH = 0.75
@@ -32,12 +30,16 @@ _LONGEST_GAP_RAD = np.deg2rad(30.0)
 """Wider gaps are not holes in a scan but an open rim, which a straight line would cut off."""
 _FLAT = 0.05
 """Spread of rim points across their longest direction below which they are a line and hold no plane."""
-_REACH, _HEIGHTS = 0.16, 33
+_REACH = 0.16
 """Heights looked at over and under the plane, in lens radii: a curved rim leaves the plane by about 0.1."""
-_REFINEMENTS, _FINER = (0.006, 0.002), 9
+_HEIGHTS = 33
+"""At which rays leave in each sweep."""
+_REFINEMENTS = (0.006, 0.002)
 """Then heights around the neighbourhood's: single rays meet ends of bridges that poke through."""
-_INNER, _OUTER = 0.4, 1.5
-"""Hits outside this range, in lens radii, are a nose pad, the other rim or a temple."""
+_INNER = 0.4
+"""Lens radii: what is nearer to the centre is a nose pad, and a lens reaches farther."""
+_OUTER = 1.5
+"""Lens radii: what is farther off is the other rim or a temple, or a pane for both eyes."""
 _WINDOW_RAD = 0.2
 _DENT = 0.0025
 """Part of the radius by which the edge may lie inside a chord between its neighbours."""
@@ -47,14 +49,6 @@ _JUMP = 0.12
 """Hits this much off the median of their neighbourhood, in lens radii, are something in the way."""
 _PULL = 0.25
 """Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
-
-
-@dataclass(frozen=True)
-class RimProfile:
-    """An outline around a lens centre: (R,) radius and height over the plane at given angles."""
-
-    radius: FloatArray
-    height: FloatArray
 
 
 @dataclass(frozen=True)
@@ -83,23 +77,20 @@ class LensPlane:
         """Return (N, 3) unit vectors in the plane."""
         return np.cos(angles)[:, None] * self.across + np.sin(angles)[:, None] * self.up
 
-    def points(self, angles: FloatArray, profile: RimProfile) -> FloatArray:
-        """Return (N, 3) points of an outline."""
-        return (
-            self.center
-            + profile.radius[:, None] * self.directions(angles)
-            + profile.height[:, None] * self.normal
-        )
+    def points(self, angles: FloatArray, profile: FloatArray) -> FloatArray:
+        """Return (N, 3) points of an outline at angles (N,), of a `profile` (2, N) of radius and height."""
+        radius, height = profile[..., None]
+        return self.center + radius * self.directions(angles) + height * self.normal
 
     def angles(self, points: FloatArray) -> FloatArray:
         """Return (N,) rad."""
         offset = points - self.center
         return np.arctan2(offset @ self.up, offset @ self.across)
 
-    def profile(self, points: FloatArray) -> RimProfile:
-        """Return radius and height of points (N, 3)."""
+    def profile(self, points: FloatArray) -> FloatArray:
+        """Return (2, N) radius and height over the plane of points (N, 3)."""
         offset = points - self.center
-        return RimProfile(np.hypot(offset @ self.across, offset @ self.up), offset @ self.normal)
+        return np.stack([np.hypot(offset @ self.across, offset @ self.up), offset @ self.normal])
 
 
 def fit_normal(rim_points: FloatArray, vertices: FloatArray) -> FloatArray:
@@ -126,7 +117,7 @@ def pane_faces(
     if rim_points is None:
         radius = _GUESS * float(np.ptp(vertices[faces.ravel()], axis=0).max())
     else:
-        radius = float(plane.profile(rim_points).radius.mean())
+        radius = float(plane.profile(rim_points)[0].mean())
     part = vertex_components(len(vertices), faces)[faces[:, 0]]
     kept = np.ones(len(faces), bool)
     while kept.any():
@@ -140,7 +131,7 @@ def pane_faces(
         if rim_points is not None:
             # The frame itself is larger than one lens, and without it there is no rim.
             reach = np.linalg.norm(vertices[faces[panes].ravel()] - plane.center, axis=1).max()
-            if reach > _LARGEST * radius:
+            if reach > _OUTER * radius:
                 apart = ClosestPointQuery(vertices, faces[rest]).query(rim_points).distance
                 if (apart > _AT_RIM * radius).mean() > 0.5:
                     break
@@ -150,16 +141,22 @@ def pane_faces(
 
 def is_covered(vertices: FloatArray, faces: IntArray, plane: LensPlane, rim_points: FloatArray) -> bool:
     """Return whether a surface, joined to the rim or not, fills most of the lens's opening."""
-    met = _met(vertices, faces, plane, float(plane.profile(rim_points).radius.mean()))
+    met = _met(vertices, faces, plane, float(plane.profile(rim_points)[0].mean()))
     return bool((met >= 0).mean() >= _ENOUGH)
 
 
 def _met(vertices: FloatArray, faces: IntArray, plane: LensPlane, radius: float) -> IntArray:
     """Return the face that is met at each of some places of the lens, -1 for none near it."""
-    angles = np.linspace(-np.pi, np.pi, _PLACES, endpoint=False)
-    places = plane.center + _INNER * radius * np.vstack([np.zeros(3), plane.directions(angles)])
-    hits = RayCaster(vertices, faces).first_hit(places + _DEPTH * radius * plane.normal, -plane.normal)
-    return np.where(hits.distance < 2 * _DEPTH * radius, hits.face, -1)
+    places = plane.center + _INNER * radius * plane.directions(np.linspace(0, 2 * np.pi, 13))
+    places[-1] = plane.center
+    corners = ((vertices - plane.center) @ np.stack([plane.across, plane.up, plane.normal], 1))[faces]
+    reach = radius * np.array([_INNER, _INNER, _DEPTH])
+    near = np.flatnonzero(((corners.min(1) <= reach) & (corners.max(1) >= -reach)).all(1))
+    if len(near) == 0:
+        return np.full(len(places), -1)
+    caster = RayCaster(vertices, faces[near])
+    hits = caster.first_hit(places + _DEPTH * radius * plane.normal, -plane.normal)
+    return np.where(hits.distance < 2 * _DEPTH * radius, near[hits.face], -1)
 
 
 @dataclass(frozen=True)
@@ -193,31 +190,18 @@ def find_lens_rim(
     points, shifted so that it joins what was measured. Lenses that are parts of their own are looked
     through.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-        The frame; any unit, any number of parts, any winding.
-    faces : (F, 3) array_like of int
-    center : (3,) array_like of float
-        Inside the rim, about in the lens plane.
-    rim_points : (K, 3) array_like of float, optional
-        Three or more key points on or at the rim, in any order.
-    normal : (3,) array_like of float, optional
-        Of the lens plane to some degrees, towards the viewer. Otherwise of the plane nearest to the rim
-        points, away from the temples.
+    The frame's `vertices` (V, 3) and `faces` (F, 3) are in any unit, of any number of parts and any winding.
+    `center` (3,) is inside the rim, about in the lens plane, `rim_points` (K, 3) are three or more key points
+    on or at the rim, in any order. `normal` (3,) is that of the lens plane to some degrees, towards the
+    viewer; otherwise it is that of the plane nearest to the rim points, away from the temples.
 
-    Raises
-    ------
-    EyeglassesError
-        When the mesh is empty or not finite, neither rim points nor a normal are given, or too little of
-        a rim lies around the centre to do without rim points.
-    ValueError
-        When an array has the wrong shape.
+    Raises EyeglassesError when the mesh is empty or not finite, neither rim points nor a normal are given, or
+    too little of a rim lies around the centre to do without rim points; ValueError for a wrong shape.
 
     Notes
     -----
     MEGANE's supplement subdivides from the key points throughout, which stops a tube's radius off the inner
-    edge; here that is the fallback. Cost: some 85 rays a point.
+    edge; here that is the fallback. Cost: some 130 rays a point.
 
     Examples
     --------
@@ -230,21 +214,23 @@ def find_lens_rim(
     ((128, 3), 'none')
     """
     xyz, index = checked_mesh(vertices, faces, "the frame")
-    middle = _checked_vector("center", center)
+    middle = np.asarray(center, np.float64)
     marks = None if rim_points is None else checked_points("rim_points", rim_points)
-    if normal is not None:
-        axis = _checked_vector("normal", normal)
-    elif marks is None:
+    if normal is None and marks is None:
         raise EyeglassesError("a lens plane needs rim_points, three or more around the lens, or a normal")
-    else:
-        axis = fit_normal(marks, xyz)
+    axis = fit_normal(marks, xyz) if normal is None and marks is not None else np.asarray(normal, np.float64)
+    for name, vector in (("center", middle), ("normal", axis)):
+        if vector.shape != (3,):
+            raise ValueError(f"{name} must have shape (3,), got {vector.shape}")
+        if not np.isfinite(vector).all():
+            raise EyeglassesError(f"{name} holds numbers that are not finite; repair the input first")
     plane = LensPlane.at(middle, axis)
     angles = np.linspace(-np.pi, np.pi, _POINTS, endpoint=False)
-    lens_radius = None if marks is None else float(plane.profile(marks).radius.mean())
+    lens_radius = None if marks is None else float(plane.profile(marks)[0].mean())
     # A domed lens would stop the rays before they reach the rim.
     rims = index[~pane_faces(xyz, index, plane, marks)]
     shot = shoot_rim(RayCaster(xyz, rims), plane, angles, lens_radius)
-    measured = np.isfinite(shot.radius)
+    measured = np.isfinite(shot[0])
     gaps: Literal["none", "interpolated", "subdivided"] = "none"
     if not measured.all():
         hits = np.flatnonzero(measured)
@@ -255,79 +241,62 @@ def find_lens_rim(
                 f"no closed rim around the centre {middle.round(2).tolist()}: {(~measured).sum()} of "
                 f"{_POINTS} rays meet nothing near; give rim_points, or check centre and normal"
             )
-        gaps, base = "interpolated", RimProfile(np.zeros(_POINTS), np.zeros(_POINTS))
+        gaps, filled = "interpolated", np.zeros((2, _POINTS))
         if not small and marks is not None:
-            gaps, base = "subdivided", subdivide_rim(xyz, plane, marks, angles)
+            gaps, filled = "subdivided", subdivide_rim(xyz, plane, marks, angles)
         # Gaps get the outline's shape, joined to what was measured at both their ends.
-        filled = []
-        for values, shape in ((shot.radius, base.radius), (shot.height, base.height)):
-            if measured.any():
-                rest = np.interp(angles, angles[measured], (values - shape)[measured], period=2 * np.pi)
-                shape = np.where(measured, values, shape + rest)
-            filled.append(shape)
-        shot = RimProfile(*filled)
+        if measured.any():
+            for values, shape in zip(shot, filled, strict=True):
+                rest = (values - shape)[measured]
+                shape += np.interp(angles, angles[measured], rest, period=2 * np.pi)
+        shot = np.where(measured, shot, filled)
     return LensRim(plane.points(angles, shot), measured, gaps, middle, plane.normal)
-
-
-def _checked_vector(name: str, values: ArrayLike) -> FloatArray:
-    vector = np.asarray(values, np.float64)
-    if vector.shape != (3,):
-        raise ValueError(f"{name} must have shape (3,), got {vector.shape}")
-    if not np.isfinite(vector).all():
-        raise EyeglassesError(f"{name} holds numbers that are not finite; repair the input first")
-    return vector
 
 
 def shoot_rim(
     caster: RayCaster, plane: LensPlane, angles: FloatArray, lens_radius: float | None
-) -> RimProfile:
-    """Return the rim's inner edge (R,) at each of ascending even angles (R,), NaN where there is none.
+) -> FloatArray:
+    """Return the profile (2, R) of the inner edge at ascending even angles (R,), NaN where there is none.
 
     A single ray in the plane would meet a curved rim anywhere on its flank. Rays leave at several heights,
     and the one that meets the rim first meets its inner edge; then the heights next to it are searched. The
     lens radius is roughly known, or else the median of what rays in the plane hit.
     """
-    missing = np.full(len(angles), np.nan)
     if lens_radius is None:
-        flat = _shoot(caster, plane, angles, np.zeros((len(angles), 1)))
+        flat = caster.first_hit(np.tile(plane.center, (len(angles), 1)), plane.directions(angles)).distance
         if not np.isfinite(flat).any():
-            return RimProfile(missing, missing)
+            return np.full((2, len(angles)), np.nan)
         lens_radius = float(np.median(flat[np.isfinite(flat)]))
     level = np.zeros(len(angles))
-    radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH, _HEIGHTS)
+    radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH)
     # A plane some degrees off leaves the rim on two sides: sweep again around the tilt that was found.
     known = np.isfinite(radius)
     if known.sum() >= len(angles) / 2:
         basis = np.stack([np.ones(len(angles)), np.cos(angles), np.sin(angles)], 1)
         level = basis @ np.linalg.lstsq(basis[known], height[known], rcond=None)[0]
-    radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH, _HEIGHTS)
+    radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH)
     for reach in _REFINEMENTS:
         level = _local_median(height, np.isfinite(radius))
-        radius, height = _nearest(caster, plane, angles, level, lens_radius, reach, _FINER)
+        radius, height = _nearest(caster, plane, angles, level, lens_radius, reach)
     found = np.isfinite(radius)
     found &= ~(np.abs(radius - _local_median(radius, found)) > _JUMP * lens_radius)
-    found &= ~_stray(np.where(found, radius / lens_radius, np.nan))
+    # Neither count hits on pieces that less than half the window sees.
+    count, half = len(angles), _half_window(len(angles))
+    outline = np.where(found, radius, np.nan)
+    steepest = lens_radius * max(_STEP, 2 * np.pi / count)
+    starts: IntArray = np.flatnonzero(~(np.abs(outline - np.roll(outline, 1)) <= steepest))
+    for first, following in zip(starts, np.append(starts[1:], starts[:1] + count), strict=True):
+        if following - first < half:
+            found[np.arange(first, following) % count] = False
     # The ray beside a gap may have met the cut instead of the edge.
     found &= np.roll(found, 1) & np.roll(found, -1)
     # Rims are convex over a short way: ends of bridges and solder poke through chords between neighbours.
     outline = np.where(found, radius, np.nan)
-    for k in range(1, _half_window(len(angles)) + 1):
+    for k in range(1, half + 1):
         before, after = np.roll(outline, k), np.roll(outline, -k)
-        chord = 2 * before * after * np.cos(2 * np.pi * k / len(angles)) / (before + after)
+        chord = 2 * before * after * np.cos(2 * np.pi * k / count) / (before + after)
         found &= ~(outline < (1 - _DENT) * chord)
-    return RimProfile(np.where(found, radius, np.nan), np.where(found, height, np.nan))
-
-
-def _stray(radius: FloatArray) -> BoolArray:
-    """Return (R,) True for hits on pieces that less than half the window sees; NaN is none."""
-    count = len(radius)
-    steepest = max(_STEP, 2 * np.pi / count)
-    starts: IntArray = np.flatnonzero(~(np.abs(radius - np.roll(radius, 1)) <= steepest))
-    stray = np.zeros(count, bool)
-    for first, following in zip(starts, np.append(starts[1:], starts[:1] + count), strict=True):
-        if following - first < _half_window(count):
-            stray[np.arange(first, following) % count] = True
-    return stray
+    return np.where(found, [radius, height], np.nan)
 
 
 def _nearest(
@@ -337,22 +306,16 @@ def _nearest(
     level: FloatArray,
     lens_radius: float,
     reach: float,
-    count: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least distance (R,) within `reach` of heights `level` (R,), inf for none, and its height."""
-    heights = level[:, None] + lens_radius * np.linspace(-reach, reach, count)
-    distance = _shoot(caster, plane, angles, heights)
+    heights = level[:, None] + lens_radius * np.linspace(-reach, reach, _HEIGHTS)
+    origins = plane.center + heights[..., None] * plane.normal
+    headings = np.repeat(plane.directions(angles), _HEIGHTS, axis=0)
+    distance = caster.first_hit(origins.reshape(-1, 3), headings).distance.reshape(heights.shape)
     # What is far too near is in the way: the rim may be seen past it at other heights.
     distance[(distance < _INNER * lens_radius) | (distance > _OUTER * lens_radius)] = np.inf
     first = distance.argmin(1)[:, None]
     return np.take_along_axis(distance, first, 1)[:, 0], np.take_along_axis(heights, first, 1)[:, 0]
-
-
-def _shoot(caster: RayCaster, plane: LensPlane, angles: FloatArray, heights: FloatArray) -> FloatArray:
-    """Return (R, H) distances from the axis outward, inf for none, at heights (R, H)."""
-    origins = plane.center + heights[..., None] * plane.normal
-    headings = np.repeat(plane.directions(angles), heights.shape[1], axis=0)
-    return caster.first_hit(origins.reshape(-1, 3), headings).distance.reshape(heights.shape)
 
 
 def _local_median(values: FloatArray, known: BoolArray) -> FloatArray:
@@ -373,8 +336,8 @@ def _half_window(count: int) -> int:
 
 def subdivide_rim(
     vertices: FloatArray, plane: LensPlane, rim_points: FloatArray, angles: FloatArray
-) -> RimProfile:
-    """Return an outline through rim points (K, 3), K >= 3, at ascending angles (R,).
+) -> FloatArray:
+    """Return the profile (2, R) of an outline through rim points (K, 3), K >= 3, at ascending angles (R,).
 
     Each level puts a point into the middle of every edge, by the four-point rule (9 (b + c) - a - d) / 16
     [1]_, and moves it to the closest vertex of the frame if there is one near; where the frame is open the
@@ -395,8 +358,5 @@ def subdivide_rim(
         outline = np.stack([outline, middle], 1).reshape(-1, 3)
         # Two middles drawn to one vertex would leave an edge without length.
         outline = outline[np.linalg.norm(outline - np.roll(outline, 1, 0), axis=1) > 0]
-    at, own = plane.angles(outline), plane.profile(outline)
-    return RimProfile(
-        np.interp(angles, at, own.radius, period=2 * np.pi),
-        np.interp(angles, at, own.height, period=2 * np.pi),
-    )
+    at = plane.angles(outline)
+    return np.stack([np.interp(angles, at, own, period=2 * np.pi) for own in plane.profile(outline)])

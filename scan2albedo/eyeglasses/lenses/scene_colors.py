@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
@@ -15,15 +17,20 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
+from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering.scene_light import SceneLight, each_lamp
 
-_MIXED, _AWAY, _FRAME = -2, -1, 0
-"""Labels of pixels: a fringe of nobody's, the background, then numbers of surfaces, the frame's first."""
+_MIXED = -2
+"""Label of pixels on a fringe, which may hold some of two surfaces."""
+_AWAY = -1
+"""Label of the background; others are numbers of surfaces, the frame's is 0."""
 _LEAST_SHARE = 0.2
 """Share of a bilinear sample that must lie on the wanted surface."""
+_FLAT = 0.2
+"""Sine of the angle between a surface and the way to a neighbour, up to which it counts as flat between."""
 _SAME_POINT = 3e-4
 """Distance between a point and what the camera sees in its direction, as a part of the scene's size, up to
 which they are the same: embree's float32 picks a neighbouring face at times."""
@@ -46,20 +53,92 @@ class RayColors:
         return cls(linear, linear, np.zeros(len(linear), bool) if unknown is None else unknown)
 
 
-class SceneColors(Protocol):
-    """A source of colours: a lit scene, or a photograph of one."""
+@dataclass(frozen=True, kw_only=True)
+class _PixelShadows(ShadowMap):
+    """Shadows of points that `pixels` (N, 2) see; neighbours share them.
 
-    def straight(self, pixels: FloatArray, rays: SceneRays) -> RayColors:
-        """Return the colours of straight rays through pixels (N, 2)."""
+    Of whole pixels those of even rows and columns shoot rays to all lights, then those of odd ones, then the
+    rest, of the parts of a pixel the first: where the surface is flat, points that lie between others shoot
+    rays only to the lights about which these disagree.
+    """
 
-    def seen(self, rays: SceneRays) -> RayColors:
-        """Return those of rays behind a lens."""
+    pixels: FloatArray
 
-    def mirrored(self, rays: SceneRays) -> RayColors:
-        """Return those of rays that a lens mirrors."""
+    @cached_property
+    def _stages(self) -> list[tuple[IntArray, IntArray]]:
+        """Numbers (M,) of points, first those that ask for themselves, and of the points around (4, M)."""
+        own = np.arange(len(self.position))
+        cell = np.round(self.pixels).astype(np.int64) + 2
+        columns = int(cell[:, 0].max(initial=0)) + 2
+        place = cell[:, 1] * columns + cell[:, 0]
+        first = np.unique(place, return_index=True)[1]
+        known = np.full(int(place.max(initial=0)) + 2 * columns, -1)
+        known[place[first]] = first
+        odd = (cell % 2).sum(1) * (len(first) == len(own))
+        side = np.array([[0, 1, columns + 1], [0, columns, columns - 1]])[:, odd]
+        around = known[place + np.concatenate([side, -side])]
+        step = self.position[around] - self.position
+        rise = np.abs(np.einsum("knc,nc->kn", step, self.normal))
+        rise = np.maximum(rise, np.abs(np.einsum("knc,knc->kn", step, self.normal[around])))
+        flat = ((around >= 0) & (rise <= _FLAT * np.linalg.norm(step, axis=2))).all(0)
+        alone = ~flat | (around[0] == own)
+        stages = [np.flatnonzero(which) for which in (alone, ~alone & (odd == 2), ~alone & (odd != 2))]
+        return [(at, around[:, at]) for at in stages]
 
-    def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> FloatArray:
-        """Return (N, 3) colours of a matte plate (albedo (3,)) at points of a lens."""
+    @cached_property
+    def _alone(self) -> ShadowMap:
+        return self._some(self._stages[0][0])
+
+    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
+        """Return (N,) uint8, 1 where a light reaches the point."""
+        lit = np.zeros(len(self.position), np.uint8)
+        lit[self._stages[0][0]] = self._alone.visible(direction, distance_mm)
+        for at, around in self._stages[1:]:
+            unsure = _agree(lit, at, around)
+            if len(unsure):
+                lit[unsure] = self._some(unsure).visible(direction, distance_mm)
+        return lit
+
+
+@njit(cache=True, nogil=True)
+def _agree(lit, at, around):  # type: ignore[no-untyped-def]
+    """Set `lit` (N,) at points (M,) as those around (4, M) are; return the points about which they differ."""
+    unsure = np.empty(len(at), np.int64)
+    count = 0
+    for m in range(len(at)):
+        total = lit[around[0, m]] + lit[around[1, m]] + lit[around[2, m]] + lit[around[3, m]]
+        lit[at[m]] = total == 4
+        if 0 < total < 4:
+            unsure[count] = at[m]
+            count += 1
+    return unsure[:count]
+
+
+@njit(cache=True, nogil=True)
+def _through_ball(position, center, radius, toward, gain):  # type: ignore[no-untyped-def]
+    """Return the numbers of points (N, 3) of a `gain` (N,) above 0 whose rays `toward` (3,) pass a ball."""
+    passing = np.empty(len(position), np.int64)
+    count = 0
+    for i in range(len(position)):
+        if gain[i] > 0:
+            along = distance = 0.0
+            for c in range(3):
+                offset = center[c] - position[i, c]
+                along += offset * toward[c]
+                distance += offset * offset
+            if along >= -radius and distance - along * along <= radius * radius:
+                passing[count] = i
+                count += 1
+    return passing[:count]
+
+
+@njit(cache=True, nogil=True)
+def _add_light(gain, color, passed, light):  # type: ignore[no-untyped-def]
+    """Add `gain` (N,) times `color` (3,) to `light` (2, N, 3), to its second part what lenses let pass."""
+    for i in range(len(gain)):
+        for c in range(3):
+            light[0, i, c] += gain[i] * color[c]
+            light[1, i, c] += gain[i] * color[c] * passed[i, c]
 
 
 class LitScene:
@@ -82,9 +161,13 @@ class LitScene:
         self._light = SceneLight.from_lamps((), lights)
         self._dimming = [lens for lens in lenses if not lens.material.clear]
 
-    def straight(self, pixels: FloatArray, rays: SceneRays) -> RayColors:
-        """Return what rays see, straight, bent or mirrored."""
-        return self.seen(rays)
+    def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
+        """Return the colours of straight rays, of those behind a lens, and of sets that lenses mirror."""
+        sets = [straight, bent, *mirrored]
+        ends = np.cumsum([len(rays.origins) for rays in sets])[:-1]
+        colors = self.seen(SceneRays.joined(sets))
+        parts = (np.split(values, ends) for values in (colors.bare, colors.shaded, colors.unknown))
+        return [RayColors(*part) for part in zip(*parts, strict=True)]
 
     def seen(self, rays: SceneRays) -> RayColors:
         """Return what rays see, straight, bent or mirrored."""
@@ -96,57 +179,46 @@ class LitScene:
             finish, own = self._scene.surfaces[number], surface == number
             # The highlight of a lamp counts by its irradiance, which is pi times its intensity.
             skin = Reflectance("oren-nayar", finish.roughness_rad, np.pi * finish.specular, finish.shininess)
-            on = rays.chosen(own)
-            bare[own], shaded[own] = self._lit(
-                on.ends, self._scene.normals(on), -on.directions, self._scene.albedo(on), skin, self._dimming
-            )
+            on, caster = rays.chosen(own), self._scene.caster
+            shadows = ShadowMap(caster, on.ends, self._scene.normals(on))
+            if on.pixels is not None:
+                shadows = _PixelShadows(caster, shadows.position, shadows.normal, pixels=on.pixels)
+            albedo = self._scene.albedo(on)
+            bare[own], shaded[own] = self._lit(shadows, -on.directions, albedo, skin, self._dimming)
         return RayColors(bare, shaded, np.zeros(len(surface), bool))
-
-    mirrored = seen
 
     def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> FloatArray:
         """Return (N, 3) colours of a matte plate, whose own lens casts no shadow."""
-        return self._lit(position, normal, normal, albedo, Reflectance("lambert"), ())[0]
+        shadows = ShadowMap(self._scene.caster, position, normal)
+        return self._lit(shadows, normal, albedo, Reflectance("lambert"), ())[0]
 
     def _lit(
         self,
-        position: FloatArray,
-        normal: FloatArray,
+        shadows: ShadowMap,
         view: FloatArray,
         albedo: FloatArray,
         reflectance: Reflectance,
         dimming: Sequence[InsertedLens],
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return (N, 3) radiance without lenses, and with what those that dim light take of it."""
-        shadows, strength = ShadowMap(self._scene.caster, position, normal), reflectance.specular_strength
-        diffuse, highlight, lost, lost_highlight = np.zeros((4, len(position), 3))
+    ) -> FloatArray:
+        """Return (2, N, 3) radiance without lenses, and with what those that dim light take of it."""
+        position, strength = shadows.position, reflectance.specular_strength
+        matte, glossy = np.zeros((2, 2, len(position), 3))
         near, passed = [], np.ones((len(position), 3))
         for lens in dimming:
             # Only rays that pass a ball around the lens are shot; float32 may reach a little farther.
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
             reach = 1 + float(np.linalg.norm(lens.vertices - center, axis=1).max())
-            offset = center - position
-            beyond = np.einsum("nc,nc->n", offset, offset) - reach**2
-            near.append((lens, lens.caster.to_local(position), offset, beyond, reach))
+            near.append((lens, lens.caster.to_local(position), lens.material.transmission, center, reach))
         for k, factors in each_lamp(shadows, self._light, reflectance, view):
             toward, intensity = self._light.directions[k], self._light.intensity[k]
-            diffuse += factors.diffuse[:, None] * intensity
+            passed.fill(1.0)
+            for lens, local, share, center, reach in near:
+                ray = _through_ball(position, center, reach, toward, factors.diffuse)
+                passed[ray[lens.caster.occluded_local(local[ray], toward)]] *= share
+            _add_light(factors.diffuse, intensity, passed, matte)
             if strength > 0:
-                highlight += factors.highlight[:, None] * intensity
-            crossed = []
-            for lens, local, offset, beyond, reach in near:
-                along = offset @ toward
-                ray = np.flatnonzero((factors.diffuse > 0) & (along >= -reach) & (beyond <= along**2))
-                crossed.append(ray[lens.caster.occluded_local(local[ray], toward)])
-                passed[crossed[-1]] *= lens.material.transmission
-            for ray in crossed:
-                # Where several lenses are crossed the first takes what all take.
-                taken = intensity * (1 - passed[ray])
-                lost[ray] += factors.diffuse[ray, None] * taken
-                lost_highlight[ray] += factors.highlight[ray, None] * taken
-                passed[ray] = 1.0
-        bare = albedo * diffuse + strength * highlight
-        return bare, bare - (albedo * lost + strength * lost_highlight)
+                _add_light(factors.highlight, intensity, passed, glossy)
+        return albedo * matte + strength * glossy
 
 
 class PhotographedScene:
@@ -164,37 +236,52 @@ class PhotographedScene:
         picture: FloatArray,
         camera: FloatArray,
         *,
-        fringe_px: int,
         region: tuple[slice, slice],
+        fringe_px: int = 1,
         environment: FloatArray | None = None,
     ) -> None:
         self._scene, self._picture, self._camera = scene, picture, camera
         self._center = camera_centers(camera[None])[0]
         self._fringe_px, self._region, self._environment = fringe_px, region, environment
-        self._shown: dict[int, tuple[cKDTree, FloatArray]] = {}
+        self._known: dict[int, tuple[cKDTree, FloatArray]] = {}
 
-    def straight(self, pixels: FloatArray, rays: SceneRays) -> RayColors:
-        """Return the photograph's own pixels."""
+    def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
+        """Return the photograph's own pixels for straight rays, and what it shows of the others' ends."""
+        assert straight.pixels is not None
         last = np.array(self._picture.shape[1::-1]) - 1
-        column, row = np.clip(np.round(pixels).astype(np.int64), 0, last).T
-        return RayColors.known(self._picture[row, column])
+        column, row = np.clip(np.round(straight.pixels).astype(np.int64), 0, last).T
+        own = RayColors.known(self._picture[row, column])
+        return [own, self.seen(bent), *map(self.mirrored, mirrored)]
 
     def seen(self, rays: SceneRays) -> RayColors:
         """Return what the photograph shows at the ends of rays, and where it does not."""
         linear, unknown = np.zeros((len(rays.origins), 3)), np.zeros(len(rays.origins), bool)
         hit = rays.hits.face >= 0
         if hit.any():
-            linear[hit], unknown[hit] = self._surface_colors(rays.chosen(hit))
+            on = rays.chosen(hit)
+            position, surface = on.ends, self._scene.surface_of_face[on.hits.face]
+            colors, sampled = self._sample(project(self._camera, position)[0], surface)
+            distance = np.linalg.norm(position - self._center, axis=1)
+            first = self._scene.rays(self._center, (position - self._center) / distance[:, None])
+            known = sampled & (first.hits.distance >= distance - _SAME_POINT * self._scene.caster.size)
+            for number in np.unique(surface[~known]).tolist():
+                lost = ~known & (surface == number)
+                tree, shown = self._shown(number)
+                if len(shown):
+                    colors[lost] = shown[tree.query(position[lost])[1]]
+                else:
+                    colors[lost] = self._scene.albedo(on.chosen(lost))
+            linear[hit], unknown[hit] = colors, ~known
         if not hit.all():
             # A background far away; where the photograph shows none there, that which is seen as near as
             # possible to the lens itself: surfaces may hide a ray's own direction over long stretches.
             past = rays.chosen(~hit)
             pixels, _ = project(self._camera, self._center + past.directions)
             colors, known = self._sample(pixels, np.full(len(pixels), _AWAY))
-            shown = np.argwhere(self._labels == _AWAY)
-            if len(shown) and not known.all():
+            places = np.argwhere(self._labels == _AWAY)
+            if len(places) and not known.all():
                 at, _ = project(self._camera, past.origins[~known])
-                row, column = shown[cKDTree(shown).query(at[:, ::-1])[1]].T
+                row, column = places[cKDTree(places).query(at[:, ::-1])[1]].T
                 colors[~known] = self._picture[row, column]
             linear[~hit], unknown[~hit] = colors, ~known
         return RayColors.known(linear, unknown)
@@ -218,49 +305,33 @@ class PhotographedScene:
         face = self._scene.rays(self._center, pixel_directions(self._camera, pixel_grid(shape))).hits.face
         label = np.where(face >= 0, self._scene.surface_of_face[face], _AWAY).reshape(shape)
         if self._fringe_px:
-            frame, away = label == _FRAME, label == _AWAY
+            frame, away = label == 0, label == _AWAY
             for kind, others in ((frame, ~frame), (~away, away)):
                 label[binary_dilation(kind, np.ones((3, 3)), iterations=self._fringe_px) & others] = _MIXED
         return label
 
-    def _surface_colors(self, rays: SceneRays) -> tuple[FloatArray, BoolArray]:
-        """Return colours (N, 3) where rays that all hit end, and where these are guesses."""
-        position, surface = rays.ends, self._scene.surface_of_face[rays.hits.face]
-        linear, sampled = self._sample(project(self._camera, position)[0], surface)
-        distance = np.linalg.norm(position - self._center, axis=1)
-        first = self._scene.rays(self._center, (position - self._center) / distance[:, None]).hits.distance
-        known = sampled & (first >= distance - _SAME_POINT * self._scene.caster.size)
-        for number in np.unique(surface[~known]).tolist():
-            lost = ~known & (surface == number)
-            if number not in self._shown:
-                own = np.zeros(self._labels.shape, bool)
-                own[self._region] = self._labels[self._region] == number
-                row, column = np.nonzero(own)
-                shown = self._scene.rays(
-                    self._center, pixel_directions(self._camera, np.stack([column, row], 1))
-                )
-                on = np.flatnonzero(shown.hits.face >= 0)
-                self._shown[number] = cKDTree(shown.chosen(on).ends), self._picture[row[on], column[on]]
-            tree, colors = self._shown[number]
-            if len(colors):
-                linear[lost] = colors[tree.query(position[lost])[1]]
-            else:
-                linear[lost] = self._scene.albedo(rays.chosen(lost))
-        return linear, ~known
+    def _shown(self, number: int) -> tuple[cKDTree, FloatArray]:
+        """Return the points of a surface that pixels of the region show, and their colours."""
+        if number not in self._known:
+            corner = [part.start for part in self._region]
+            row, column = (np.argwhere(self._labels[self._region] == number) + corner).T
+            shown = self._scene.rays(self._center, pixel_directions(self._camera, np.stack([column, row], 1)))
+            on = np.flatnonzero(shown.hits.face >= 0)
+            self._known[number] = cKDTree(shown.chosen(on).ends), self._picture[row[on], column[on]]
+        return self._known[number]
 
     def _sample(self, pixels: FloatArray, labels: IntArray) -> tuple[FloatArray, BoolArray]:
         """Return bilinear colours (N, 3) from pixels of the given labels, and where there are any."""
-        rows, columns = self._picture.shape[:2]
+        limit = np.array(self._labels.shape[::-1]) - 1
         at = np.where(np.isfinite(pixels), pixels, -1.0)
-        inside = np.asarray(((at >= 0) & (at <= [columns - 1, rows - 1])).all(1))
-        at = np.clip(at, 0, [columns - 1, rows - 1])
-        corner = np.floor(at).astype(np.int64)
-        total, share = np.zeros((len(at), 3)), np.zeros(len(at))
-        for right, below in ((0, 0), (1, 0), (0, 1), (1, 1)):
-            column = np.minimum(corner[:, 0] + right, columns - 1)
-            row = np.minimum(corner[:, 1] + below, rows - 1)
-            part = np.abs(1 - right - (at - corner)[:, 0]) * np.abs(1 - below - (at - corner)[:, 1])
-            part = part * (self._labels[row, column] == labels)
-            total += part[:, None] * self._picture[row, column]
-            share += part
-        return total / np.where(share > 0, share, 1.0)[:, None], inside & (share >= _LEAST_SHARE)
+        inside = np.asarray(((at >= 0) & (at <= limit)).all(1))
+        total = np.zeros((len(at), 4))
+        for number in np.unique(labels):
+            own, wanted = (self._labels == number)[..., None], labels == number
+            parts = np.concatenate([own * self._picture, own], 2)
+            total[wanted] = bilinear(parts, at[wanted])
+        share = total[:, 3]
+        return total[:, :3] / np.where(share > 0, share, 1.0)[:, None], inside & (share >= _LEAST_SHARE)
+
+
+SceneColors = LitScene | PhotographedScene

@@ -14,10 +14,22 @@ from scan2albedo.eyeglasses.checks import checked_mesh
 from scan2albedo.geometry.mesh import face_cross_products, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster, RayHits
+from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 
 _SMOOTH = 0.3
 """Cosine to its face below which a smoothed normal is replaced by the face's: its neighbours are wound in two
 ways."""
+_LAMPS = (
+    ((-0.6, 0.6, 0.7), 0.82, 7.0),
+    ((0.9, 0.15, 0.6), 0.86, 1.6),
+    ((0.15, 0.95, -0.45), 0.86, 3.0),
+)
+"""Direction (to the wearer's left, up, to the front), cosine of half the angle and radiance of each soft
+lamp: key, fill, and one above the sitter."""
+_SOFTNESS = 0.08
+"""Cosines over which a lamp's edge fades."""
+WHITE_SHOWN = 0.9
+"""Part of a preview's white as which a white plate that faces as the frame does is shown."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +95,31 @@ class SceneRays:
     directions: FloatArray
     """(N, 3) unit."""
     hits: RayHits
+    pixels: FloatArray | None = None
+    """(N, 2) through which they are seen, if any."""
 
     def chosen(self, which: IntArray | BoolArray) -> SceneRays:
         """Return copies of some of the rays."""
         hits = RayHits(self.hits.face[which], self.hits.barycentric[which], self.hits.distance[which])
-        return SceneRays(self.origins[which], self.directions[which], hits)
+        pixels = None if self.pixels is None else self.pixels[which]
+        return SceneRays(self.origins[which], self.directions[which], hits, pixels)
+
+    @classmethod
+    def joined(cls, sets: Sequence[SceneRays]) -> SceneRays:
+        """Return the rays of all sets, with their pixels moved apart: those of two sets are no neighbours."""
+        hits = [rays.hits for rays in sets]
+        pixels = [rays.pixels for rays in sets if rays.pixels is not None]
+        width = 2 * np.ceil(max(p[:, 0].max(initial=0) for p in pixels)) + 4
+        return cls(
+            np.concatenate([rays.origins for rays in sets]),
+            np.concatenate([rays.directions for rays in sets]),
+            RayHits(
+                np.concatenate([hit.face for hit in hits]),
+                np.concatenate([hit.barycentric for hit in hits]),
+                np.concatenate([hit.distance for hit in hits]),
+            ),
+            np.concatenate([p + [number * width, 0] for number, p in enumerate(pixels)]),
+        )
 
     @property
     def ends(self) -> FloatArray:
@@ -110,10 +142,12 @@ class LensScene:
         self.caster = RayCaster(self.vertices, self.faces)
         self._normals = vertex_normals(self.vertices, self.faces)
 
-    def rays(self, origins: FloatArray, directions: FloatArray) -> SceneRays:
+    def rays(
+        self, origins: FloatArray, directions: FloatArray, pixels: FloatArray | None = None
+    ) -> SceneRays:
         """Return rays from origins, (3,) or (N, 3), along unit directions (N, 3)."""
         start = np.broadcast_to(origins, directions.shape)
-        return SceneRays(start, directions, self.caster.first_hit(start, directions))
+        return SceneRays(start, directions, self.caster.first_hit(start, directions), pixels)
 
     def normals(self, rays: SceneRays) -> FloatArray:
         """Return (N, 3) unit normals, smooth, on the side of the viewer, where rays that all hit end."""
@@ -159,3 +193,31 @@ def radiance_at(environment_linear: FloatArray | None, directions: FloatArray) -
     column = (np.arctan2(x, z) / (2 * np.pi) + 0.5) * width - 0.5
     around = np.pad(environment_linear, ((0, 0), (1, 1), (0, 0)), mode="wrap")
     return bilinear(around, np.stack([column + 1, polar / np.pi * height - 0.5], 1))
+
+
+def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
+    """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
+
+    `axes` (3, 3) are those of `worn_axes`: lamps stand around whoever wears the frame, wherever a camera is,
+    the main one on the wearer's right, which pictures show on the left.
+    """
+    seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
+    radiance = 0.4 + 0.2 * seen[..., 1]
+    for direction, edge, strength in _LAMPS:
+        rise = np.clip((seen @ normalized(np.array(direction)) - edge) / _SOFTNESS + 0.5, 0, 1)
+        radiance = radiance + strength * rise * rise * (3 - 2 * rise)
+    return np.repeat(radiance[..., None], 3, 2)
+
+
+def white_exposure(environment_linear: FloatArray, front: FloatArray) -> float:
+    """Return the factor that shows a matte white plate facing `front` (3,) as `WHITE_SHOWN` of white.
+
+    Nothing hides the plate, so that an environment (H, W, 3) has one exposure for all cameras and heads.
+    Where it gets less light than a plate does on average over all directions, that average counts; 1 in the
+    dark.
+    """
+    rows, columns = environment_linear.shape[:2]
+    light = environment_linear.mean(2) * texel_solid_angles(rows, columns)[:, None]
+    facing = np.maximum(texel_directions((rows, columns)) @ front, 0.0)
+    radiance = max(float((light * facing).sum()), float(light.sum()) / 4) / np.pi
+    return WHITE_SHOWN / radiance if radiance > 0 else 1.0

@@ -14,7 +14,6 @@ from pydantic import Field
 from scan2albedo.core import Budget, PlanStep, ProgressCallback
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError
 from scan2albedo.eyeglasses import (
-    CanonicalEyeglasses,
     CanonicalizationOptions,
     CanonicalSet,
     canonicalize,
@@ -30,7 +29,7 @@ from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
 from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 from scan2albedo.io.units import MM_PER_UNIT
-from scan2albedo.report.eyeglasses_views import CANONICAL_COLUMNS, MOST_FRAMES, DrawnFrame, glasses_panels
+from scan2albedo.report.eyeglasses_views import MOST_SHOWN, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.runs.eyeglasses.inputs import GlassesFrame, read_frame
 
@@ -179,7 +178,36 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
         for frame, canonical in zip(done.frames, result.frames, strict=True):
             folder = staging.folder / frame.name
             folder.mkdir()
-            figures[frame.name] = _write_frame(frame, canonical, Staging(folder, _FRAME_FILES))
+            written = write_frame_glb(folder / "canonical.glb", canonical)
+            write_canonical(folder / "canonical.npz", canonical)
+            write_keypoints(folder / "keypoints.json", canonical.keypoints, unit="mm")
+            # How bent the frame was, and what the GLB's cut to four joints a vertex costs.
+            rigid = transform_points(canonical.canonical_from_frame, canonical.scale * frame.scan.vertices)
+            moved = np.linalg.norm(canonical.vertices - rigid, axis=1)
+            cut = skin(frame.scan.vertices, written.weights, canonical.handle_transforms) - canonical.vertices
+            figures[frame.name] = {
+                "key_point_residual_mm": canonical.residual,
+                "moved_rms_mm": float(np.sqrt(np.mean(moved**2))),
+                "moved_max_mm": float(moved.max()),
+                "glb_weight_cut": written.cut,
+                "glb_moved_max_mm": float(np.linalg.norm(cut, axis=1).max()),
+            }
+            mesh, keypoints = frame.files["mesh"], frame.files["keypoints"]
+            Staging(folder, _FRAME_FILES).write_record(
+                name=frame.name,
+                input=InputRecord.of(frame.scan, Path(mesh.file), mesh.sha256),
+                keypoints_file=keypoints.file,
+                keypoints_sha256=keypoints.sha256,
+                mm_per_unit=frame.mm_per_unit,
+                scale=canonical.scale,
+                canonical_from_frame=plain_json(canonical.canonical_from_frame),
+                mode="unbend" if canonical.unbent else "mean",
+                converged=canonical.converged,
+                missing_key_points=frame.missing_key_points,
+                plan=canonical.plan.steps,
+                metrics=figures[frame.name],
+                notes=frame.scan.notes,
+            )
         write_keypoints(staging.folder / "mean_keypoints.json", result.mean_keypoints, unit="mm")
         result.trace.to_csv(staging.folder / "trace.csv")
         staging.figure("error_vs_time.png", result.trace.plot())
@@ -187,10 +215,10 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
             DrawnFrame(f.name, f.scan.vertices, f.keypoints, c)
             for f, c in zip(done.frames, result.frames, strict=True)
         ]
-        count = f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
-        title = count if len(drawn) <= MOST_FRAMES else f"{MOST_FRAMES} of {count}"
-        overview = overview_figure(title, glasses_panels(drawn), CANONICAL_COLUMNS)
-        staging.figure("overview.png", overview, dpi=100)
+        title = f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
+        if len(drawn) > MOST_SHOWN:
+            title = f"{MOST_SHOWN} of {title}"
+        staging.figure("overview.png", overview_figure(title, glasses_panels(drawn), 4), dpi=100)
         staging.write_record(
             options=dict(done.options),
             frames=tuple(frame.name for frame in done.frames),
@@ -201,46 +229,4 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
             seconds=done.seconds,
             plan=result.plan.steps,
         )
-    return figures
-
-
-def _write_frame(
-    frame: GlassesFrame, canonical: CanonicalEyeglasses, staging: Staging[CanonicalFrameRecord]
-) -> dict[str, Any]:
-    written = write_frame_glb(staging.folder / "canonical.glb", canonical)
-    write_canonical(staging.folder / "canonical.npz", canonical)
-    write_keypoints(staging.folder / "keypoints.json", canonical.keypoints, unit="mm")
-    # How bent the frame was, and what the GLB's cut to four joints a vertex costs.
-    rigid = transform_points(canonical.canonical_from_frame, canonical.scale * frame.scan.vertices)
-    moved = np.linalg.norm(canonical.vertices - rigid, axis=1)
-    cut = skin(frame.scan.vertices, written.weights, canonical.handle_transforms) - canonical.vertices
-    figures = {
-        "key_point_residual_mm": canonical.residual,
-        "moved_rms_mm": float(np.sqrt(np.mean(moved**2))),
-        "moved_max_mm": float(moved.max()),
-        "glb_weight_cut": written.cut,
-        "glb_moved_max_mm": float(np.linalg.norm(cut, axis=1).max()),
-    }
-    mesh, keypoints = frame.files["mesh"], frame.files["keypoints"]
-    staging.write_record(
-        name=frame.name,
-        input=InputRecord(
-            file=mesh.file,
-            sha256=mesh.sha256,
-            vertices=len(frame.scan.vertices),
-            faces=len(frame.scan.faces),
-            texture_size=None,
-        ),
-        keypoints_file=keypoints.file,
-        keypoints_sha256=keypoints.sha256,
-        mm_per_unit=frame.mm_per_unit,
-        scale=canonical.scale,
-        canonical_from_frame=plain_json(canonical.canonical_from_frame),
-        mode="unbend" if canonical.unbent else "mean",
-        converged=canonical.converged,
-        missing_key_points=frame.missing_key_points,
-        plan=canonical.plan.steps,
-        metrics=figures,
-        notes=frame.scan.notes,
-    )
     return figures

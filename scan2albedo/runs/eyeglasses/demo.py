@@ -46,15 +46,12 @@ from scan2albedo.templates import AnnotatedFaceModel
 
 Mesh = tuple[FloatArray, IntArray]
 
-Head = Literal["fitted", "true", "none"]
+Head = Literal["fitted", "none"]
 
 INPUT = "input"
 """Folder with what a person who takes pictures would bring."""
 LENSES = "lenses"
 """Folder with the picture through lenses."""
-_MESHES = (".obj", ".glb")
-_SHAPE_ONLY = Scanner(size=64, picture_size=64)
-"""Neither registration nor fit look at the scan's pictures."""
 
 
 @dataclass(frozen=True)
@@ -78,29 +75,31 @@ class GlassesDemoReport:
 
     def table(self) -> str:
         """Return the figures as text for a terminal."""
-        heads = {"fitted": "face fitted to a scan", "true": "true head", "none": "no head"}
         errors = self.errors
-        lines = [
-            f"  {name:18}{errors[f'{of}_rms_mm']:.3f} mm rms, {errors[f'{of}_max_mm']:.3f} mm at most{more}"
-            for name, of, more in (
-                ("visible vertices", "seen", f"; {errors['seen_share']:.1%} of the frame"),
-                ("all vertices", "all", ""),
-                ("key points", "keypoints", ""),
-            )
-        ]
         ended = "converged" if self.placed.result.converged else "not converged"
-        lines += [
-            f"  {'observed':18}{errors['observed_rms_mm']:.3f} mm rms, "
-            f"{errors['observed_deviation_mm']:.3f} mm stated; {errors['observed_share']:.1%} of the frame",
-            f"  {'depth':18}{errors['depth_error_mm']:.3f} mm rms, "
-            f"{errors['depth_deviation_mm']:.3f} mm stated",
-            f"  {'registration':18}{self.placed.seconds:.1f} s, {ended}",
-        ]
-        return "\n".join([f"error against the ground truth ({heads[self.head]}):", *lines])
+        parts = (("visible vertices", "seen"), ("all vertices", "all"), ("key points", "keypoints"))
+        rows = {
+            name: f"{errors[f'{of}_rms_mm']:.3f} mm rms, {errors[f'{of}_max_mm']:.3f} mm at most"
+            for name, of in parts
+        }
+        rows["visible vertices"] += f"; {errors['seen_share']:.1%} of the frame"
+        rows["observed"] = (
+            f"{errors['observed_rms_mm']:.3f} mm rms, {errors['observed_deviation_mm']:.3f} mm stated; "
+            f"{errors['observed_share']:.1%} of the frame"
+        )
+        rows["depth"] = f"{errors['depth_error_mm']:.3f} mm rms, {errors['depth_deviation_mm']:.3f} mm stated"
+        rows["registration"] = f"{self.placed.seconds:.1f} s, {ended}"
+        head = "face fitted to a scan" if self.head == "fitted" else "no head"
+        lines = [f"  {name:18}{row}" for name, row in rows.items()]
+        return "\n".join([f"error against the ground truth ({head}):", *lines])
 
 
 def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitted") -> GlassesDemoReport:
     """Return the errors of a registered synthetic frame."""
+
+    def rms(errors: FloatArray) -> float:
+        return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
+
     result, glasses = placed.result, person.glasses
     # Reading a mesh may drop and renumber vertices.
     same = cKDTree(glasses.rest_vertices).query(placed.given.frame.scan.vertices)[1]
@@ -113,26 +112,22 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
     for center, hidden in zip(camera_centers(person.cameras), person.hidden, strict=True):
         shown = ~hidden[glasses.keypoint_vertices]
         rays = normalized(person.keypoints[shown] - center)
-        depth_errors.append(_rms(np.einsum("ki,ki->k", rays, off[shown])))
+        depth_errors.append(rms(np.einsum("ki,ki->k", rays, off[shown])))
     errors = {
-        "seen_rms_mm": _rms(error[seen]),
+        "seen_rms_mm": rms(error[seen]),
         "seen_max_mm": float(error[seen].max()),
         "seen_share": float(seen.mean()),
-        "all_rms_mm": _rms(error),
+        "all_rms_mm": rms(error),
         "all_max_mm": float(error.max()),
-        "observed_rms_mm": _rms(error[observed]),
+        "observed_rms_mm": rms(error[observed]),
         "observed_share": float(observed.mean()),
-        "observed_deviation_mm": _rms(result.deviation[observed]),
-        "keypoints_rms_mm": _rms(marks),
+        "observed_deviation_mm": rms(result.deviation[observed]),
+        "keypoints_rms_mm": rms(marks),
         "keypoints_max_mm": float(marks.max()),
         "depth_error_mm": float(np.nanmin(depth_errors)),
         "depth_deviation_mm": result.depth_deviation,
     }
     return GlassesDemoReport(placed, head, errors)
-
-
-def _rms(errors: FloatArray) -> float:
-    return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
 
 
 def run_glasses_demo(
@@ -141,42 +136,39 @@ def run_glasses_demo(
     seed: int = 0,
     head: Head = "fitted",
     person: Wearer | None = None,
-    dioptres: float | None = -6.0,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> GlassesDemoReport:
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
 
-    Then lenses of `dioptres` are put into the registered frame and drawn in the middle view, into
-    `LENSES`; None, or no head to see through them, for no lenses. `out` gets the results, and in `INPUT` the
-    files they were made from. The head is "fitted": the face that `register` and `fit` find in a raw scan of
-    the person, brought into the cameras' frame by the scan's true pose, as a calibrated rig knows it; "true":
-    the person's own; or "none". A `person` takes the place of that of `seed`.
-    `say` is called with lines on the lenses.
+    Then lenses are put into the registered frame and drawn in the middle view, into `LENSES`. `out` gets the
+    results, and in `INPUT` the files they were made from. The head is "fitted": the face that `register` and
+    `fit` find in a raw scan of the person, brought into the cameras' frame by the scan's true pose, as a
+    calibrated rig knows it; or "none", and no lenses. A `person` takes the place of that of `seed`. `say` is
+    called with lines on the lenses.
     """
     folder = Path(out)
     check_writable(folder)
     RunFolder(folder, register_run.FILES).check()
     RunFolder(folder / LENSES, lenses_run.FILES).check()
     person = person or wearer(seed)
-    mesh = (person.head_vertices, person.head_faces) if head == "true" else None
-    mesh = fitted_face(seed, on_progress) if head == "fitted" else mesh
-    given = write_wearer(person, mesh, folder)
+    given = write_wearer(person, fitted_face(seed, on_progress) if head == "fitted" else None, folder)
     placed = register_frame(given, on_progress=on_progress)
     write_registration_files(placed, folder)
-    if dioptres is not None and mesh is not None:
+    if head == "fitted":
         # From the files that `glasses lenses` would read.
         middle = given.cameras[len(given.cameras) // 2].name
         head_file, cameras_file = (Path(given.files[what].file) for what in ("head", "cameras"))
         source = read_lens_scene(folder / "registered.glb", head_file, cameras_file, views=[middle])
-        lens = LensMaterial(dioptres=dioptres, beta=0.04)
+        lens = LensMaterial(dioptres=-6.0, beta=0.04)
         run_lenses(source, (lens, lens), LensPictureOptions(), folder / LENSES, say)
     return compare_with_wearer(placed, person, head)
 
 
 def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
     """Return the face fitted to a raw scan of the person of `wearer(seed)`, in that wearer's world."""
-    scan, truth = raw_scan(seed, scanner=_SHAPE_ONLY)
+    # Neither registration nor fit look at the scan's pictures.
+    scan, truth = raw_scan(seed, scanner=Scanner(size=64, picture_size=64))
     model = AnnotatedFaceModel.default()
     pose = register(scan, model, seed=seed, on_progress=on_progress)
     fitted = fit(scan, model, pose, on_progress=on_progress)
@@ -211,7 +203,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
         for made in staging.rglob("*"):
             there = folder / made.relative_to(staging)
             if made.is_file() and there.is_file():
-                hashes = {file_sha256(there), input_sha256(there) if there.suffix in _MESHES else ""}
+                hashes = {file_sha256(there), input_sha256(there) if there.suffix in (".obj", ".glb") else ""}
                 if file_sha256(made) not in hashes and not hashes & known:
                     raise OutputError(
                         f"{there}: no run of scan2albedo glasses demo wrote it; move it away, or choose "

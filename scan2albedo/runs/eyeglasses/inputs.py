@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import Field
@@ -15,6 +15,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     Camera,
+    LensMaterial,
     read_cameras,
     read_canonical,
     read_labels,
@@ -44,6 +45,10 @@ if TYPE_CHECKING:
 
 CANONICAL = ".npz"
 """Extension of frames that bring their weights, and of results whose pose is a start."""
+_SUNGLASSES = LensMaterial(
+    tint_linear=(0.1, 0.07, 0.03), alpha=0.85, beta=0.04, fresnel=True, tinting="filter"
+)
+"""Dyed glass of index 1.5, which mirrors 4 % head-on."""
 
 
 class FileRecord(Record):
@@ -126,11 +131,11 @@ def read_frame(
             mm_per_unit, note = glasses_millimetres_per_unit(marks.points, unit, mesh.name, (low, high))
             return mm_per_unit, note
         _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_file.name, (low, high))
+        mm_per_unit = MM_PER_UNIT.get(unit, 0.0)
+        note = f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
         if unit == "auto":
             mm_per_unit, note = _unit_on_which_key_points_lie(parsed, marks, mesh.name)
-            return mm_per_unit, note
-        mm_per_unit = MM_PER_UNIT[unit]
-        return mm_per_unit, f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
+        return mm_per_unit, note
 
     scan = load_scan_with(mesh, decide)
     factor = mm_per_unit if marks.unit == "unknown" else MM_PER_UNIT[marks.unit]
@@ -184,8 +189,7 @@ def read_registration(
     except EyeglassesError as error:
         raise EyeglassesError(f"labels {labels}: {error}") from error
     for camera, marks in zip(views, pixels, strict=True):
-        given = marks[np.isfinite(marks).all(1)]
-        limit = np.array([camera.shape[1], camera.shape[0]]) - 0.5
+        given, limit = marks[np.isfinite(marks).all(1)], np.array(camera.shape[::-1]) - 0.5
         outside = int(((given < -0.5) | (given > limit)).any(1).sum())
         if len(given) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
@@ -211,28 +215,25 @@ def read_registration(
         npz = start.suffix.lower() == CANONICAL
         pose = read_registered(start).world_from_glasses if npz else read_start(start)
         files["start"] = _hashed(start)
+    read: list[tuple[str, RawScan]] = []
     if mesh.suffix.lower() == CANONICAL:
         if keypoints is not None or unit not in ("auto", "mm"):
             raise ValueError(f"{mesh.name} brings its own key points, and is in mm")
-        canonical = read_canonical(mesh)
+        made, own = read_canonical(mesh), {"mesh": _hashed(mesh)}
         # All canonical frames' files are called alike, their folders are not.
         folder = mesh.absolute().parent.name
-        frame = GlassesFrame(
-            folder if mesh.name == "canonical.npz" and folder else mesh.stem,
-            RawScan(canonical.vertices, canonical.faces),
-            canonical.keypoints,
-            1.0,
-            {"mesh": _hashed(mesh)},
-            canonical.weights,
-        )
+        name = folder if mesh.name == "canonical.npz" and folder else mesh.stem
+        frame = GlassesFrame(name, RawScan(made.vertices, made.faces), made.keypoints, 1.0, own, made.weights)
     else:
         frame = read_frame(mesh, keypoints, unit)
-        notes += [f"{mesh.name}: {note}" for note in _notes_of(frame.scan)]
+        read.append((mesh.name, frame.scan))
     skull = None
     if head is not None:
         skull = load_scan(head)
-        notes += [f"head {head.name}: {note}" for note in _notes_of(skull)]
+        read.append((f"head {head.name}", skull))
         files["head"] = _hashed(head, mesh=True)
+    # That meshes have no colours does not matter here.
+    notes += [f"{name}: {n}" for name, scan in read for n in scan.notes if "geometry only" not in n]
     return GlassesInput(
         frame, views, skull, {**files, **frame.files}, tuple(notes), pixels, tuple(found), pose
     )
@@ -274,8 +275,8 @@ def read_lens_scene(
     stems = {picture.stem: picture for picture in pictures}
     if all(camera.name in stems for camera in chosen):
         pictures = [stems[camera.name] for camera in chosen]
-    glasses = read_frame(frame, keypoints, unit)
-    skull = load_scan(head, unit)
+    glasses, skull = read_frame(frame, keypoints, unit), load_scan(head, unit)
+    files = {**glasses.files, "head": _hashed(head, mesh=True), "cameras": _hashed(cameras)}
     images = []
     for file, camera in zip(pictures, chosen if pictures else (), strict=True):
         image = np.asarray(read_image_linear(file), np.float64)
@@ -286,27 +287,52 @@ def read_lens_scene(
                 f"{wanted_height}; give the picture that this camera took"
             )
         images.append(image)
-    light = None if environment is None else np.asarray(read_image_linear(environment), np.float64)
-    files = {**glasses.files, "head": _hashed(head, mesh=True), "cameras": _hashed(cameras)}
-    files |= {
-        f"picture {c.name}": _hashed(f) for f, c in zip(pictures, chosen if pictures else (), strict=True)
-    }
-    files |= {} if environment is None else {"environment": _hashed(environment)}
+        files[f"picture {camera.name}"] = _hashed(file)
+    light = None
+    if environment is not None:
+        light, files["environment"] = np.asarray(read_image_linear(environment), float), _hashed(environment)
     notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
-    return GlassesInput(
-        glasses,
-        chosen,
-        skull,
-        files,
-        tuple(notes),
-        pictures=tuple(images) or None,
-        environment=light,
-    )
+    shown = tuple(images) or None
+    return GlassesInput(glasses, chosen, skull, files, tuple(notes), pictures=shown, environment=light)
 
 
-def _notes_of(scan: RawScan) -> list[str]:
-    """Return the notes of reading a mesh; that it has no colours does not matter here."""
-    return [note for note in scan.notes if "geometry only" not in note]
+def numbers(name: str, text: str, *counts: int) -> tuple[float, ...]:
+    """Return the numbers of an option's text, commas between them; ValueError unless as many as expected."""
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"{name} takes numbers with commas between them, got {text!r}") from None
+    if len(values) not in counts:
+        wanted = " or ".join(str(c) for c in counts)
+        raise ValueError(f"{name} takes {wanted} numbers, got {len(values)} in {text!r}")
+    return values
+
+
+def material_pair(
+    dioptres: str,
+    *,
+    tint: str | None,
+    alpha: float | None,
+    beta: float | None,
+    sunglasses: bool,
+    fresnel: bool,
+) -> tuple[LensMaterial, LensMaterial]:
+    """Return the left and the right lens of the command's options.
+
+    Raises ValueError when a text is not a number or holds too many or too few, EyeglassesError when one is
+    out of range.
+    """
+    powers = numbers("--dioptres", dioptres, 1, 2)
+    glass = _SUNGLASSES
+    if not sunglasses:
+        glass = LensMaterial(beta=_SUNGLASSES.beta if fresnel else 0.0, fresnel=fresnel)
+    given: dict[str, Any] = {"alpha": alpha, "beta": beta}
+    if tint is not None:
+        given["tint_linear"] = numbers("--tint", tint, 3)
+        if alpha is None and not sunglasses:
+            given["alpha"] = 0.5
+    given = {name: value for name, value in given.items() if value is not None}
+    return replace(glass, dioptres=powers[0], **given), replace(glass, dioptres=powers[-1], **given)
 
 
 def _hashed(path: Path, *, mesh: bool = False) -> FileRecord:

@@ -7,58 +7,44 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     Camera,
     InsertedLens,
-    LensMaterial,
     LensPicture,
     LensPictureOptions,
     Surface,
     insert_lenses,
 )
 from scan2albedo.eyeglasses.checks import checked_keypoints
-from scan2albedo.eyeglasses.lenses.inserted_lenses import without_glass, worn_axes
-from scan2albedo.eyeglasses.lenses.lens_picture import checked_image
+from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass, worn_axes
+from scan2albedo.eyeglasses.lenses.lens_picture import Lenses, checked_image
+from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import normalized
+from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import GlbPart, write_parts_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.records import Figures, Number, Record
 from scan2albedo.io.result_records import InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
-from scan2albedo.report.eyeglasses_views import LENS_COLUMNS, lens_panels, preview
-from scan2albedo.report.overview import overview_figure
+from scan2albedo.report.eyeglasses_views import MOST_SHOWN
+from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
-_LAMPS = (
-    ((-0.6, 0.6, 0.7), 0.82, 7.0),
-    ((0.9, 0.15, 0.6), 0.86, 1.6),
-    ((0.15, 0.95, -0.45), 0.86, 3.0),
-)
-"""Direction (to the wearer's left, up, to the front), cosine of half the angle and radiance of each soft
-lamp: key, fill, and one above the sitter."""
-_SOFTNESS = 0.08
-"""Cosines over which a lamp's edge fades."""
 _WORN_MM = 150.0
 """Largest distance between a worn frame's rims and the head: more is another world, or another unit."""
-WHITE_SHOWN = 0.9
-"""Part of a preview's white as which a white plate that faces as the frame does is shown."""
-_FRAME_ALBEDO, _HEAD_ALBEDO, _SKIN_ROUGHNESS_RAD = (0.05, 0.05, 0.06), (0.5, 0.5, 0.5), 0.3
-"""Of frames and heads without colours."""
-_SUN_TINT, _SUN_ALPHA, _TINT_ALPHA, _GLASS_BETA = (0.1, 0.07, 0.03), 0.85, 0.5, 0.04
-"""Defaults of the command: of sunglasses, of tinted glass, and what glass of index 1.5 mirrors head-on."""
-_SHOWN_ROUGHNESS, _SHOWN_OPACITY = 0.05, 0.08
-"""Of lenses in the GLB: clear glass is shown a little, for nobody would find it."""
+_FRAME_ALBEDO = (0.05, 0.05, 0.06)
+"""Of frames without colours."""
+_SKIN_ROUGHNESS_RAD = 0.3
+_SHOWN_OPACITY = 0.08
+"""Of clear lenses in the GLB: nobody would find them otherwise."""
 
 
 class LensRecord(Record):
@@ -121,34 +107,6 @@ FILES = OwnFiles(
 )
 
 
-def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
-    """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
-
-    `axes` (3, 3) are those of `worn_axes`: lamps stand around whoever wears the frame, wherever a camera is,
-    the main one on the wearer's right, which pictures show on the left.
-    """
-    seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
-    radiance = 0.4 + 0.2 * seen[..., 1]
-    for direction, edge, strength in _LAMPS:
-        rise = np.clip((seen @ normalized(np.array(direction)) - edge) / _SOFTNESS + 0.5, 0, 1)
-        radiance = radiance + strength * rise * rise * (3 - 2 * rise)
-    return np.repeat(radiance[..., None], 3, 2)
-
-
-def white_exposure(environment_linear: FloatArray, front: FloatArray) -> float:
-    """Return the factor that shows a matte white plate facing `front` (3,) as `WHITE_SHOWN` of white.
-
-    Nothing hides the plate, so that an environment (H, W, 3) has one exposure for all cameras and heads.
-    Where it gets less light than a plate does on average over all directions, that average counts; 1 in the
-    dark.
-    """
-    rows, columns = environment_linear.shape[:2]
-    light = environment_linear.mean(2) * texel_solid_angles(rows, columns)[:, None]
-    facing = np.maximum(texel_directions((rows, columns)) @ front, 0.0)
-    radiance = max(float((light * facing).sum()), float(light.sum()) / 4) / np.pi
-    return WHITE_SHOWN / radiance if radiance > 0 else 1.0
-
-
 @dataclass(frozen=True)
 class LensView:
     """A view with lenses in it."""
@@ -167,7 +125,6 @@ class RenderedLenses:
     """Without glass of its own where a lens is."""
     environment: Literal["given", "built-in", "none"]
     from_photographs: bool
-    options: LensPictureOptions
     exposure: float
     """Factor on linear colours for previews, the same for all views: `white_exposure`, 1 for photographs."""
 
@@ -179,12 +136,12 @@ class RenderedLenses:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes of all views; those that only some have name them. The last is on the exposure."""
-        count = len(self.views)
         said: dict[str, list[str]] = {}
         for view in self.views:
             for note in view.picture.notes:
                 said.setdefault(note, []).append(view.camera.name)
-        notes = [n if len(names) == count else f"{', '.join(names)}: {n}" for n, names in said.items()]
+        everywhere = len(self.views)
+        notes = [n if len(names) == everywhere else f"{', '.join(names)}: {n}" for n, names in said.items()]
         if not self.from_photographs:
             notes.append(
                 f"pictures show linear colours times {self.exposure:.3g}: under this light a white plate "
@@ -196,7 +153,7 @@ class RenderedLenses:
 def render_lenses(
     frame: Surface,
     keypoints: ArrayLike,
-    lenses: LensMaterial | tuple[LensMaterial | None, LensMaterial | None],
+    lenses: Lenses,
     *,
     head: Surface,
     cameras: Sequence[Camera],
@@ -215,18 +172,16 @@ def render_lenses(
     """
     if not cameras:
         raise ValueError("give a camera")
-    photographs: list[FloatArray | None] = [None] * len(cameras)
-    if pictures_linear is not None:
-        if len(pictures_linear) != len(cameras):
-            raise ValueError(f"there are {len(pictures_linear)} pictures for {len(cameras)} cameras")
-        photographs = [np.asarray(picture, np.float64) for picture in pictures_linear]
+    if pictures_linear is not None and len(pictures_linear) != len(cameras):
+        raise ValueError(f"there are {len(pictures_linear)} pictures for {len(cameras)} cameras")
+    photographs = [None] * len(cameras) if pictures_linear is None else list(map(np.asarray, pictures_linear))
     for image, camera in zip(photographs, cameras, strict=True):
         if image is not None and image.shape != (*camera.shape, 3):
             raise ValueError(
                 f"the picture of {camera.name!r} is {image.shape}, expected {(*camera.shape, 3)}"
             )
-    marks = np.asarray(keypoints, np.float64)
-    known = marks[np.isfinite(marks).all(1)] if marks.ndim == 2 else marks[:0]
+    marks = checked_keypoints("keypoints", keypoints)
+    known = marks[np.isfinite(marks).all(1)]
     if len(known):
         query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
         apart = float(np.median(query.query(known).distance))
@@ -235,14 +190,12 @@ def render_lenses(
                 f"the frame lies {apart:.0f} mm away from the head; give both in the same world, and their "
                 "units"
             )
-    kind: Literal["given", "built-in", "none"] = "given"
-    if environment_linear is None:
-        kind = "none" if pictures_linear is not None else "built-in"
+    kind: Literal["given", "built-in", "none"] = "none" if environment_linear is None else "given"
     exposure = 1.0
     if pictures_linear is None:
-        axes = worn_axes(np.asarray(frame.vertices), checked_keypoints("keypoints", keypoints))
+        axes = worn_axes(np.asarray(frame.vertices), marks)
         if environment_linear is None:
-            environment_linear = soft_environment(axes)
+            kind, environment_linear = "built-in", soft_environment(axes)
         exposure = white_exposure(checked_image("environment_linear", environment_linear), axes[2])
     views = []
     for camera, photograph in zip(cameras, photographs, strict=True):
@@ -262,71 +215,24 @@ def render_lenses(
         if on_view is not None:
             on_view(views[-1])
     bare = without_glass(frame, views[0].picture.lenses, marks)[0]
-    return RenderedLenses(tuple(views), bare, kind, pictures_linear is not None, options, exposure)
+    return RenderedLenses(tuple(views), bare, kind, pictures_linear is not None, exposure)
 
 
-def surface_of(scan: RawScan, albedo: tuple[float, float, float], roughness_rad: float = 0.0) -> Surface:
+def surface_of(scan: RawScan, albedo: ArrayLike = (0.5, 0.5, 0.5), roughness_rad: float = 0.0) -> Surface:
     """Return a scan as a surface with its texture, its vertex colours, or the albedo given."""
-    if scan.uv is not None and scan.texture_linear is not None:
-        return Surface(
-            scan.vertices,
-            scan.faces,
-            uv=scan.uv,
-            texture_linear=scan.texture_linear,
-            roughness_rad=roughness_rad,
-        )
-    colors = albedo if scan.vertex_color_linear is None else scan.vertex_color_linear
-    return Surface(scan.vertices, scan.faces, colors, roughness_rad=roughness_rad)
-
-
-def material_pair(
-    dioptres: str,
-    *,
-    tint: str | None,
-    alpha: float | None,
-    beta: float | None,
-    sunglasses: bool,
-    fresnel: bool,
-) -> tuple[LensMaterial, LensMaterial]:
-    """Return the left and the right lens of the command's options.
-
-    Raises ValueError when a text is not a number or holds too many or too few, EyeglassesError when one is
-    out of range.
-    """
-    powers = _numbers("--dioptres", dioptres, (1, 2))
-    color = (
-        _numbers("--tint", tint, (3,)) if tint is not None else (_SUN_TINT if sunglasses else (0.0, 0.0, 0.0))
+    return Surface(
+        scan.vertices,
+        scan.faces,
+        albedo if scan.vertex_color_linear is None else scan.vertex_color_linear,
+        uv=scan.uv,
+        texture_linear=None if scan.uv is None else scan.texture_linear,
+        roughness_rad=roughness_rad,
     )
-    share = _SUN_ALPHA if sunglasses else (0.0 if tint is None else _TINT_ALPHA)
-    mirrors = fresnel or sunglasses
-    left, right = (
-        LensMaterial(
-            power,
-            color,
-            alpha=share if alpha is None else alpha,
-            beta=(_GLASS_BETA if mirrors else 0.0) if beta is None else beta,
-            fresnel=mirrors,
-            tinting="filter" if sunglasses else "paint",
-        )
-        for power in (powers[0], powers[-1])
-    )
-    return left, right
-
-
-def _numbers(name: str, text: str, counts: tuple[int, ...]) -> tuple[float, ...]:
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"{name} takes numbers with commas between them, got {text!r}") from None
-    if len(values) not in counts:
-        wanted = " or ".join(str(c) for c in counts)
-        raise ValueError(f"{name} takes {wanted} numbers, got {len(values)} in {text!r}")
-    return values
 
 
 def run_lenses(
     source: GlassesInput,
-    lenses: tuple[LensMaterial | None, LensMaterial | None],
+    lenses: Lenses,
     options: LensPictureOptions,
     out: Path,
     say: Callable[[str], None],
@@ -335,23 +241,23 @@ def run_lenses(
 
     Raises EyeglassesError, naming the files, when lenses cannot be put in; OutputError when writing fails.
     """
-    name, files = source.frame.name, source.files
+    frame, head, files = source.frame, source.head, source.files
+    assert head is not None
     for note in source.notes:
         say(note)
 
     def say_view(view: LensView) -> None:
         seen = int((view.picture.lens >= 0).sum())
-        say(f"{name}: {view.camera.name} done in {view.seconds:.1f} s; {seen} pixels see a lens")
+        say(f"{frame.name}: {view.camera.name} done in {view.seconds:.1f} s; {seen} pixels see a lens")
 
     how = "drawn" if source.pictures is None else "put into photographs"
-    say(f"{name}: lenses are {how} for {', '.join(camera.name for camera in source.cameras)}")
-    assert source.head is not None
+    say(f"{frame.name}: lenses are {how} for {', '.join(camera.name for camera in source.cameras)}")
     try:
         rendered = render_lenses(
-            surface_of(source.frame.scan, _FRAME_ALBEDO),
-            source.frame.keypoints,
+            surface_of(frame.scan, _FRAME_ALBEDO),
+            frame.keypoints,
             lenses,
-            head=surface_of(source.head, _HEAD_ALBEDO, _SKIN_ROUGHNESS_RAD),
+            head=surface_of(head, roughness_rad=_SKIN_ROUGHNESS_RAD),
             cameras=source.cameras,
             pictures_linear=source.pictures,
             environment_linear=source.environment,
@@ -361,24 +267,20 @@ def run_lenses(
     except EyeglassesError as error:
         raise EyeglassesError(f"{files['mesh'].file} with {files['keypoints'].file}: {error}") from error
     for note in rendered.notes:
-        say(f"{name}: {note}")
-    record = write_lens_files(rendered, source, out)
-    say(f"{name}: files in {out}")
-    return record
-
-
-def write_lens_files(rendered: RenderedLenses, source: GlassesInput, out: Path) -> LensesRecord:
-    """Write pictures, meshes and the record into `out`. Raises OutputError, naming folder and cause."""
-    frame, files = source.frame, source.files
-    assert source.head is not None
+        say(f"{frame.name}: {note}")
     with RunFolder(out, FILES).publishing() as staging:
-        folder = staging.folder
+        panels = []
         for view in rendered.views:
             name, picture = view.camera.name, view.picture
-            write_exr(folder / f"{name}_lenses.exr", picture.image_linear)
-            write_png(folder / f"{name}_lenses.png", preview(picture.image_linear, rendered.exposure))
+            shown, empty = (
+                encode_srgb_bytes(rendered.exposure * linear)
+                for linear in (picture.image_linear, picture.without_lenses_linear)
+            )
+            write_exr(staging.folder / f"{name}_lenses.exr", picture.image_linear)
+            write_png(staging.folder / f"{name}_lenses.png", shown)
             if rendered.from_photographs:
-                write_png(folder / f"{name}_unknown.png", picture.unknown)
+                write_png(staging.folder / f"{name}_unknown.png", picture.unknown)
+            panels += [Panel(f"{name}, without lenses", empty), Panel(f"{name}, with lenses", shown)]
         bare = rendered.frame
         colors = np.asarray(bare.albedo_linear if bare.texture_linear is None else bare.texture_linear)
         color = _vector(np.median(colors.reshape(-1, 3), axis=0))
@@ -386,19 +288,18 @@ def write_lens_files(rendered: RenderedLenses, source: GlassesInput, out: Path) 
         for lens in rendered.lenses:
             opacity = min(max(1.0 - float(lens.material.transmission.mean()), _SHOWN_OPACITY), 1.0)
             color, name = _vector(lens.material.tint_linear), lens.name.replace(" ", "_")
-            parts.append(GlbPart(name, lens.vertices, lens.faces, color, opacity, _SHOWN_ROUGHNESS))
-        write_parts_glb(folder / "frame_with_lenses.glb", parts)
-        panels = lens_panels([(v.camera.name, v.picture) for v in rendered.views], rendered.exposure)
+            parts.append(GlbPart(name, lens.vertices, lens.faces, color, opacity, roughness=_SHOWN_OPACITY))
+        write_parts_glb(staging.folder / "frame_with_lenses.glb", parts)
         powers = ", ".join(f"{lens.name} {lens.material.dioptres:+g} D" for lens in rendered.lenses)
-        overview = overview_figure(f"{frame.name}: {powers}", panels, LENS_COLUMNS)
+        overview = overview_figure(f"{frame.name}: {powers}", panels[: 2 * MOST_SHOWN], 2)
         staging.figure("overview.png", overview, dpi=100)
-        return staging.write_record(
+        record = staging.write_record(
             name=frame.name,
-            options=asdict(rendered.options),
-            input=_input(frame.scan, files["mesh"]),
+            options=asdict(options),
+            input=InputRecord.of(frame.scan, Path(files["mesh"].file), files["mesh"].sha256),
             keypoints=files["keypoints"],
             mm_per_unit=frame.mm_per_unit,
-            head=_input(source.head, files["head"]),
+            head=InputRecord.of(head, Path(files["head"].file), files["head"].sha256),
             cameras=files["cameras"],
             pictures=tuple(file for what, file in files.items() if what.startswith("picture ")),
             environment=files.get("environment"),
@@ -419,31 +320,28 @@ def write_lens_files(rendered: RenderedLenses, source: GlassesInput, out: Path) 
             ),
             notes=(*source.notes, *rendered.notes),
         )
-
-
-def _input(scan: RawScan, file: FileRecord) -> InputRecord:
-    return InputRecord.of(scan, Path(file.file), file.sha256)
+    say(f"{frame.name}: files in {out}")
+    return record
 
 
 def _lens_record(lens: InsertedLens) -> LensRecord:
-    material, rim = lens.material, lens.rim
-    return LensRecord(
-        side="right" if lens.side == 1 else "left",
-        dioptres=material.dioptres,
-        tint_linear=_vector(material.tint_linear),
-        alpha=material.alpha,
-        beta=material.beta,
-        fresnel=material.fresnel,
-        tinting=material.tinting,
-        front_radius_mm=material.front_radius_mm if math.isfinite(material.front_radius_mm) else None,
-        center_mm=_vector(lens.optics.center),
-        normal=_vector(rim.normal),
-        mean_radius_mm=float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
-        measured=float(rim.measured.mean()),
-        gaps=rim.gaps,
+    material, rim = asdict(lens.material), lens.rim
+    if not math.isfinite(material["front_radius_mm"]):
+        material["front_radius_mm"] = None
+    return LensRecord.model_validate(
+        material
+        | {
+            "side": SIDES[lens.side],
+            "tint_linear": _vector(lens.material.tint_linear),
+            "center_mm": _vector(lens.optics.center),
+            "normal": _vector(rim.normal),
+            "mean_radius_mm": float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
+            "measured": float(rim.measured.mean()),
+            "gaps": rim.gaps,
+        }
     )
 
 
-def _vector(values: Any) -> tuple[float, float, float]:
+def _vector(values: ArrayLike) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in np.asarray(values))
     return x, y, z

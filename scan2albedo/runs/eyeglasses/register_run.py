@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo.core import Budget, PlanStep, ProgressCallback
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
@@ -24,7 +25,7 @@ from scan2albedo.eyeglasses.frame_files import write_frame_glb
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.report.eyeglasses_views import MOST_VIEWS, SeenView, registration_panels
+from scan2albedo.report.eyeglasses_views import MOST_SHOWN, SeenView, registration_panels
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
@@ -72,16 +73,13 @@ class RegisteredFrameRecord(RunRecord):
 FILES = OwnFiles(
     "result.json",
     RegisteredFrameRecord,
-    (
-        "registered.glb",
-        "registered.npz",
-        "keypoints.json",
-        "trace.csv",
-        "error_vs_time.png",
-        "overview.png",
-    ),
+    ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png", "overview.png"),
     "scan2albedo glasses register",
 )
+
+
+def _rms(values: FloatArray) -> float | None:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
 
 
 @dataclass(frozen=True)
@@ -103,33 +101,31 @@ class PlacedFrame:
     @property
     def views(self) -> tuple[RegisteredViewRecord, ...]:
         """Figures of each view."""
-        result, records = self.result, []
-        for number, (camera, mask) in enumerate(zip(self.given.cameras, self.given.masks, strict=True)):
-            errors, close = result.label_errors_px[number], result.inliers[number]
-            record = RegisteredViewRecord(
+        result, given = self.result, ~np.isnan(self.result.label_errors_px)
+        return tuple(
+            RegisteredViewRecord(
                 camera=camera.name,
-                labels=int((~np.isnan(errors)).sum()),
-                outliers=int((~np.isnan(errors) & ~close).sum()),
-                label_rms_px=float(np.sqrt(np.mean(errors[close] ** 2))) if close.any() else None,
-                mask=mask is not None,
+                labels=int(given[number].sum()),
+                outliers=int((given[number] & ~result.inliers[number]).sum()),
+                label_rms_px=_rms(result.label_errors_px[number][result.inliers[number]]),
+                mask=self.given.masks[number] is not None,
                 outline_rms_px=float(result.outline_rms_px[number]),
                 iou=float(result.iou[number]),
                 visible_share=float(result.visible[number].mean()),
             )
-            records.append(record)
-        return tuple(records)
+            for number, camera in enumerate(self.given.cameras)
+        )
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the whole, as in `result.json`."""
-        result, errors = self.result, self.result.label_errors_px
-        close, sure = errors[result.inliers], result.deviation[result.observed]
+        result, given = self.result, ~np.isnan(self.result.label_errors_px)
         return {
-            "label_rms_px": float(np.sqrt(np.mean(close**2))) if len(close) else None,
-            "labels": int((~np.isnan(errors)).sum()),
-            "label_outliers": int((~np.isnan(errors) & ~result.inliers).sum()),
+            "label_rms_px": _rms(result.label_errors_px[result.inliers]),
+            "labels": int(given.sum()),
+            "label_outliers": int((given & ~result.inliers).sum()),
             "depth_deviation_mm": result.depth_deviation,
             "observed_share": float(result.observed.mean()),
-            "observed_deviation_rms_mm": float(np.sqrt(np.mean(sure**2))) if len(sure) else None,
+            "observed_deviation_rms_mm": _rms(result.deviation[result.observed]),
             "bend_max_mm": float(np.linalg.norm(result.bend, axis=1).max()),
             "evaluations": result.iterations,
             "seconds": self.seconds,
@@ -193,8 +189,8 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
         assert given.labels is not None
         views = [SeenView(*seen) for seen in zip(given.cameras, given.masks, given.labels, strict=True)]
         title = f"{done.summary()}\norange: its outline, blue: behind the head; dots: labels, red: outliers"
-        if len(views) > MOST_VIEWS:
-            title += f"; {MOST_VIEWS} of {len(views)} views"
+        if len(views) > MOST_SHOWN:
+            title += f"; {MOST_SHOWN} of {len(views)} views"
         mesh = None if given.head is None else (given.head.vertices, given.head.faces)
         panels = registration_panels(result, views, mesh)
         staging.figure("overview.png", overview_figure(title, panels, 3), dpi=150)

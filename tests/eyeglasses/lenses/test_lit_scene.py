@@ -100,8 +100,8 @@ def test_rays_past_everything_see_the_background_and_mirrors_the_environment():
     lights = DistantLights([[0, 0, 1]], [1.0])
     past = look_down(scene, np.array([[50.0, 0]]))
     seen = lit(scene, lights, room)
-    assert seen.seen(past).bare.tolist() == seen.mirrored(past).shaded.tolist() == [[5] * 3]
-    assert not lit(scene, lights).mirrored(past).shaded.any()
+    assert seen.seen(past).bare.tolist() == seen.seen(past).shaded.tolist() == [[5] * 3]
+    assert not lit(scene, lights).seen(past).shaded.any()
 
 
 def test_the_environment_lies_where_its_axes_say():

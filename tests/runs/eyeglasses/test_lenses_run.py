@@ -25,6 +25,7 @@ from scan2albedo.eyeglasses import (
     write_keypoints,
 )
 from scan2albedo.eyeglasses.lenses.inserted_lenses import worn_axes
+from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io.glb import write_glb
@@ -32,14 +33,10 @@ from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 from scan2albedo.runs.eyeglasses import lenses_run
-from scan2albedo.runs.eyeglasses.inputs import read_lens_scene
+from scan2albedo.runs.eyeglasses.inputs import material_pair, read_lens_scene
 from scan2albedo.runs.eyeglasses.lenses_run import (
-    WHITE_SHOWN,
-    material_pair,
     render_lenses,
-    soft_environment,
     surface_of,
-    white_exposure,
 )
 from scan2albedo.synthetic import eyeglasses
 
