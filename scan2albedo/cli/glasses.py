@@ -119,10 +119,9 @@ def canonicalize(
         FILES,
         FailedFrameRecord,
         canonicalize_frames,
-        read_frames,
         write_canonical_files,
     )
-    from scan2albedo.runs.eyeglasses.inputs import numbers
+    from scan2albedo.runs.eyeglasses.inputs import numbers, read_frame
 
     if mode == "unbend" and handles != "turned":
         raise typer.BadParameter("--handles translated is for --mode mean")
@@ -138,8 +137,15 @@ def canonicalize(
     RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
     figures: dict[str, dict[str, Any]] = {}
     with ProgressLines("glasses") as progress:
-        frames, failures = read_frames(meshes, keypoints, unit, (low, high))
-        for frame in frames:
+        frames, failures = [], []
+        for number, mesh in enumerate(meshes):
+            try:
+                marks = None if keypoints is None else keypoints[number]
+                frame = read_frame(mesh, marks, unit, (low, high))
+            except Scan2AlbedoError as error:
+                failures.append(FailedFrameRecord(file=str(mesh), reason=str(error)))
+                continue
+            frames.append(frame)
             for note in frame.scan.notes:
                 progress.say(f"{frame.name}: {note}")
             if lost := frame.missing_key_points:
@@ -164,9 +170,9 @@ def canonicalize(
             failures += [FailedFrameRecord(file=f.files["mesh"].file, reason=str(error)) for f in frames]
         for failure in failures:
             progress.say(f"scan2albedo: error: {failure.file}: {one_line(failure.reason)}")
+        of = "the unbent frame's" if mode == "unbend" else "the mean's"
         for name, row in figures.items():
             bend = row["key_point_residual_mm"]
-            of = "the unbent frame's" if mode == "unbend" else "the mean's"
             progress.say(f"{name}: key points were {bend:.2f} mm rms off {of}; files in {out / name}")
     if json_summary:
         reasons = {failure.file: one_line(failure.reason) for failure in failures}

@@ -1,17 +1,17 @@
-"""Lenses that fill the rims of a frame, and the glass of its own that makes room for them."""
+"""Lenses that fill the rims of a frame, the glass that makes room for them, and rays on their way through."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens, mirror_on_sphere, refract
 from scan2albedo.eyeglasses.lenses.rims import (
     LensPlane,
     LensRim,
@@ -20,7 +20,7 @@ from scan2albedo.eyeglasses.lenses.rims import (
     is_covered,
     pane_faces,
 )
-from scan2albedo.eyeglasses.lenses.scenes import Surface
+from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, Surface
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
 
@@ -28,6 +28,9 @@ SIDES = ("left", "right")
 _BEHIND = ("hinge", "temple_middle", "ear_bend", "temple_tip")
 _RADII_MM = (5.0, 100.0)
 """Mean radii of lenses, a reader's slit to a diving mask: others are not millimetres."""
+_GLANCING = 1e-3
+"""Sine of the angle to the lens plane, and mm from the start to the lens, below which a ray does not count as
+passing the lens."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,7 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
 
     Raises EyeglassesError, naming key point and lens, when one is missing.
     """
-    wanted = _rim(side)
+    wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
     marks = keypoints[wanted]
     missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
     if missing:
@@ -128,19 +131,21 @@ def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
 
     Of its rims, one at least; raises EyeglassesError, naming key points, when none is known.
     """
-    known = [side for side in (0, 1) if np.isfinite(keypoints[_rim(side)]).all()]
     front, up = np.zeros(3), np.zeros(3)
-    for side in known or [0]:
-        marks = rim_key_points(keypoints, side)
+    faults = []
+    for side in (0, 1):
+        try:
+            marks = rim_key_points(keypoints, side)
+        except EyeglassesError as error:
+            faults.append(error)
+            continue
         front += _viewers_side(fit_normal(marks, vertices), marks.mean(0), keypoints)
         up += marks[0] - marks[3]
+    if len(faults) == 2:
+        raise faults[0]
     front = normalized(front)
     up = normalized(up - (up @ front) * front)
     return np.array([np.cross(up, front), up, front])
-
-
-def _rim(side: int) -> list[int]:
-    return [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
 
 
 def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray) -> FloatArray:
@@ -155,14 +160,12 @@ def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray)
 def lens_mesh(
     center: ArrayLike, rim: ArrayLike, normal: ArrayLike | None = None
 ) -> tuple[FloatArray, IntArray]:
-    """Return vertices (R + 1, 3) and faces (R, 3) of a fan from the centre to the rim.
+    """Return vertices (R + 1, 3), `center` (3,) the first, and faces (R, 3) of a fan to the `rim` (R, 3).
 
-    Normals point to the side from which the rim runs counterclockwise, the viewer's for
-    `LensRim.points`; with `normal` the fan is turned so that they point along it.
-
-    `center` (3,) becomes vertex 0; `rim` (R, 3), R >= 3, runs in order around the lens. EyeglassesError when
-    it does not go around the centre once, so that the fan would fold; ValueError when an array has the wrong
-    shape or is not finite.
+    The rim, R >= 3, runs in order around the lens. Normals point to the side from which it runs
+    counterclockwise, the viewer's for `LensRim.points`; with `normal` the fan is turned so that they point
+    along it. EyeglassesError when the rim does not go around the centre once, so that the fan would fold;
+    ValueError when an array has the wrong shape or is not finite.
 
     Examples
     --------
@@ -220,3 +223,102 @@ def without_glass(
     uv = None if frame.uv is None else np.asarray(frame.uv)
     uv = uv[kept] if uv is not None and uv.ndim == 3 else uv
     return replace(frame, faces=faces[kept], uv=uv), tuple(notes)
+
+
+@dataclass(frozen=True)
+class LensCrossings:
+    """M rays at one lens."""
+
+    ray: IntArray
+    """(M,) which of the rays that were traced."""
+    lens: InsertedLens
+    position: FloatArray
+    """(M, 3) mm, on the lens."""
+    direction: FloatArray
+    """(M, 3) unit, of the ray that arrives."""
+    mirrored: FloatArray
+    """(M, 3) unit, of the reflection."""
+    tint_share: FloatArray
+    """(M, 3) of the tint in the ray's colour; 0 for filters."""
+    mirror_share: FloatArray
+    """(M, 3) of the reflection."""
+
+
+@dataclass
+class LensPaths:
+    """N rays behind all lenses they pass; changed while they are traced."""
+
+    rays: SceneRays
+    """From the last lens passed, or the camera, to the scene."""
+    share: FloatArray
+    """(N, 3) of the scene behind the lenses in the ray's colour."""
+    first: IntArray
+    """(N,) side of the first lens passed; -1 for none."""
+    bent: BoolArray
+    """(N,) whether a lens with power changed the direction."""
+    crossings: list[LensCrossings] = field(default_factory=list)
+    glancing: int = 0
+    """Rays along a lens plane, for which that lens was left out."""
+
+
+def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], rays: SceneRays) -> LensPaths:
+    """Follow rays through lenses to the scene; no ray passes a lens twice."""
+    count = len(rays.origins)
+    own = rays.chosen(np.arange(count))
+    paths = LensPaths(own, np.ones((count, 3)), np.full(count, -1), np.zeros(count, bool))
+    ahead = np.ones((count, len(lenses)), bool)
+    waiting = np.arange(count if len(lenses) else 0)
+    while len(waiting):
+        distance = np.full((len(waiting), len(lenses)), np.inf)
+        for k, lens in enumerate(lenses):
+            open_ = ahead[waiting, k]
+            ray = waiting[open_]
+            distance[open_, k] = lens.caster.first_hit(own.origins[ray], own.directions[ray]).distance
+        which, nearest = distance.argmin(1), distance.min(1)
+        meets = nearest < own.hits.distance[waiting]
+        waiting, which, nearest = waiting[meets], which[meets], nearest[meets]
+        ahead[waiting, which] = False
+        for k, lens in enumerate(lenses):
+            here = which == k
+            glancing = np.abs(own.directions[waiting] @ np.asarray(lens.optics.normal)) <= _GLANCING
+            glancing |= nearest <= _GLANCING
+            paths.glancing += int((here & glancing).sum())
+            if (here & ~glancing).any():
+                _cross(scene, lens, paths, waiting[here & ~glancing], nearest[here & ~glancing])
+    return paths
+
+
+def _cross(
+    scene: LensScene, lens: InsertedLens, paths: LensPaths, rays: IntArray, distance: FloatArray
+) -> None:
+    """Take rays (M,) through a lens that lies `distance` (M,) ahead of them."""
+    own, material = paths.rays, lens.material
+    normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
+    heading, before = own.directions[rays], own.origins[rays]
+    position = before + heading * distance[:, None]
+    # Rims are not flat: the plane of the thin lens is moved along its normal to where each ray meets the
+    # mesh; otherwise slanting rays would bend far beside it.
+    height = ((position - center) @ normal)[:, None] * normal
+    mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
+    alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)
+    if material.fresnel:
+        cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
+        beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
+        # All other shares shrink alike, so that together they stay 1.
+        alpha = alpha * (1 - beta) / max(1 - material.beta, np.finfo(float).tiny)
+    rest, tint = np.maximum(1 - alpha - beta, 0.0)[:, None], alpha[:, None]
+    if material.tinting == "filter":
+        rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)
+    arriving = paths.share[rays]
+    paths.crossings.append(
+        LensCrossings(rays, lens, position, heading, mirrored, arriving * tint, arriving * beta[:, None])
+    )
+    paths.share[rays] = arriving * rest
+    paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
+    if lens.optics.dioptres != 0:
+        own.origins[rays] = position
+        own.directions[rays] = refract(lens.optics, before - height, position - height).directions
+        paths.bent[rays] = True
+        hits = scene.caster.first_hit(position, own.directions[rays])
+        own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
+        own.hits.distance[rays] = hits.distance

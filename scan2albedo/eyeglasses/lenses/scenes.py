@@ -59,31 +59,26 @@ class Surface:
     def __post_init__(self) -> None:
         xyz, index = checked_mesh(self.vertices, self.faces, "a surface")
         albedo = np.asarray(self.albedo_linear, np.float64)
-        albedo = _checked("albedo_linear", albedo, (3,) if albedo.ndim == 1 else (len(xyz), 3))
         fields = {"vertices": xyz, "faces": index, "albedo_linear": albedo}
+        shapes: dict[str, tuple[int, ...]] = {"albedo_linear": (3,) if albedo.ndim == 1 else (len(xyz), 3)}
         if self.texture_linear is not None:
             if self.uv is None:
                 raise ValueError("a texture needs uv")
             # Pictures of floats stay in 32 bits: twice as much is a lot for a large one.
-            texture = np.asarray(self.texture_linear)
-            texture = texture if texture.dtype == np.float32 else texture.astype(np.float64)
-            fields["texture_linear"] = _checked("texture_linear", texture, (None, None, 3))
-            uv = np.asarray(self.uv, np.float64)
-            fields["uv"] = _checked("uv", uv, (len(xyz), 2) if uv.ndim == 2 else (len(index), 3, 2))
+            texture, uv = np.asarray(self.texture_linear), np.asarray(self.uv, np.float64)
+            fields["texture_linear"] = texture if texture.dtype == np.float32 else texture.astype(np.float64)
+            fields["uv"] = uv
+            shapes["texture_linear"] = (*texture.shape[:2], 3)
+            shapes["uv"] = (len(xyz), 2) if uv.ndim == 2 else (len(index), 3, 2)
+        for name, shape in shapes.items():
+            if fields[name].shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, got {fields[name].shape}")
+            if not np.isfinite(fields[name]).all():
+                raise EyeglassesError(
+                    f"a surface's {name} hold numbers that are not finite; repair the input first"
+                )
         for name, value in fields.items():
             object.__setattr__(self, name, value)
-
-
-def _checked(name: str, array: FloatArray, shape: tuple[int | None, ...]) -> FloatArray:
-    fits = array.ndim == len(shape) and all(
-        n is None or n == m for n, m in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        wanted = str(shape).replace("None", "N")
-        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise EyeglassesError(f"a surface's {name} hold numbers that are not finite; repair the input first")
-    return array
 
 
 @dataclass(frozen=True)

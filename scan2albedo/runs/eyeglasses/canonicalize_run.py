@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo.core import Budget, PlanStep, ProgressCallback
-from scan2albedo.errors import EyeglassesError, Scan2AlbedoError
+from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     CanonicalizationOptions,
     CanonicalSet,
@@ -31,7 +31,7 @@ from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN, DrawnFrame, glasses_panels
 from scan2albedo.report.overview import overview_figure
-from scan2albedo.runs.eyeglasses.inputs import GlassesFrame, read_frame
+from scan2albedo.runs.eyeglasses.inputs import GlassesFrame
 
 
 class CanonicalFrameRecord(RunRecord):
@@ -99,29 +99,13 @@ class CanonicalFiles:
     frames: tuple[GlassesFrame, ...]
     result: CanonicalSet
     failures: tuple[FailedFrameRecord, ...]
-    options: Mapping[str, Any] = field(default_factory=dict)
-    seconds: float = 0.0
+    options: Mapping[str, Any]
+    seconds: float
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What a person should check."""
         return tuple(step.text for step in self.result.plan.doubts())
-
-
-def read_frames(
-    meshes: Sequence[Path],
-    keypoints: Sequence[Path] | None = None,
-    unit: str = "auto",
-    widths_mm: tuple[float, float] = WIDTHS_MM,
-) -> tuple[list[GlassesFrame], list[FailedFrameRecord]]:
-    """Read meshes and their key points, as `read_frame` does, and return what cannot be read and why."""
-    frames, failures = [], []
-    for i, mesh in enumerate(meshes):
-        try:
-            frames.append(read_frame(mesh, None if keypoints is None else keypoints[i], unit, widths_mm))
-        except Scan2AlbedoError as error:
-            failures.append(FailedFrameRecord(file=str(mesh), reason=str(error)))
-    return frames, failures
 
 
 def canonicalize_frames(
@@ -159,13 +143,9 @@ def canonicalize_frames(
         for i, reason in result.failures.items()
     )
     options = {"mode": mode, "handles": handles, "widths_mm": widths_mm, "mean": mean}
-    return CanonicalFiles(
-        frames=tuple(frames[i] for i in result.numbers),
-        result=result,
-        failures=(*failures, *lost),
-        options=options | {"budget_s": spend.seconds, "budget_evaluations": spend.evaluations},
-        seconds=time.perf_counter() - begun,
-    )
+    options |= {"budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
+    done = tuple(frames[i] for i in result.numbers)
+    return CanonicalFiles(done, result, (*failures, *lost), options, time.perf_counter() - begun)
 
 
 def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:

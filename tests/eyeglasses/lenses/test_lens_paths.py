@@ -5,8 +5,7 @@ import pytest
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import LensMaterial
-from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, insert_lens, lens_mesh
-from scan2albedo.eyeglasses.lenses.lens_paths import trace_lenses
+from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, insert_lens, lens_mesh, trace_lenses
 from scan2albedo.eyeglasses.lenses.optics import ThinLens, mirror_on_sphere, refract
 from scan2albedo.eyeglasses.lenses.rims import LensRim
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
