@@ -28,8 +28,12 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     unit_factors,
 )
 from scan2albedo.eyeglasses.canonical.unbending import front_halves, symmetric_key_points, unbent_transforms
-from scan2albedo.eyeglasses.checks import checked_keypoints, checked_weights
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
+from scan2albedo.eyeglasses.keypoints import (
+    KEY_POINT_COUNT,
+    KEY_POINT_NAMES,
+    checked_keypoints,
+    checked_weights,
+)
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
 from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.geometry.rigid import transform_points

@@ -13,8 +13,13 @@ from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
-from scan2albedo.eyeglasses.checks import checked_keypoints, checked_mesh, checked_weights
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
+from scan2albedo.eyeglasses.keypoints import (
+    KEY_POINT_COUNT,
+    KEY_POINT_NAMES,
+    checked_keypoints,
+    checked_mesh,
+    checked_weights,
+)
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 
@@ -87,7 +92,7 @@ class RegisteredEyeglasses:
     """Evaluations of the objective."""
     plan: Plan
     """Steps that ran or were left out, and why."""
-    trace: Trace
+    trace: Trace = Trace()
     """Errors in pixels."""
 
     @property

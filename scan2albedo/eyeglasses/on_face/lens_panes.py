@@ -20,15 +20,8 @@ from scan2albedo.eyeglasses.on_face.outline import FrameMesh, hidden_by
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 
-_INNER = np.linspace(0.1, 0.6, 11)
-"""Parts of the way from an opening's middle to its rim at which masks are looked up."""
-_SIDES_A_RIM = 24
-_SHOWN = 0.5
-"""Covered share of an opening from which a mask counts as showing the lens."""
 _FEWEST = 40
-"""Places of an opening that a view must show to say something about it."""
-_SEAT_MM = 0.5
-"""How far lenses that are put in reach into their rims."""
+"""Places of an opening, of 264, that a view must show to say something about it."""
 
 
 @dataclass(frozen=True)
@@ -71,14 +64,13 @@ def covered_shares(
     head: RayCaster | None,
 ) -> FloatArray:
     """Return (C,) shares of an opening's middle that the masks (H, W) cover, NaN where they cannot say."""
-    marks = SkinnedPoints(np.nan_to_num(motion.keypoints), np.eye(len(motion.keypoints)))
-    # Points spread over the middle of the polygon of the rim's key points.
-    rim = motion.positions(marks)[opening.rim]
+    # 24 rays from the middle of the polygon of the rim's key points, from a tenth to six tenths of the way.
+    rim = motion.positions(motion.marks)[opening.rim]
     corners = np.vstack([rim, rim[:1]])
-    way = np.linspace(0, len(rim), _SIDES_A_RIM, endpoint=False)
+    way = np.linspace(0, len(rim), 24, endpoint=False)
     edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
     middle = rim.mean(0)
-    places = (middle + _INNER[:, None, None] * (edge - middle)).reshape(-1, 3)
+    places = (middle + np.arange(2, 13)[:, None, None] / 20 * (edge - middle)).reshape(-1, 3)
     shares = np.full(len(cameras), np.nan)
     for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
         if mask is None:
@@ -123,7 +115,7 @@ def fit_lenses_to_masks(
         if np.isnan(shares).all():
             continue
         # A view that cannot say is taken to be like the others.
-        shown = np.where(np.isnan(shares), np.nanmean(shares), shares) >= _SHOWN
+        shown = np.where(np.isnan(shares), np.nanmean(shares), shares) >= 0.5
         name = f"{SIDES[opening.side]} lens"
         evidence = ", ".join("-" if np.isnan(s) else f"{s:.0%}" for s in shares) + " of the opening covered"
         if len(opening.panes) and not shown.all():
@@ -141,7 +133,7 @@ def fit_lenses_to_masks(
             reason = f"{_views(shown)} a {name} that the mesh does not have"
             given = mesh.points.rest, mesh.faces, motion.keypoints, opening.side
             try:
-                lens = insert_lens(*given, LensMaterial(), seat_mm=_SEAT_MM)
+                lens = insert_lens(*given, LensMaterial(), seat_mm=0.5)
             except EyeglassesError:
                 reason += ", and none fits into the rim: label the mesh's key points anew, or leave out masks"
                 steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))

@@ -28,15 +28,14 @@ _BEHIND = 1e6
 _ROBUST = 2.0
 """Standard deviations from which the error of a label counts less and less (Cauchy), and that of an outline
 by its size alone (Huber)."""
-_OFFSET_MM, _BIAS_PX = 0.5, 1.0
-"""How far what is labelled usually is from the mesh's key point, along each axis and alike in all views; how
-far a mask usually reaches beyond the frame, or falls short of it, all around."""
+_OFFSET_MM = 0.5
+"""How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
+_BIAS_PX = 1.0
+"""How far a mask usually reaches beyond the frame, or falls short of it, all around."""
 _VOTE = 1 / 20
 """Of a pixel of the outline: a mask's errors are alike over 20 pixels, which share one vote."""
 _REWEIGHTINGS = 3
 """Times that offsets and biases are found with the weights of robust errors."""
-_TINY = 1e-9
-"""Root of an information, of labels in standard deviations a mm, that is none."""
 _CANDIDATES = 200
 """Front vertices nearest to the head that are looked at until they are chosen anew."""
 _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
@@ -134,7 +133,6 @@ class RegistrationObjective:
     ) -> None:
         self.contact = contact
         self.keypoints, self.views, self.options = keypoints, views, options
-        self._marks = SkinnedPoints(np.nan_to_num(keypoints), np.eye(len(keypoints)))
         self._cameras = np.stack([view.camera for view in views])
         self._labels = np.stack([view.labels for view in views])
         self._labelled = np.isfinite(self._labels).all(2) & np.isfinite(keypoints).all(1)
@@ -180,7 +178,8 @@ class RegistrationObjective:
         )
 
     def _add_labels(self, sums: _Sums) -> FloatArray:
-        place, noise = sums.motion.positions(self._marks), self.options.label_noise_px
+        marks, noise = sums.motion.marks, self.options.label_noise_px
+        place = sums.motion.positions(marks)
         view, mark = np.nonzero(self._labelled)
         pixels, slopes, front = projected(self._cameras[view], place[mark])
         errors = np.full(self._labelled.shape, np.nan)
@@ -201,15 +200,16 @@ class RegistrationObjective:
         inverse = np.linalg.inv(matrix + prior)
         # What is left of each key point's sums without its offset, as three values along the matrix's axes.
         values, axes = np.linalg.eigh(matrix - matrix @ inverse @ matrix)
-        size = np.sqrt(np.maximum(values, 0.0))
+        # Less than rounding leaves, of labels in standard deviations a mm, says nothing.
+        size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(np.finfo(float).eps)
         along = np.einsum("nji,nj->ni", axes, -offset / _OFFSET_MM**2)
         three = np.repeat(np.arange(len(place)), 3)
         sums.add(
-            SkinnedPoints(self._marks.rest[three], self._marks.weights[three]),
+            SkinnedPoints(marks.rest[three], marks.weights[three]),
             place[three],
             (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3),
-            (along / np.maximum(size, _TINY)).ravel(),
-            (size > _TINY).astype(np.float64).ravel(),
+            (along / np.maximum(size, least)).ravel(),
+            (size > least).astype(np.float64).ravel(),
         )
         sums.cost += float(_ROBUST**2 * np.log1p(square / _ROBUST**2).sum())
         sums.cost += float((offset**2).sum() / _OFFSET_MM**2)

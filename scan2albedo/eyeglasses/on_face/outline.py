@@ -17,9 +17,9 @@ from scan2albedo.geometry.rays import RayCaster
 
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
-_NEAR_PX, _REACH = 5.0, 3.0
-"""Nearer ones are left out where the frame's place is known better: beyond these pixels for noise and what
-weights cannot bend, and these standard deviations."""
+_NEAR_PX = 5.0
+"""Nearer ones are left out where the frame's place is known better: beyond these pixels, for noise and what
+weights cannot bend, and three standard deviations."""
 _MARGIN_PX = 96
 """How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
@@ -299,7 +299,7 @@ class OutlineSampler:
         outline = trace_outline(covered, pixels, depth, faces)
         foremost = faces[outline.face, 0]
         px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
-        reach = _REACH * mesh.points.weights[foremost] @ deviation_mm * px_per_mm
+        reach = 3 * mesh.points.weights[foremost] @ deviation_mm * px_per_mm
         reach = np.minimum(_NEAR_PX + reach, REACH_PX)
         # Where the nearest border of the mask has its outside on the same side, its distance counts;
         # elsewhere, such as at the end of a temple that is too short, a search across the outline does.

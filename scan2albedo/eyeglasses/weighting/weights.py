@@ -13,24 +13,15 @@ from scipy import sparse
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
+from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
 from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy, unique_cells
 from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
 
 TOLERANCE = 1e-7
 """Scaled residual of the optimality conditions at which a handle's weights are done."""
-_ROUGH = 1e-4
-"""The same on a lattice that only gives the next finer one its start."""
 _COARSE_NODES = 1500
 """Lattices of more nodes start from the weights of a lattice of twice the spacing."""
-_MAX_STEPS = 60
-"""Newton steps a handle on one lattice."""
-_SUFFICIENT, _SHORTEST = 1e-4, 1e-10
-"""Part of the decrease predicted by the gradient that a step has to bring (Armijo), and the step length below
-which rounding, not the direction, is what stops a column."""
-_ROUNDING = 1e-13
-"""Scaled gradients below this have no sign."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +123,7 @@ def solve_weights(
         Seconds, or evaluations: Newton steps. When it ends the weights so far are returned, smooth and
         within their bounds, with `converged` False.
     max_nodes : int
-        Lattice nodes that the automatic spacing may use; time and memory grow a little faster than they do.
-        A given spacing may use ten times as many.
+        Lattice nodes that the automatic spacing may use; a given spacing may use ten times as many.
     tolerance : float
         Scaled residual of the optimality conditions at which a handle's weights are done.
     names : sequence of K str, optional
@@ -153,9 +143,9 @@ def solve_weights(
 
     Notes
     -----
-    The key points do not lie on nodes. Trilinear interpolation is a convex combination of a cell's
-    corners, so with weights of at most 1 it is 1 at the key point only if all (of positive share) are 1: the
-    handle is the cell, its eight nodes hold 1 for its own key point and 0 for the others'.
+    Key points do not lie on nodes. Trilinear interpolation of weights of at most 1 is 1 at a key point only
+    if it is 1 at all corners of the cell: the handle is the cell, whose eight nodes hold 1 for its own key
+    point and 0 for the others'.
 
     Key points closer together than two spacings, such as the top and the bottom of a wire, share one handle
     in their middle; its weight is divided among them by the inverse squares of their distances.
@@ -231,14 +221,9 @@ def solve_lattice(
         start = None
         if found is not None:
             start = np.clip((levels[number - 1].interpolation(level.nodes / 2) @ found.x)[free], 0.0, 1.0)
-        found = minimize_bounded(
-            matrix,
-            right,
-            start,
-            tolerance=max(tolerance, _ROUGH) if finer else tolerance,
-            max_steps=_MAX_STEPS,
-            meter=meter,
-        )
+        # A coarser lattice only gives the next finer one its start.
+        least = float(np.sqrt(tolerance)) if finer else tolerance
+        found = minimize_bounded(matrix, right, start, tolerance=least, meter=meter)
         weights[free] = found.x
         found = BoundedMinimum(weights, found.residual, found.steps)
     assert found is not None
@@ -251,7 +236,7 @@ def minimize_bounded(
     start: FloatArray | None,
     *,
     tolerance: float,
-    max_steps: int,
+    max_steps: int = 60,
     meter: Meter,
 ) -> BoundedMinimum:
     """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
@@ -287,7 +272,8 @@ def minimize_bounded(
                 break
             if moved is not None:
                 x[:, k], product[:, k] = moved
-            gradient, least = product[:, k] - b[:, k], _ROUNDING * diagonal
+            # Below rounding a gradient has no sign.
+            gradient, least = product[:, k] - b[:, k], 1e-13 * diagonal
             held = ((x[:, k] <= 0) & (gradient > least)) | ((x[:, k] >= 1) & (gradient < -least))
             residual[k] = optimality_residual(x[:, k], gradient, diagonal)
             meter.record(residual.max())
@@ -309,14 +295,13 @@ def _newton_step(
     gradient = product - b
     system.refill(held)
     direction = system.solve(np.where(held, 0.0, -gradient))
-    length = 1.0
-    while length > _SHORTEST:
-        trial = np.clip(x + length * direction, 0.0, 1.0)
+    # A step still shorter is stopped by rounding, not by its direction.
+    for halvings in range(34):
+        trial = np.clip(x + 0.5**halvings * direction, 0.0, 1.0)
         change = trial - x
         after = system.matrix @ trial
-        # Differences of the energy itself would drown in rounding near the minimum.
+        # Armijo's condition; differences of the energy itself would drown in rounding near the minimum.
         predicted = float(gradient @ change)
-        if predicted + 0.5 * float(change @ (after - product)) <= _SUFFICIENT * predicted < 0:
+        if predicted + 0.5 * float(change @ (after - product)) <= 1e-4 * predicted < 0:
             return trial, after
-        length /= 2
     return None

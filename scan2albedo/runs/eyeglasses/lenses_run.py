@@ -25,7 +25,7 @@ from scan2albedo.eyeglasses import (
     Surface,
     insert_lenses,
 )
-from scan2albedo.eyeglasses.checks import checked_keypoints
+from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import without_glass, worn_axes
 from scan2albedo.eyeglasses.lenses.lens_picture import checked_image
 from scan2albedo.geometry.closest_points import ClosestPointQuery
