@@ -24,7 +24,7 @@ from scan2albedo.eyeglasses.keypoints import (
     checked_keypoints,
     typical_key_points,
 )
-from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses, is_rigid
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Content, Matrix, Record, plain_json, read_record, write_record
@@ -323,10 +323,7 @@ class StartFile(Record):
 
     @model_validator(mode="after")
     def _rigid(self) -> StartFile:
-        matrix = np.array(self.world_from_glasses)
-        rotation = matrix[:3, :3]
-        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if not (off <= 1e-6 and np.linalg.det(rotation) > 0 and (matrix[3] == [0, 0, 0, 1]).all()):
+        if not is_rigid(np.array(self.world_from_glasses)):
             raise ValueError("world_from_glasses must be a rotation and a translation over the row 0 0 0 1")
         return self
 

@@ -148,7 +148,7 @@ def _settled_rotations(turns, share, rotations):  # type: ignore[no-untyped-def]
                         for b in range(3):
                             target[a, b] += share[k, j] * result[j, a, b]
             largest = max(largest, _turn_towards(target, result[k]))
-        if largest <= 1e-13:
+        if largest <= 400 * np.finfo(np.float64).eps:
             break
     return result
 

@@ -115,8 +115,6 @@ class CanonicalSet:
     """Whether the mean's iteration settled and the weights that were solved converged."""
     iterations: int
     """Of the mean; 0 when it was given."""
-    units_differed: bool
-    """Whether frames were scaled to one unit."""
     numbers: tuple[int, ...]
     """Of each of the `frames` among the meshes given: all, unless some failed."""
     failures: Mapping[int, str]
@@ -124,9 +122,6 @@ class CanonicalSet:
     outliers: Mapping[int, str]
     """What is unusual about a mesh of the set, by its number: its width or its key points, in sets of four or
     more. Outliers are canonicalised like the others and count in the mean."""
-    single_bridges: tuple[int, ...]
-    """In mode "mean", numbers of the meshes with one bridge where others, or a given mean, have two: the
-    mean's `bridge_top` lies between the two kinds, and draws a single bridge out into a spike."""
     plan: Plan
     """What ran and what was left out; the steps of a frame say its number."""
     trace: Trace
@@ -158,19 +153,18 @@ def canonicalize(
     Parameters
     ----------
     meshes : sequence of n
-        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes, such as `RawScan`; any unit.
+        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes; any unit.
     keypoints : sequence of n (20, 3) array_like
         In the mesh's unit and the order of `KEY_POINT_NAMES`; NaN for missing ones.
     weights : sequence of n (V, 20) array_like, optional
         From an earlier run; solved here otherwise, which takes nearly all the time.
     mean_keypoints : (20, 3) array_like, optional
-        Of an earlier set, for this one's: where frames are placed and, in mode "mean", what they are
-        brought to.
+        Where frames are placed and, in mode "mean", what they are brought to; their own mean otherwise.
     spacing : "auto" or float
         Of the weights' lattice, in the meshes' unit.
     budget : Budget or float, optional
         Seconds, or evaluations: Newton steps of the weights and rounds of the mean. Frames share it evenly;
-        when it ends, weights and mean so far are used, with `converged` False. Key points meet all the same.
+        when it ends, weights and mean so far are used, with `converged` False.
     options : CanonicalizationOptions
     on_progress : callable, optional
         Called with each row of the trace.
@@ -186,12 +180,10 @@ def canonicalize(
     Notes
     -----
     Equation S2 of Li et al., read literally, collapses the frame; the case R_k = 1 is what it must mean.
-    Shifts alone flatten a bend between key points, where turning ones halve the error; a similarity instead
-    of a rigid transform would change the tube's thickness.
+    Shifts alone flatten a bend between key points, where turning ones halve the error.
 
     Frames are 110 to 170 mm wide, so that the width tells a frame's unit. Frames of different units are
-    brought to the unit of the mean that is given, or to mm, by powers of ten: see
-    `CanonicalEyeglasses.scale`.
+    brought to the unit of the mean that is given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
 
     Examples
     --------
@@ -205,7 +197,7 @@ def canonicalize(
     if options.mode == "unbend" and options.handles != "turned":
         raise ValueError('handles="translated" is for mode="mean": shifts alone would bend the rims')
     meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
-    given = _frames_of(meshes, keypoints, weights)
+    given = _checked_frames(meshes, keypoints, weights)
     reference, common = None, None
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
@@ -241,25 +233,26 @@ def canonicalize(
     reason = "widths are those of different units" if differ else "widths agree: one unit"
     rows.append(PlanStep("eyeglasses.units", differ, reason, wide))
     unusual = {frames[i].number: reason for i, reason in outliers(points, widths).items()}
-    count, names = _counted(len(done), "frame"), {f.number: f.name or f"frame {f.number}" for f in frames}
+    names = {f.number: f.name or f"frame {f.number}" for f in frames}
+    count = f"{len(done)} frame{'s' if len(done) > 1 else ''}"
     if not unusual:
         rows.append(PlanStep("eyeglasses.outliers", False, f"none among {count}"))
     for i, why in unusual.items():
         rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
-    one_bridge = single_bridges(points, widths, reference) if options.mode == "mean" else ()
-    single = tuple(frames[i].number for i in one_bridge)
+    single = single_bridges(points, widths, reference) if options.mode == "mean" else ()
     if single:
         reason = (
-            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the mean given have "
-            "two: bridge_top of the mean lies between both kinds and draws the single bridge out into a "
-            "spike; leave bridge_top out of the key points of frames with one bridge, or bring the two kinds "
-            "to means of their own"
+            f"{', '.join(names[frames[i].number] for i in single)}: one bridge, while other frames or the "
+            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
+            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
+            "the two kinds to means of their own"
         )
         rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
     if bare := [names[f.number] for f in frames if np.isnan(f.points[BEHIND]).any(1).all()]:
         reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
         rows.append(PlanStep.doubt("eyeglasses.sides", reason))
-    evidence = f"{'' if mean.converged else 'not '}settled after {_counted(mean.iterations, 'round')}"
+    rounds = f"{mean.iterations} round{'s' if mean.iterations != 1 else ''}"
+    evidence = f"{'' if mean.converged else 'not '}settled after {rounds}"
     found = PlanStep("eyeglasses.mean", True, f"mean of {count}", evidence)
     rows.append(found if reference is None else PlanStep("eyeglasses.mean", False, "given"))
     return CanonicalSet(
@@ -267,18 +260,12 @@ def canonicalize(
         mean_keypoints=mean.points,
         converged=mean.converged and all(frame.converged for frame in done),
         iterations=mean.iterations,
-        units_differed=differ,
         numbers=tuple(f.number for f in frames),
         failures=failures,
         outliers=unusual,
-        single_bridges=single,
         plan=Plan(tuple(rows)),
         trace=meter.trace,
     )
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 @dataclass(frozen=True)
@@ -301,7 +288,7 @@ class _Frame:
     width: float = np.nan
 
 
-def _frames_of(
+def _checked_frames(
     meshes: Sequence[Any], keypoints: Sequence[ArrayLike], weights: Sequence[ArrayLike] | None
 ) -> list[_Frame]:
     if len(meshes) == 0:

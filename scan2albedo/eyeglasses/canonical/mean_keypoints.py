@@ -48,10 +48,9 @@ _MIRROR = np.array(MIRROR)
 
 @dataclass(frozen=True)
 class MeanKeyPoints:
-    """What `mean_key_points` found."""
+    """What `mean_key_points` found: `points` (20, 3), NaN where no frame has one."""
 
     points: FloatArray
-    """(20, 3); NaN where no frame has the key point."""
     converged: bool
     iterations: int
 
@@ -102,7 +101,8 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoi
         both = np.isfinite(mean).all(1)
         change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
         # Up to rounding.
-        settled, mean = change <= 1e-13 * size and bool((both == (count[:, 0] > 0)).all()), new
+        settled = change <= 400 * np.finfo(float).eps * size and bool((both == (count[:, 0] > 0)).all())
+        mean = new
         meter.count()
         meter.record(change / size)
     return MeanKeyPoints(in_own_axes(mean), settled, iteration)
@@ -154,8 +154,8 @@ def in_own_axes(points: FloatArray) -> FloatArray:
 def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float:
     """Return the width of the front of key points (20, 3): the greater of those at hinges and outer rims.
 
-    With the mesh's `vertices` (V, 3) it is that of the mesh there, of vertices nearest to a key point of the
-    front. NaN unless hinges or outer rims are known on both sides.
+    With the mesh's `vertices` (V, 3) it is that of those nearest to a key point of the front. NaN unless
+    hinges or outer rims are known on both sides.
     """
     apart = points[_LEFT_OUTER] - points[_MIRROR[_LEFT_OUTER]]
     lengths = np.linalg.norm(apart, axis=1)

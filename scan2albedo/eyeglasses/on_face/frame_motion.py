@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -37,6 +38,9 @@ class SkinnedPoints:
     """(N, 3)."""
     weights: FloatArray
     """(N, K), rows sum to 1."""
+
+    def __getitem__(self, chosen: Any) -> SkinnedPoints:
+        return SkinnedPoints(self.rest[chosen], self.weights[chosen])
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,6 @@ from scan2albedo.eyeglasses.on_face.objective import (
     HeadContact,
     RegistrationObjective,
     descend,
-    mean_outline_px,
-    median_label_px,
 )
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, FrameMesh, OutlineSampler
 from scan2albedo.eyeglasses.on_face.report import WORN_MM, depth_open, mark_deviations, report
@@ -195,7 +193,7 @@ class _Registration:
         first = min(starts, key=lambda state: rigid(state).cost)
         self.meter.count(len(starts))
         found = self._fit_labels("pose", rigid, first)
-        error_px = median_label_px(found.at)
+        error_px = found.at.median_label_px
         self._note("pose", True, f"the best of {len(starts)} starts, refined", f"{error_px:.2f} px")
         # A descent that the budget cut short fits badly without being mirrored.
         if error_px > options.label_noise_px and not self.meter.exhausted:
@@ -215,7 +213,7 @@ class _Registration:
             self.bend_found = False
             return replace(before, converged=False)
         found = self._fit_labels("key_points", partial(self.objective.linearize, samples=None), before.state)
-        evidence = f"{median_label_px(before.at):.2f} -> {median_label_px(found.at):.2f} px"
+        evidence = f"{before.at.median_label_px:.2f} -> {found.at.median_label_px:.2f} px"
         self._note("key_points", True, "labels ask for a bend", evidence)
         self.bend_found = found.converged or not self.meter.exhausted
         return found
@@ -253,7 +251,7 @@ class _Registration:
         """Descend on labels alone, without a deadline: it takes little, and without it there is no answer."""
         child = self.meter.sub_meter(f"{self.meter.stage}.{step}", "px")
         child.budget = replace(child.budget, seconds=None)
-        found = descend(linearize, state, child, error=median_label_px)
+        found = descend(linearize, state, child, error="median_label_px")
         self.meter.merge(child)
         return found
 
@@ -293,9 +291,9 @@ class _Registration:
                 meter,
                 steps=6,
                 tolerance=1e-3,
-                error=mean_outline_px,
+                error="mean_outline_px",
             )
-            first = mean_outline_px(found.at) if not moves else first
+            first = found.at.mean_outline_px if not moves else first
             # The longest way of a key point, in its standard deviations: half of one has settled. It may
             # grow once, for tracing jumps from pixel to pixel.
             places = []
@@ -308,9 +306,9 @@ class _Registration:
             settled = moves[-1] < 0.5 or increases > 1
             found = replace(found, converged=settled)
         self.meter.merge(meter)
-        evidence = f"{first:.2f} -> {mean_outline_px(found.at):.2f} px"
+        evidence = f"{first:.2f} -> {found.at.mean_outline_px:.2f} px"
         self._note("outlines", True, f"traced {len(moves)} times", evidence)
-        labels = median_label_px(before.at), median_label_px(found.at)
+        labels = before.at.median_label_px, found.at.median_label_px
         if labels[1] > max(2 * labels[0], self.options.label_noise_px):
             evidence = f"labels {labels[0]:.1f} -> {labels[1]:.1f} px"
             self._note("masks", False, "they disagree with the labels and are left aside", evidence)

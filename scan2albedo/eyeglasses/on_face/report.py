@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
+from scipy.special import erfinv
 
 from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion
 from scan2albedo.eyeglasses.on_face.inputs import OBSERVED_MM, RegisteredEyeglasses, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.objective import FrameEstimate, Linearization, RegistrationObjective
 from scan2albedo.eyeglasses.on_face.outline import ObservedView, OutlineSampler, hidden_by
@@ -49,8 +50,7 @@ def report(
     options, state, unit = objective.options, found.state, given.unit
     motion = objective.motion(state)
     # Behind the frame's own points there may be those of lenses that only masks show.
-    own = slice(len(given.vertices))
-    points = SkinnedPoints(sampler.mesh.points.rest[own], sampler.mesh.points.weights[own])
+    points = sampler.mesh.points[: len(given.vertices)]
     marks = motion.marks
     vertices, keypoints = motion.positions(points), motion.positions(marks)
     samples = sampler.sample(motion, mark_deviations(given, motion, found.at))
@@ -62,16 +62,16 @@ def report(
     outline = np.abs(at.outline_px[np.isfinite(at.outline_px)])
     label_px, outline_px = options.label_noise_px, options.outline_noise_px
     if len(labels) > 4:
-        # The median of a distance in the plane, of a deviation of 1 along each axis (Rayleigh).
+        # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
         label_px = max(_LEAST_NOISE_PX, float(np.median(labels) / np.sqrt(2 * np.log(2))))
     if len(outline) > 4:
-        outline_px = max(_LEAST_NOISE_PX, 1.4826 * float(np.median(outline)))
+        outline_px = max(_LEAST_NOISE_PX, float(np.median(outline) / (np.sqrt(2) * erfinv(0.5))))
     shown = replace(options, label_noise_px=label_px, outline_noise_px=outline_px)
     weighted = RegistrationObjective(objective.keypoints, objective.views, shown, objective.contact)
-    deviations = PointDeviations(motion, weighted.linearize(state, samples, rigid=rigid).matrix)
+    root = _root(weighted.linearize(state, samples, rigid=rigid).matrix)
     visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
     marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
-    covariances = deviations.covariances(marks)
+    covariances = motion.covariances(marks, root)
     # Pictures from one place leave more open than the matrix says.
     inflation = 1.0
     if used := [v for v in given.views if v.distance is not None or np.isfinite(v.labels).all(1).any()]:
@@ -80,7 +80,7 @@ def report(
         if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
             inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
     stated = []
-    for p, c in ((points, deviations.covariances(points)), (marks, covariances)):
+    for p, c in ((points, motion.covariances(points, root)), (marks, covariances)):
         # Frames bend otherwise than their key points say.
         bend_mm = p.weights @ np.linalg.norm(state.shifts, axis=1)
         unmodelled = np.hypot(_MODEL_MM, _MODEL_BENT * np.sqrt(np.maximum(bend_mm, 0.0)))
@@ -166,30 +166,20 @@ def report(
     )
 
 
-class PointDeviations:
-    """Standard deviations of the frame's points, from the Gauss-Newton matrix of squared deviations.
-
-    The matrix is (6, 6) for a rigid frame, (6 + 3 K, 6 + 3 K) otherwise.
-    """
-
-    def __init__(self, motion: FrameMotion, matrix: FloatArray) -> None:
-        self._motion = motion
-        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
-        values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
-        # Open directions stay finite.
-        values = np.maximum(values, values.max() / _ANYWHERE_MM**2)
-        self._root = vectors / np.sqrt(values) / scale[:, None]
-
-    def covariances(self, points: SkinnedPoints) -> FloatArray:
-        """Return (N, 3, 3) of points in the world."""
-        return self._motion.covariances(points, self._root)
+def _root(matrix: FloatArray) -> FloatArray:
+    """Return a root (P, P) of the inverse of a Gauss-Newton matrix of squared deviations."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
+    # Open directions stay finite.
+    values = np.maximum(values, values.max() / _ANYWHERE_MM**2)
+    return np.asarray(vectors / np.sqrt(values) / scale[:, None])
 
 
 def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:
     """Return the standard deviation of the key points along the line of sight, mm, the head left aside."""
     if not given.labelled:
         return _ANYWHERE_MM
-    covariances = PointDeviations(motion, at.matrix).covariances(motion.marks)
+    covariances = motion.covariances(motion.marks, _root(at.matrix))
     seen = np.tile(given.known, (len(given.views), 1))
     return _depth_deviation(given.views, motion.positions(motion.marks), covariances, seen)
 
@@ -201,7 +191,7 @@ def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Lineariz
     """
     if not given.labelled and len(at.outline_px) == 0:
         return np.full(len(given.keypoints), _ANYWHERE_MM)
-    covariances = PointDeviations(motion, at.matrix).covariances(motion.marks)
+    covariances = motion.covariances(motion.marks, _root(at.matrix))
     return np.sqrt(np.maximum(np.linalg.eigvalsh(covariances)[:, -1], 0.0))
 
 

@@ -19,7 +19,6 @@ from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, Regis
 from scan2albedo.eyeglasses.on_face.objective import (
     RegistrationObjective,
     descend,
-    median_label_px,
     projected,
 )
 from scan2albedo.eyeglasses.on_face.outline import ObservedView
@@ -128,8 +127,8 @@ def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptio
     except EyeglassesError:
         return
     first = min(starts, key=lambda state: rigid(state).cost)
-    found = descend(rigid, first, Meter("mirrored", "px"), error=median_label_px)
-    mirrored_px = median_label_px(found.at)
+    found = descend(rigid, first, Meter("mirrored", "px"), error="median_label_px")
+    mirrored_px = found.at.median_label_px
     if mirrored_px < error_px / 2:
         raise EyeglassesError(
             "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "

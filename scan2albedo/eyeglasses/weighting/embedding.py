@@ -44,10 +44,10 @@ _SKIN = 1e-5
 class Embedding:
     """The lattice of a mesh; `spacing` is in the mesh's unit.
 
-    `handle_cells` (H, 3) are cells of the `lattice`, one a handle. Key points too close together for the
-    spacing share a handle: `handle` (K,) is that of each key point, `shares` (V, K) how its weight is
-    divided among them. `interpolation` (V, N) takes node values to the vertices. Vertices `follower` (n,)
-    take the weights of `leader` (n,): their parts are out of the lattice's reach.
+    `handle_cells` (H, 3) are cells of the `lattice`, one a handle. `handle` (K,) is that of each key point,
+    which those too close together share, `shares` (V, K) how its weight is divided among them.
+    `interpolation` (V, N) takes node values to the vertices. Vertices `follower` (n,) take the weights of
+    `leader` (n,): their parts are out of the lattice's reach.
     """
 
     lattice: Lattice
@@ -76,7 +76,7 @@ def embed(
     `finest` is the least automatic spacing as a part of the size: a finer lattice changes deformations less
     than a scan's noise.
     """
-    called = names if names is not None else [str(k) for k in range(len(handles))]
+    called = names or [str(k) for k in range(len(handles))]
     corners = vertices[faces.ravel()]
     # Of the key points: a stray fragment far away does not change how large the glasses are.
     size = float(np.linalg.norm(np.ptp(handles, axis=0))) or float(np.linalg.norm(np.ptp(corners, axis=0)))
@@ -122,7 +122,19 @@ def embed(
     parts = whole.cell_components
     lattice = Lattice.of_cells(cells[np.isin(parts, parts[whole.find(owners)])])
     local = (vertices - origin) / used
-    follower, leader, left_out = _parts_out_of_reach(lattice, local, faces)
+    # Vertices of parts out of reach follow that of their part which is nearest to the lattice.
+    corner = np.unique(faces)
+    follower = corner[lattice.find(np.floor(local[corner]).astype(np.int64)) < 0]
+    leader, stage = follower, "eyeglasses.weights.rigid_parts"
+    left_out = PlanStep(stage, False, "every part is in reach of a key point")
+    if len(follower):
+        distance = cKDTree(lattice.cells + 0.5).query(local[follower])[0]
+        part = vertex_components(len(local), faces)[follower]
+        by_distance = np.lexsort((distance, part))
+        labels, first = np.unique(part[by_distance], return_index=True)
+        leader = follower[by_distance[first]][np.searchsorted(labels, part)]
+        evidence = f"{len(labels)} parts, {len(follower)} vertices"
+        left_out = PlanStep(stage, True, "parts out of reach of every key point", evidence)
     # Shares of the key points of one handle in its weight fall with the square of the distance (Shepard's
     # interpolation): each is 1 at its own key point, and far away they are equal.
     shares = np.ones((len(vertices), len(handles)))
@@ -249,21 +261,3 @@ def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray
         return cells, handle, PlanStep(stage, False, "every key point has cells of its own")
     reason = f"closer together than two spacings, one handle divided by distance: {'; '.join(shared)}"
     return cells, handle, PlanStep(stage, True, reason, f"{len(groups)} handles for {len(handle)} key points")
-
-
-def _parts_out_of_reach(
-    lattice: Lattice, local: FloatArray, faces: IntArray
-) -> tuple[IntArray, IntArray, PlanStep]:
-    """Return followers, leaders (each part's vertex nearest to the lattice) and the step of the plan."""
-    used = np.unique(faces)
-    outside = used[lattice.find(np.floor(local[used]).astype(np.int64)) < 0]
-    stage = "eyeglasses.weights.rigid_parts"
-    if len(outside) == 0:
-        return outside, outside, PlanStep(stage, False, "every part is in reach of a key point")
-    distance = cKDTree(lattice.cells + 0.5).query(local[outside])[0]
-    part = vertex_components(len(local), faces)[outside]
-    by_distance = np.lexsort((distance, part))
-    labels, first = np.unique(part[by_distance], return_index=True)
-    leader = outside[by_distance[first]][np.searchsorted(labels, part)]
-    evidence = f"{len(labels)} parts, {len(outside)} vertices"
-    return outside, leader, PlanStep(stage, True, "parts out of reach of every key point", evidence)

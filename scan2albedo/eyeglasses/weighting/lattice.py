@@ -94,7 +94,7 @@ def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
     ends = lattice.corners[:, np.array(_EDGES)].reshape(-1, 2)
     count = len(lattice.nodes)
     shape = (count, count)
-    half = sparse.csr_matrix((np.full(len(ends), 0.25), (ends[:, 0], ends[:, 1])), shape=shape)
+    half = sparse.csr_matrix((np.full(len(ends), 1 / 4), (ends[:, 0], ends[:, 1])), shape=shape)
     links = half + half.T
     return (sparse.diags(np.asarray(links.sum(1)).ravel()) - links).tocsr()
 

@@ -26,10 +26,7 @@ _COARSE_NODES = 1500
 
 @dataclass(frozen=True)
 class BoundedMinimum:
-    """Minima of `minimize_bounded` for K columns: `x` (N, K) in [0, 1], after `steps` (K,) Newton steps.
-
-    `residual` (K,) is that of `optimality_residual`.
-    """
+    """Minima `x` (N, K) in [0, 1] of K columns, `optimality_residual` (K,) and Newton steps (K,)."""
 
     x: FloatArray
     residual: FloatArray
@@ -106,9 +103,9 @@ def solve_weights(
 
         min over w of  w^T L M^-1 L w / 2,  w = 1 at its key point, 0 at the others', 0 <= w <= 1,
 
-    on the nodes of a lattice around (and inside) the surface, by projected Newton steps from coarse to
-    fine; then the weights are divided by their sum and interpolated trilinearly at the vertices. The
-    mesh may have many parts, holes, flipped, repeated and zero-area faces, and vertices without faces.
+    on the nodes of a lattice around (and inside) the surface; then the weights are divided by their sum and
+    interpolated trilinearly at the vertices. The mesh may have many parts, holes, flipped, repeated and
+    zero-area faces, and vertices without faces.
 
     Parameters
     ----------
@@ -265,15 +262,24 @@ def minimize_bounded(
     for k in range(b.shape[1]):
         held = (x[:, k] <= 0) | (x[:, k] >= 1)
         while not meter.exhausted and residual[k] > tolerance and steps[k] < max_steps:
-            moved = _newton_step(system, b[:, k], x[:, k], product[:, k], held)
+            gradient = product[:, k] - b[:, k]
+            system.refill(held)
+            direction, lowered = system.solve(np.where(held, 0.0, -gradient)), False
+            # A step still shorter is stopped by rounding, not by its direction.
+            for halvings in range(34):
+                trial = np.clip(x[:, k] + 0.5**halvings * direction, 0.0, 1.0)
+                change, after = trial - x[:, k], system.matrix @ trial
+                # Armijo's condition; differences of the energy itself would drown in rounding.
+                predicted = float(gradient @ change)
+                if predicted + 0.5 * float(change @ (after - product[:, k])) <= 1e-4 * predicted < 0:
+                    x[:, k], product[:, k], lowered = trial, after, True
+                    break
             meter.count()
             steps[k] += 1
-            if moved is None and steps[k] > 1:
+            if not lowered and steps[k] > 1:
                 break
-            if moved is not None:
-                x[:, k], product[:, k] = moved
             # Below rounding a gradient has no sign.
-            gradient, least = product[:, k] - b[:, k], 1e-13 * diagonal
+            gradient, least = product[:, k] - b[:, k], 400 * np.finfo(float).eps * diagonal
             held = ((x[:, k] <= 0) & (gradient > least)) | ((x[:, k] >= 1) & (gradient < -least))
             residual[k] = optimality_residual(x[:, k], gradient, diagonal)
             meter.record(residual.max())
@@ -286,22 +292,3 @@ def optimality_residual(x: FloatArray, gradient: FloatArray, diagonal: FloatArra
     """Return each column's max |x - clip(x - g / diag(A), 0, 1)|, a length in x; 0 only at the minimum."""
     scaled = gradient / (diagonal if x.ndim == 1 else diagonal[:, None])
     return np.abs(x - np.clip(x - scaled, 0.0, 1.0)).max(0, initial=0.0)
-
-
-def _newton_step(
-    system: SparseCholesky, b: FloatArray, x: FloatArray, product: FloatArray, held: Any
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return (x, A x) after a projected Newton step of the entries not `held`; None if no energy falls."""
-    gradient = product - b
-    system.refill(held)
-    direction = system.solve(np.where(held, 0.0, -gradient))
-    # A step still shorter is stopped by rounding, not by its direction.
-    for halvings in range(34):
-        trial = np.clip(x + 0.5**halvings * direction, 0.0, 1.0)
-        change = trial - x
-        after = system.matrix @ trial
-        # Armijo's condition; differences of the energy itself would drown in rounding near the minimum.
-        predicted = float(gradient @ change)
-        if predicted + 0.5 * float(change @ (after - product)) <= 1e-4 * predicted < 0:
-            return trial, after
-    return None
