@@ -9,22 +9,22 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 
-from scan2albedo.core import Plan, Trace
+from scan2albedo.core import Plan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
-from scan2albedo.eyeglasses.checks import checked_keypoints
 from scan2albedo.eyeglasses.keypoints import (
     KEY_POINT_COUNT,
     KEY_POINT_NAMES,
     MIRROR,
     PARENTS,
+    checked_keypoints,
     typical_key_points,
 )
-from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
+from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses, is_rigid
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Content, Matrix, Record, plain_json, read_record, write_record
@@ -69,6 +69,10 @@ _REGISTERED_LAYOUT: _Layout = {
     "converged": (bool,),
     "iterations": (int,),
 }
+_KINDS: dict[type[Any], tuple[str, _Layout]] = {
+    CanonicalEyeglasses: ("canonical", _CANONICAL_LAYOUT),
+    RegisteredEyeglasses: ("registered", _REGISTERED_LAYOUT),
+}
 _SAME_SIDE = (
     ("rim_top", "rim_bottom"),
     ("rim_inner", "rim_outer"),
@@ -83,11 +87,8 @@ _SAME_SIDE = (
     ("ear_bend", "temple_tip"),
 )
 """Key points of one side whose names are exchanged at times."""
-_SIDES, _OPPOSED, _NEAR, _LIKE_GLASSES = 0.5, -0.5, 0.6, 0.1
-"""Of exchanged names: residual with all sides exchanged, as a part of that without, below which they are;
-cosine to the typical direction from one key point to another below which they are; their distance, as a part
-of the typical one, below which their direction says nothing; residual, as a part of the size, up to which key
-points with exchanges undone are those of glasses."""
+_LIKE_GLASSES = 0.1
+"""Residual, as a part of the size, up to which key points with exchanges undone are those of glasses."""
 
 
 def read_json(
@@ -157,14 +158,10 @@ class KeyPoints:
 
 
 def read_keypoints(path: str | Path) -> FloatArray:
-    """Return the key points (20, 3) of a file in the file's own unit, NaN where one is missing.
+    """Return the key points (20, 3) of the file at `path` in its own unit, NaN where one is missing.
 
     Raises EyeglassesError, naming the file, when it cannot be read or is not a key-point file, when it has
     names of no key points, or when key points lie where others belong (names exchanged).
-
-    Parameters
-    ----------
-    path : str or Path
     """
     return read_keypoints_with_unit(path).points
 
@@ -190,11 +187,11 @@ def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
 
 
 def exchanged_key_points(points: FloatArray) -> list[str]:
-    """Return which names of key points (20, 3), NaN for missing ones, seem exchanged, as phrases; mostly
-    none.
+    """Return which names of key points (20, 3), NaN for missing ones, seem exchanged, as phrases.
 
     The exchange that brings the key points nearest to a typical frame, laid on them by a similarity, is made
-    first, then the next. It counts where the two key points lie in the opposite direction of the typical one.
+    first, then the next. It counts where one key point lies in the opposite direction of the typical one from
+    the other, at half the typical distance or more; of all left and right ones, where the residual halves.
     """
     known = np.asarray(np.isfinite(points).all(1))
     # Fewer place no frame.
@@ -214,7 +211,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
         return placed, float(np.nansum((placed - current) ** 2))
 
     current, found = points.copy(), []
-    if laid(current[mirror])[1] < _SIDES**2 * laid(current)[1]:
+    if laid(current[mirror])[1] < laid(current)[1] / 4:
         current = current[mirror]
         found.append("all left ones and all right ones (left is the wearer's)")
     for _ in range(10):
@@ -225,9 +222,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
                 trial[[a, b]] = current[[b, a]]
                 placed, misfit = laid(trial)
                 way, usual = current[b] - current[a], placed[b] - placed[a]
-                lengths = np.linalg.norm(way), np.linalg.norm(usual)
-                apart = lengths[0] > _NEAR * lengths[1]
-                if misfit < least and apart and way @ usual < _OPPOSED * lengths[0] * lengths[1]:
+                if misfit < least and way @ usual < -0.5 * (usual @ usual):
                     best, least, changed = (a, b), misfit, trial
         if best is None:
             break
@@ -238,13 +233,21 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     return found if rms < _LIKE_GLASSES * size else []
 
 
-def _read_arrays(path: str | Path, layout: _Layout, what: str, example: str) -> dict[str, Any]:
-    """Return the arrays of a file in their types; a scalar as a Python number.
+def _write(path: str | Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> None:
+    what, layout = _KINDS[type(frame)]
+    write_npz(
+        path,
+        {name: np.asarray(getattr(frame, name)) for name in layout},
+        what=f"{what} frame",
+        compression=6,
+    )
 
-    Messages call the content `what` and the usual file `example`. Raises EyeglassesError when the file is
-    missing, damaged or something else.
-    """
-    arrays = read_npz(path, layout, what=what, advice=f"give a {example}", error=EyeglassesError)
+
+def _read(path: str | Path, kind: type[Any]) -> Any:
+    """Return a frame of a kind that `_write` wrote."""
+    usual, layout = _KINDS[kind]
+    what = f"{usual} frame"
+    arrays = read_npz(path, layout, what=what, advice=f"give a {usual}.npz", error=EyeglassesError)
     lengths: dict[str, int] = {}
     for name, (_, *shape) in layout.items():
         got = arrays[name].shape
@@ -262,63 +265,43 @@ def _read_arrays(path: str | Path, layout: _Layout, what: str, example: str) -> 
         raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")
     if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise EyeglassesError(f"{what} {path}: faces are not those of its vertices; write it again")
-    result: dict[str, Any] = {}
-    for name, (kind, *_) in layout.items():
-        array: NDArray[Any] = arrays[name].astype(kind, copy=False)
-        result[name] = array if array.ndim else array.item()
-    return result
+    typed: dict[str, Any] = {name: arrays[name].astype(rule[0], copy=False) for name, rule in layout.items()}
+    # Scalars as Python numbers.
+    return kind(**{name: array if array.ndim else array.item() for name, array in typed.items()}, plan=Plan())
 
 
 def write_canonical(path: str | Path, frame: CanonicalEyeglasses) -> None:
-    """Write a frame that `canonicalize` made, all but its plan, as an NPZ file, atomically.
+    """Write a `frame` that `canonicalize` made, all but its plan, as an NPZ file at `path`, atomically.
 
     Raises ValueError when the name does not end in .npz, OutputError when the folder cannot be written.
-
-    Parameters
-    ----------
-    path, frame
     """
-    arrays = {name: np.asarray(getattr(frame, name)) for name in _CANONICAL_LAYOUT}
-    write_npz(path, arrays, what="canonical frame", compression=6)
+    _write(path, frame)
 
 
 def read_canonical(path: str | Path) -> CanonicalEyeglasses:
-    """Return a frame that `write_canonical` wrote; its plan is empty.
+    """Return the frame that `write_canonical` wrote at `path`; its plan is empty.
 
     Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
-
-    Parameters
-    ----------
-    path : str or Path
     """
-    arrays = _read_arrays(path, _CANONICAL_LAYOUT, "canonical frame", "canonical.npz")
-    return CanonicalEyeglasses(**arrays, plan=Plan())
+    found: CanonicalEyeglasses = _read(path, CanonicalEyeglasses)
+    return found
 
 
 def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
-    """Write a frame that `register_on_face` placed, all but its plan and trace, as an NPZ file, atomically.
+    """Write a `frame` that `register_on_face` placed at `path`, without its plan and trace.
 
-    Raises ValueError when the name does not end in .npz, OutputError when the folder cannot be written.
-
-    Parameters
-    ----------
-    path, frame
+    As `write_canonical`.
     """
-    arrays = {name: np.asarray(getattr(frame, name)) for name in _REGISTERED_LAYOUT}
-    write_npz(path, arrays, what="registered frame", compression=6)
+    _write(path, frame)
 
 
 def read_registered(path: str | Path) -> RegisteredEyeglasses:
-    """Return a frame that `write_registered` wrote; its plan and trace are empty.
+    """Return the frame that `write_registered` wrote at `path`; its plan and trace are empty.
 
     Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
-
-    Parameters
-    ----------
-    path : str or Path
     """
-    arrays = _read_arrays(path, _REGISTERED_LAYOUT, "registered frame", "registered.npz")
-    return RegisteredEyeglasses(**arrays, plan=Plan(), trace=Trace())
+    found: RegisteredEyeglasses = _read(path, RegisteredEyeglasses)
+    return found
 
 
 def write_frame_glb(path: Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> SkinWritten:
@@ -340,10 +323,7 @@ class StartFile(Record):
 
     @model_validator(mode="after")
     def _rigid(self) -> StartFile:
-        matrix = np.array(self.world_from_glasses)
-        rotation = matrix[:3, :3]
-        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-        if not (off <= 1e-6 and np.linalg.det(rotation) > 0 and (matrix[3] == [0, 0, 0, 1]).all()):
+        if not is_rigid(np.array(self.world_from_glasses)):
             raise ValueError("world_from_glasses must be a rotation and a translation over the row 0 0 0 1")
         return self
 
@@ -362,13 +342,9 @@ def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUni
 
 
 def read_start(path: str | Path) -> FloatArray:
-    """Return the pose (4, 4) of a file, its translation in mm.
+    """Return the pose (4, 4) of the file at `path`, its translation in mm.
 
     Raises EyeglassesError, naming the file, when it cannot be read or holds no rigid transform.
-
-    Parameters
-    ----------
-    path : str or Path
     """
     content = read_json(path, StartFile, "start", writer="write_start", schema="eyeglasses_start")
     pose = np.array(content.world_from_glasses)

@@ -15,7 +15,6 @@ from scan2albedo.geometry.mesh import normalized
 PRIOR = 0.1
 """Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
 straight bone shows in no key point."""
-_SWEEPS, _SETTLED = 100, 1e-13
 
 
 @overload
@@ -115,7 +114,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     share = np.zeros((len(source), len(source)))
     share[k, j] = PRIOR / degree[k]
     start = np.tile(np.eye(3), (len(source), 1, 1))
-    rotations = settle_rotations(turns, share, start, _SWEEPS, _SETTLED)
+    rotations = _settled_rotations(turns, share, start)
     result = np.tile(np.eye(4), (len(source), 1, 1))
     result[:, :3, :3] = rotations
     result[:, :3, 3] = target - np.einsum("kij,kj->ki", rotations, source)
@@ -130,8 +129,8 @@ def known_bones(points: FloatArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def settle_rotations(turns, share, rotations, sweeps, tolerance):  # type: ignore[no-untyped-def]
-    """Return (K, 3, 3) rotations R_k nearest to turns_k + sum over j of share_kj R_j, settled together.
+def _settled_rotations(turns, share, rotations):  # type: ignore[no-untyped-def]
+    """Return (K, 3, 3) rotations R_k nearest to turns_k + sum over j of share_kj R_j, up to rounding.
 
     Newton's step on the condition that P = M R^T be symmetric, (tr P - P) w = 2 axial(P), where it is uphill;
     a singular value decomposition elsewhere.
@@ -139,7 +138,7 @@ def settle_rotations(turns, share, rotations, sweeps, tolerance):  # type: ignor
     count = turns.shape[0]
     result = rotations.copy()
     target = np.empty((3, 3))
-    for _ in range(sweeps):
+    for _ in range(100):
         largest = 0.0
         for k in range(count):
             target[:] = turns[k]
@@ -149,7 +148,7 @@ def settle_rotations(turns, share, rotations, sweeps, tolerance):  # type: ignor
                         for b in range(3):
                             target[a, b] += share[k, j] * result[j, a, b]
             largest = max(largest, _turn_towards(target, result[k]))
-        if largest <= tolerance:
+        if largest <= 400 * np.finfo(np.float64).eps:
             break
     return result
 
@@ -194,7 +193,6 @@ def _turn_towards(m, r):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _turn(r, x, y, z, angle):  # type: ignore[no-untyped-def]
-    """Turn r (3, 3) in place about a unit axis."""
     s, c = np.sin(angle), np.cos(angle)
     t = 1 - c
     for j in range(3):

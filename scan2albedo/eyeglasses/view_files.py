@@ -133,14 +133,10 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit 
 
 
 def read_cameras(path: str | Path) -> tuple[Camera, ...]:
-    """Return the cameras of a file, for points in mm whatever the file's unit.
+    """Return the cameras of the file at `path`, for points in mm whatever the file's unit.
 
     Raises EyeglassesError, naming file and camera, when the file cannot be read, is not a camera file, or a
     matrix is not finite or singular.
-
-    Parameters
-    ----------
-    path : str or Path
     """
     content = read_json(path, CamerasFile, "cameras", writer="write_cameras", schema="cameras")
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
@@ -154,16 +150,12 @@ def mask_path(folder: str | Path, camera: Camera) -> Path:
 def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
     """Write masks (H, W), one a camera, nonzero where glasses are, as ``folder / "<camera>.png"``.
 
+    Raises ValueError when there are not as many masks as cameras, or a mask has another shape than its
+    camera's picture, OutputError when the folder cannot be written.
+
     Parameters
     ----------
     folder, masks, cameras
-
-    Raises
-    ------
-    ValueError
-        When there are not as many masks as cameras, or a mask has another shape than its camera's picture.
-    OutputError
-        When the folder cannot be written.
     """
     if len(masks) != len(cameras):
         raise ValueError(f"there are {len(masks)} masks for {len(cameras)} cameras")
@@ -178,16 +170,10 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
 
 
 def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
-    """Return a mask (H, W) a camera, True where any channel of ``folder / "<camera>.png"`` is not zero.
+    """Return a mask (H, W) of each of the `cameras`: where any channel of `folder`/<camera>.png is not zero.
 
-    Parameters
-    ----------
-    folder, cameras
-
-    Raises
-    ------
-    EyeglassesError
-        When a mask, which it names, is missing, no picture, or not as large as its camera's.
+    Raises EyeglassesError when a mask, which it names, is missing, not a picture, or not as large as its
+    camera's.
     """
     masks = []
     for camera in cameras:
@@ -265,16 +251,12 @@ class LabelsFile(Record):
 def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str]) -> None:
     """Write labels (C, 20, 2), column and row in pixels, of C cameras as JSON; NaN as null.
 
+    Raises ValueError when the shape is another, or two cameras share a name, OutputError when the file cannot
+    be written.
+
     Parameters
     ----------
     path, labels, camera_names
-
-    Raises
-    ------
-    ValueError
-        When the shape is another, or two cameras share a name.
-    OutputError
-        When the file cannot be written.
     """
     pixels = np.asarray(labels, np.float64)
     if pixels.shape != (len(camera_names), KEY_POINT_COUNT, 2):
@@ -294,14 +276,9 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
 
 
 def read_labels(path: str | Path) -> ViewLabels:
-    """Return the labels of a file, NaN where one is missing.
+    """Return the labels of the file at `path`, NaN where one is missing.
 
-    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is not a label
-    file.
-
-    Parameters
-    ----------
-    path : str or Path
+    Raises EyeglassesError, naming the file and its first fault, when it cannot be read or is no label file.
     """
     content = read_json(path, LabelsFile, "labels", writer="write_labels", schema="eyeglasses_labels")
     nothing = (np.nan, np.nan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -29,8 +28,12 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     unit_factors,
 )
 from scan2albedo.eyeglasses.canonical.unbending import front_halves, symmetric_key_points, unbent_transforms
-from scan2albedo.eyeglasses.checks import checked_keypoints, checked_weights
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
+from scan2albedo.eyeglasses.keypoints import (
+    KEY_POINT_COUNT,
+    KEY_POINT_NAMES,
+    checked_keypoints,
+    checked_weights,
+)
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
 from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.geometry.rigid import transform_points
@@ -102,7 +105,7 @@ class CanonicalEyeglasses:
 
 @dataclass(frozen=True)
 class CanonicalSet:
-    """Frames on common ground."""
+    """Frames on common ground; see `canonicalize`."""
 
     frames: tuple[CanonicalEyeglasses, ...]
     """In the order of the meshes given."""
@@ -112,8 +115,6 @@ class CanonicalSet:
     """Whether the mean's iteration settled and the weights that were solved converged."""
     iterations: int
     """Of the mean; 0 when it was given."""
-    units_differed: bool
-    """Whether frames were scaled to one unit."""
     numbers: tuple[int, ...]
     """Of each of the `frames` among the meshes given: all, unless some failed."""
     failures: Mapping[int, str]
@@ -121,9 +122,6 @@ class CanonicalSet:
     outliers: Mapping[int, str]
     """What is unusual about a mesh of the set, by its number: its width or its key points, in sets of four or
     more. Outliers are canonicalised like the others and count in the mean."""
-    single_bridges: tuple[int, ...]
-    """In mode "mean", numbers of the meshes with one bridge where others, or a given mean, have two: the
-    mean's `bridge_top` lies between the two kinds, and draws a single bridge out into a spike."""
     plan: Plan
     """What ran and what was left out; the steps of a frame say its number."""
     trace: Trace
@@ -144,32 +142,29 @@ def canonicalize(
     """Return frames without pose and bend, in their own shape or in the proportions of their mean.
 
     Each frame is aligned rigidly to the mean key points, then its key points p are moved to targets x and the
-    surface follows by its bounded biharmonic weights w,
-
-        v' = sum over k of w_k (R_k (v - p_k) + x_k).
+    surface follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k).
 
     Mode "unbend": the targets are the frame's own. Its halves are laid on each other and each moved half the
-    way, so that rims, bridge and temples move rigidly and come to mirror each other; shapes and sizes stay.
-    A bend common to both sides cannot be seen in the frame and remains. Mode "mean" (equation S2):
-    the targets are the mean's key points and R_k the skeleton's turn at each, or 1 for v' = v + W (x - p).
-    Every bend goes, and rims and temples take the mean's widths, heights and lengths.
+    way, so that rims, bridge and temples move rigidly and come to mirror each other. A bend common to both
+    sides cannot be seen in the frame and remains. Mode "mean" (equation S2): the targets are the mean's key
+    points and R_k the skeleton's turn at each, or 1 for v' = v + W (x - p). Every bend goes, and rims and
+    temples take the mean's widths, heights and lengths.
 
     Parameters
     ----------
     meshes : sequence of n
-        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes, such as `RawScan`; any unit.
+        Pairs (vertices (V, 3), faces (F, 3)), or objects with these attributes; any unit.
     keypoints : sequence of n (20, 3) array_like
         In the mesh's unit and the order of `KEY_POINT_NAMES`; NaN for missing ones.
     weights : sequence of n (V, 20) array_like, optional
         From an earlier run; solved here otherwise, which takes nearly all the time.
     mean_keypoints : (20, 3) array_like, optional
-        Of an earlier set, for this one's: where frames are placed and, in mode "mean", what they are
-        brought to.
+        Where frames are placed and, in mode "mean", what they are brought to; their own mean otherwise.
     spacing : "auto" or float
         Of the weights' lattice, in the meshes' unit.
     budget : Budget or float, optional
         Seconds, or evaluations: Newton steps of the weights and rounds of the mean. Frames share it evenly;
-        when it ends, weights and mean so far are used, with `converged` False. Key points meet all the same.
+        when it ends, weights and mean so far are used, with `converged` False.
     options : CanonicalizationOptions
     on_progress : callable, optional
         Called with each row of the trace.
@@ -185,12 +180,10 @@ def canonicalize(
     Notes
     -----
     Equation S2 of Li et al., read literally, collapses the frame; the case R_k = 1 is what it must mean.
-    Shifts alone flatten a bend between key points, where turning ones halve the error; a similarity instead
-    of a rigid transform would change the tube's thickness.
+    Shifts alone flatten a bend between key points, where turning ones halve the error.
 
     Frames are 110 to 170 mm wide, so that the width tells a frame's unit. Frames of different units are
-    brought to the unit of the mean that is given, or to mm, by powers of ten: see
-    `CanonicalEyeglasses.scale`.
+    brought to the unit of the mean that is given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
 
     Examples
     --------
@@ -204,7 +197,7 @@ def canonicalize(
     if options.mode == "unbend" and options.handles != "turned":
         raise ValueError('handles="translated" is for mode="mean": shifts alone would bend the rims')
     meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
-    frames = _frames_of(meshes, keypoints, weights)
+    given = _checked_frames(meshes, keypoints, weights)
     reference, common = None, None
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
@@ -213,7 +206,7 @@ def canonicalize(
             common = unit_exponent(reference, options.widths_mm)
         except EyeglassesError as error:
             raise EyeglassesError(f"mean_keypoints: {error}") from error
-    frames, failures = _weighted(frames, reference, spacing, options, meter)
+    frames, failures = _weighted(given, reference, spacing, options, meter)
     scales = unit_factors([f.unit_exponent for f in frames], common)
     points = [scale * f.points for scale, f in zip(scales, frames, strict=True)]
     widths = scales * [f.width for f in frames]
@@ -223,73 +216,65 @@ def canonicalize(
         own = meter.sub_meter("eyeglasses.mean", "bones")
         mean = mean_key_points(points, own)
         meter.merge(own)
-    if options.mode == "mean":
-        done = [
-            _brought_to_mean(f, mean.points, float(s), options) for f, s in zip(frames, scales, strict=True)
-        ]
-    else:
-        symmetric = symmetric_key_points(mean.points)
-        place = in_own_axes(symmetric) if reference is None else symmetric
-        done = [_unbent(f, place, float(s)) for f, s in zip(frames, scales, strict=True)]
+    place = mean.points
+    if options.mode == "unbend":
+        place = symmetric_key_points(place)
+        place = in_own_axes(place) if reference is None else place
+    done = [_moved(f, place, float(s), options) for f, s in zip(frames, scales, strict=True)]
 
     # The plan: steps of each frame, then what was decided on the set.
     steps = {f.number: frame.plan for f, frame in zip(frames, done, strict=True)}
     steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
     rows = [replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part]
     wide = "fronts " + ", ".join(f"{width:.4g}" for width in widths) + " wide"
-    if (scales == 1).all():
-        rows.append(PlanStep("eyeglasses.units", False, "widths agree: one unit", wide))
-    else:
-        factors = ", ".join(f"{s:.6g}" for s in scales)
-        reason = "widths are those of different units"
-        rows.append(PlanStep("eyeglasses.units", True, reason, f"factors {factors}; then {wide}"))
+    differ = bool((scales != 1).any())
+    if differ:
+        wide = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
+    reason = "widths are those of different units" if differ else "widths agree: one unit"
+    rows.append(PlanStep("eyeglasses.units", differ, reason, wide))
     unusual = {frames[i].number: reason for i, reason in outliers(points, widths).items()}
-    count, names = _counted(len(done), "frame"), {f.number: f.name or f"frame {f.number}" for f in frames}
+    names = {f.number: f.name or f"frame {f.number}" for f in frames}
+    count = f"{len(done)} frame{'s' if len(done) > 1 else ''}"
     if not unusual:
         rows.append(PlanStep("eyeglasses.outliers", False, f"none among {count}"))
     for i, why in unusual.items():
         rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
-    one_bridge = single_bridges(points, widths, reference) if options.mode == "mean" else ()
-    single = tuple(frames[i].number for i in one_bridge)
+    single = single_bridges(points, widths, reference) if options.mode == "mean" else ()
     if single:
         reason = (
-            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the mean given have "
-            "two: bridge_top of the mean lies between both kinds and draws the single bridge out into a "
-            "spike; leave bridge_top out of the key points of frames with one bridge, or bring the two kinds "
-            "to means of their own"
+            f"{', '.join(names[frames[i].number] for i in single)}: one bridge, while other frames or the "
+            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
+            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
+            "the two kinds to means of their own"
         )
         rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
     if bare := [names[f.number] for f in frames if np.isnan(f.points[BEHIND]).any(1).all()]:
         reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
         rows.append(PlanStep.doubt("eyeglasses.sides", reason))
-    if reference is not None:
-        rows.append(PlanStep("eyeglasses.mean", False, "given"))
-    else:
-        how = "settled" if mean.converged else "not settled"
-        evidence = f"{how} after {_counted(mean.iterations, 'round')}"
-        rows.append(PlanStep("eyeglasses.mean", True, f"mean of {count}", evidence))
+    rounds = f"{mean.iterations} round{'s' if mean.iterations != 1 else ''}"
+    evidence = f"{'' if mean.converged else 'not '}settled after {rounds}"
+    found = PlanStep("eyeglasses.mean", True, f"mean of {count}", evidence)
+    rows.append(found if reference is None else PlanStep("eyeglasses.mean", False, "given"))
     return CanonicalSet(
         frames=tuple(done),
         mean_keypoints=mean.points,
         converged=mean.converged and all(frame.converged for frame in done),
         iterations=mean.iterations,
-        units_differed=bool((scales != 1).any()),
         numbers=tuple(f.number for f in frames),
         failures=failures,
         outliers=unusual,
-        single_bridges=single,
         plan=Plan(tuple(rows)),
         trace=meter.trace,
     )
 
 
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
-
-
 @dataclass(frozen=True)
 class _Frame:
-    """A mesh with its key points (20, 3), NaN for missing ones, in the mesh's unit."""
+    """A mesh with its key points (20, 3), NaN for missing ones, in the mesh's unit.
+
+    `weights` (V, 20), zero for missing key points, are None until they are solved; coordinates times ten to
+    `unit_exponent` are in mm; `width` is that of `front_width`.
+    """
 
     number: int
     name: str | None
@@ -297,16 +282,13 @@ class _Frame:
     faces: IntArray
     points: FloatArray
     weights: FloatArray | None
-    """(V, 20), zero columns for missing key points; None until they are solved."""
     converged: bool = True
     plan: Plan = Plan((PlanStep("eyeglasses.weights", False, "given"),))
     unit_exponent: int = 0
-    """Its coordinates times ten to this are in mm."""
-    width: float = math.nan
-    """Of the mesh's front, see `front_width`."""
+    width: float = np.nan
 
 
-def _frames_of(
+def _checked_frames(
     meshes: Sequence[Any], keypoints: Sequence[ArrayLike], weights: Sequence[ArrayLike] | None
 ) -> list[_Frame]:
     if len(meshes) == 0:
@@ -341,6 +323,7 @@ def _weighted(
     anchor = fullest([frame.points for frame in frames]) if reference is None else reference
     done: list[_Frame] = []
     failures: dict[int, str] = {}
+    named: list[str] = []
     for i, frame in enumerate(frames):
         called = f"frame {frame.number}{f', {frame.name}' if frame.name else ''}"
         try:
@@ -350,22 +333,20 @@ def _weighted(
             exponent = unit_exponent(frame.points, options.widths_mm, width)
             used = frame if reference is None else replace(frame, points=shared)
             if used.weights is None:
-                used = _with_solved_weights(used, spacing, meter, len(frames) - i)
+                used = _solved(used, spacing, meter, len(frames) - i)
             done.append(replace(used, unit_exponent=exponent, width=width))
         except EyeglassesError as error:
             if not options.skip_failed:
                 raise EyeglassesError(f"{called}: {error}") from error
             failures[frame.number] = str(error)
+            named.append(f"{called}: {error}")
     if not done:
-        names = [f"frame {f.number}{f', {f.name}' if f.name else ''}" for f in frames]
-        raise EyeglassesError(
-            "; ".join(f"{n}: {failures[f.number]}" for n, f in zip(names, frames, strict=True))
-        )
+        raise EyeglassesError("; ".join(named))
     return done, failures
 
 
-def _with_solved_weights(frame: _Frame, spacing: str | float, meter: Meter, frames_left: int) -> _Frame:
-    """Solve the weights in an even share of the budget left."""
+def _solved(frame: _Frame, spacing: str | float, meter: Meter, frames_left: int) -> _Frame:
+    """Return the frame with weights that are solved in an even share of the budget left."""
     seen = np.flatnonzero(np.isfinite(frame.points).all(1))
     own = meter.sub_meter(f"eyeglasses.weights.{frame.number}", "scaled KKT residual")
     seconds, evaluations = own.budget.seconds, own.budget.evaluations
@@ -373,11 +354,9 @@ def _with_solved_weights(frame: _Frame, spacing: str | float, meter: Meter, fram
         None if seconds is None else seconds / frames_left,
         None if evaluations is None else max(evaluations // frames_left, 1),
     )
-    names = [KEY_POINT_NAMES[k] for k in seen]
+    names, places = [KEY_POINT_NAMES[k] for k in seen], frame.points[seen]
     try:
-        found = solve_weights(
-            frame.vertices, frame.faces, frame.points[seen], spacing, names=names, meter=own
-        )
+        found = solve_weights(frame.vertices, frame.faces, places, spacing, names=names, meter=own)
     finally:
         meter.merge(own)
     weights = np.zeros((len(frame.vertices), KEY_POINT_COUNT))
@@ -390,50 +369,36 @@ def _with_solved_weights(frame: _Frame, spacing: str | float, meter: Meter, fram
     return replace(frame, weights=weights, converged=found.converged, plan=plan)
 
 
-def _brought_to_mean(
-    frame: _Frame, mean: FloatArray, scale: float, options: CanonicalizationOptions
-) -> CanonicalEyeglasses:
-    points = scale * frame.points
-    rigid = align_key_points(points, mean)
-    aligned = transform_points(rigid, points)
-    seen = np.isfinite((aligned + mean).sum(1))
-    move = turned_translations if options.handles == "turned" else translations
-    carriers = move(aligned, mean)
-    # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
-    carriers[~seen] = np.eye(4)
-    targets = np.where(seen[:, None], mean, np.nan)
-    step = PlanStep("eyeglasses.to_mean", True, "all key points on the mean's")
-    return _moved(frame, carriers @ rigid, targets, scale, step)
-
-
-def _unbent(frame: _Frame, place: FloatArray, scale: float) -> CanonicalEyeglasses:
-    """Return a frame without its bend, with its plane of symmetry that of the key points `place` (20, 3)."""
-    assert frame.weights is not None
-    points = scale * frame.points
-    halves = front_halves(scale * frame.vertices, frame.faces, frame.weights, points)
-    own = unbent_transforms(points, halves)
-    straight = np.einsum("kij,kj->ki", own[:, :3, :3], points) + own[:, :3, 3]
-    even = straight if halves is None else symmetric_key_points(straight, halves.reflection)
-    pose = align_key_points(even, place)
-    ran, evidence = True, ""
-    if halves is None:
-        ran = False
-        reason = "too few key points are known on both sides to compare them: only the pose is taken away"
-    else:
-        surfaces = not np.isnan(halves.apart)
-        reason = f"own shape kept, halves compared by {'their surfaces' if surfaces else 'key points'}"
-        evidence = f"halves turned against each other by {halves.bend_deg:.2f} degrees"
-        evidence += f"; rims then {halves.apart:.3g} apart, rms" if surfaces else ""
-    step = PlanStep("eyeglasses.unbend", ran, reason, evidence)
-    return _moved(frame, pose @ own, transform_points(pose, straight), scale, step)
-
-
 def _moved(
-    frame: _Frame, carriers: FloatArray, targets: FloatArray, scale: float, step: PlanStep
+    frame: _Frame, place: FloatArray, scale: float, options: CanonicalizationOptions
 ) -> CanonicalEyeglasses:
-    """Return a frame moved by carriers (20, 4, 4) of its scaled key points to their `targets` (20, 3)."""
+    """Return a frame with its key points at `place` (20, 3), or unbent with its plane of symmetry there."""
     assert frame.weights is not None
     points = scale * frame.points
+    if options.mode == "mean":
+        rigid = align_key_points(points, place)
+        aligned = transform_points(rigid, points)
+        seen = np.isfinite((aligned + place).sum(1))
+        carriers = (turned_translations if options.handles == "turned" else translations)(aligned, place)
+        # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
+        carriers[~seen] = np.eye(4)
+        carriers, targets = carriers @ rigid, np.where(seen[:, None], place, np.nan)
+        step = PlanStep("eyeglasses.to_mean", True, "all key points on the mean's")
+    else:
+        halves = front_halves(scale * frame.vertices, frame.faces, frame.weights, points)
+        carriers = unbent_transforms(points, halves)
+        straight = np.einsum("kij,kj->ki", carriers[:, :3, :3], points) + carriers[:, :3, 3]
+        even = straight if halves is None else symmetric_key_points(straight, halves.reflection)
+        pose = align_key_points(even, place)
+        carriers, targets = pose @ carriers, transform_points(pose, straight)
+        reason = "too few key points are known on both sides to compare them: only the pose is taken away"
+        evidence = ""
+        if halves is not None:
+            surfaces = not np.isnan(halves.apart)
+            reason = f"own shape kept, halves compared by {'their surfaces' if surfaces else 'key points'}"
+            evidence = f"halves turned against each other by {halves.bend_deg:.2f} degrees"
+            evidence += f"; rims then {halves.apart:.3g} apart, rms" if surfaces else ""
+        step = PlanStep("eyeglasses.unbend", halves is not None, reason, evidence)
     rigid = align_key_points(points, targets)
     transforms = carriers @ np.diag([scale, scale, scale, 1.0])
     off = transform_points(rigid, points) - targets
@@ -446,7 +411,7 @@ def _moved(
         scale=scale,
         handle_transforms=transforms,
         residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
-        unbent=step.stage == "eyeglasses.unbend",
+        unbent=options.mode == "unbend",
         converged=frame.converged,
         plan=frame.plan + Plan((step,)),
     )

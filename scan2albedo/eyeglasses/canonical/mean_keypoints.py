@@ -23,19 +23,17 @@ _TYPICAL_BONE_MM = 30.0
 """Median length of the skeleton's bones of spectacles."""
 _FLAT = 1e-3
 """Spread across a line, as a part of that along it, below which points fix no pose."""
-_TOLERANCE, _ROUNDS = 1e-13, 200
-"""Change of the mean, as a part of its size, at which it has settled (rounding), and most rounds of it."""
-_REACH, _INSIDE = 0.3, 0.85
-"""Distance from the nearest key point up to which a vertex counts to the front, and least width between the
-outermost key points of a front: parts of its width."""
-_FEWEST = 4
-"""Frames in the smallest set that can have an outlier."""
-_DEVIATIONS, _MAD = 4.0, 1.4826
-"""Distance of an outlier from the median in standard deviations, each 1.4826 median absolute deviations."""
+_REACH = 0.3
+"""Distance from the nearest key point up to which a vertex counts to the front, as a part of its width."""
+_INSIDE = 0.85
+"""Least width between the outermost key points of a front, as a part of the mesh's."""
+_DEVIATIONS = 6.0
+"""Distance of an outlier from the median in median absolute deviations: four standard deviations."""
 _TWO_BRIDGES = 0.07
 """Height of bridges, as a part of the front's width, above which they are taken for two: 10 mm of 140."""
-_LEAST_WIDTH, _LEAST_SHAPE = 0.04, 0.01
-"""Least standard deviation of widths and of key points, as parts of the median width."""
+_LEAST = 0.04
+"""Distance of an outlier's key points from the median frame's, at least, as a part of the median width; its
+own width differs by four times as much."""
 BEHIND = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
 """(20,) True for the key points behind the hinges."""
 _LEFT = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
@@ -50,10 +48,9 @@ _MIRROR = np.array(MIRROR)
 
 @dataclass(frozen=True)
 class MeanKeyPoints:
-    """What `mean_key_points` found."""
+    """What `mean_key_points` found: `points` (20, 3), NaN where no frame has one."""
 
     points: FloatArray
-    """(20, 3); NaN where no frame has the key point."""
     converged: bool
     iterations: int
 
@@ -94,7 +91,7 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoi
     mean = fullest(keypoints)
     size = key_point_size(mean)
     iteration, settled = 0, False
-    while not settled and iteration < _ROUNDS and not (iteration and meter.exhausted):
+    while not settled and iteration < 200 and not (iteration and meter.exhausted):
         iteration += 1
         aligned = np.array([transform_points(align_key_points(p, mean), p) for p in keypoints])
         seen = np.isfinite(aligned).all(2)
@@ -103,7 +100,9 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoi
         new = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         both = np.isfinite(mean).all(1)
         change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
-        settled, mean = change <= _TOLERANCE * size and bool((both == (count[:, 0] > 0)).all()), new
+        # Up to rounding.
+        settled = change <= 400 * np.finfo(float).eps * size and bool((both == (count[:, 0] > 0)).all())
+        mean = new
         meter.count()
         meter.record(change / size)
     return MeanKeyPoints(in_own_axes(mean), settled, iteration)
@@ -155,8 +154,8 @@ def in_own_axes(points: FloatArray) -> FloatArray:
 def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float:
     """Return the width of the front of key points (20, 3): the greater of those at hinges and outer rims.
 
-    With the mesh's `vertices` (V, 3) it is that of the mesh there, of vertices nearest to a key point of the
-    front. NaN unless hinges or outer rims are known on both sides.
+    With the mesh's `vertices` (V, 3) it is that of those nearest to a key point of the front. NaN unless
+    hinges or outer rims are known on both sides.
     """
     apart = points[_LEFT_OUTER] - points[_MIRROR[_LEFT_OUTER]]
     lengths = np.linalg.norm(apart, axis=1)
@@ -173,9 +172,9 @@ def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float
 def unit_exponent(points: FloatArray, widths_mm: tuple[float, float], mesh_width: float | None = None) -> int:
     """Return k so that key points (20, 3) times 10^k are in mm, decided from the width of the front.
 
-    Without the mesh's (`front_width`), the width is that of the key points, which may be less by 15 %. Where
-    it is not known, the median length of the bones decides. Raises EyeglassesError when no power of ten makes
-    the front as wide as that of spectacles.
+    Without the mesh's (`front_width`), the width is that of the key points. Where it is not known, the median
+    length of the bones decides. Raises EyeglassesError when no power of ten makes the front as wide as that
+    of spectacles.
     """
     width = front_width(points) if mesh_width is None else mesh_width
     low, high = widths_mm if mesh_width is not None else (_INSIDE * widths_mm[0], widths_mm[1])
@@ -197,23 +196,18 @@ def unit_factors(exponents: Sequence[int], reference: int | None) -> FloatArray:
     `exponents` are those of `unit_exponent`. Frames go to the unit of a reference, if there is one,
     otherwise to mm where their units differ.
     """
-    common = reference
-    if common is None:
-        common = exponents[0] if len(set(exponents)) == 1 else 0
+    common = reference if reference is not None else exponents[0] if len(set(exponents)) == 1 else 0
     return np.array([10.0 ** (k - common) if k >= common else 1 / 10.0 ** (common - k) for k in exponents])
 
 
 def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, str]:
-    """Return what is unusual about frames of a set, by their place in it.
+    """Return what is unusual about frames of a set of four or more, by their place in it.
 
-    Key points (20, 3) and `widths` (n,) of the fronts, NaN where unknown, are in one unit.
-
-    A frame is an outlier when its width, or the root mean square distance of its key points from the set's
-    medians, is more than four robust standard deviations from the median one.
+    Key points (20, 3) and `widths` (n,) of the fronts, NaN where unknown, are in one unit. An outlier's
+    width, or the root mean square distance of its key points from the set's medians, is far from the median.
     """
-    if len(keypoints) < _FEWEST:
+    if len(keypoints) < 4:
         return {}
-    usual = float(np.nanmedian(widths)) if np.isfinite(widths).any() else math.nan
     center = fullest(keypoints)
     # Aligned to their medians a few times, which the first frame's oddities then no longer reach.
     for _ in range(5):
@@ -224,9 +218,14 @@ def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, s
     off = np.linalg.norm(aligned - center, axis=2)
     shapes = np.sqrt(np.nanmean(off**2, axis=1))
     found: dict[int, str] = {}
-    for i in np.flatnonzero(np.abs(_deviations(widths, _LEAST_WIDTH * usual)) > _DEVIATIONS):
-        found[int(i)] = f"its front is {widths[i]:.4g} wide, the median of the set is {usual:.4g}"
-    for i in np.flatnonzero(_deviations(shapes, _LEAST_SHAPE * usual) > _DEVIATIONS):
+    least = 0.0
+    if np.isfinite(widths).any():
+        usual = float(np.nanmedian(widths))
+        least, away = _LEAST * usual, np.abs(widths - usual)
+        for i in np.flatnonzero(away > max(_DEVIATIONS * float(np.nanmedian(away)), 4 * least)):
+            found[int(i)] = f"its front is {widths[i]:.4g} wide, the median of the set is {usual:.4g}"
+    above = shapes - np.median(shapes)
+    for i in np.flatnonzero(above > max(_DEVIATIONS * float(np.median(np.abs(above))), least)):
         worst = int(np.nanargmax(off[i]))
         reason = (
             f"its key points are {shapes[i]:.3g} rms from the medians of the set, the median frame's "
@@ -250,10 +249,3 @@ def single_bridges(
         found if mean is None else np.append(found, np.linalg.norm(mean[0] - mean[1]) / front_width(mean))
     )
     return tuple(np.flatnonzero(found <= _TWO_BRIDGES).tolist()) if (others > _TWO_BRIDGES).any() else ()
-
-
-def _deviations(values: FloatArray, least: float) -> FloatArray:
-    """Return how many robust standard deviations, each at least `least`, values (n,) are above the median."""
-    center = np.nanmedian(values) if np.isfinite(values).any() else math.nan
-    spread = np.nanmedian(np.abs(values - center)) if np.isfinite(center) else math.nan
-    return np.nan_to_num((values - center) / np.fmax(_MAD * spread, least))

@@ -11,41 +11,41 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, is_posable
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.skinning import turned_translations
+from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.rigid import (
+    Similarity,
     compose,
     invert_rigid,
     procrustes,
     rotation_angle_rad,
-    rotation_from_vector,
     transform_points,
 )
 
 _MIRROR = np.array(MIRROR)
-_SIDES = ("left", "right")
 _RIMS, _TEMPLES = (
     tuple(
         np.array(
             [k for k, n in enumerate(KEY_POINT_NAMES) if n.startswith(side) and n.split("_")[1] in words]
         )
-        for side in _SIDES
+        for side in ("left", "right")
     )
     for words in (("rim",), ("hinge", "temple", "ear"))
 )
 """Numbers of each side's key points; of a temple from the hinge to the tip."""
-_OWN, _NEAR = 0.9, 0.5
-"""Shares of a rim's key points in a vertex's weights from which it moves with the rim, and is near it."""
-_SAMPLES, _FEWEST = 1000, 50
-"""Vertices of a rim that are laid on the other one, at most and at least."""
-_ROUNDS, _SETTLED = 30, 1e-6
-"""Rounds of laying one rim on the other; the last one's step, as a part of the rim's size."""
+_OWN = 0.9
+"""Share of a rim's key points in a vertex's weights from which it moves with the rim."""
+_SAMPLES = 1000
+"""Vertices of a rim that are laid on the other one, at most."""
+_FEWEST = 50
+"""Vertices and faces of a rim below which only its key points are compared."""
 _LABEL_SHARE = 1e-3
 """Weight of a rim's key points beside its surface: they hold what a surface leaves free, such as a turn of a
 round rim in its plane."""
-_FARTHEST_TURN, _FARTHEST_SHIFT = np.deg2rad(10), 0.15
-"""How far surfaces may move a rim from where its key points lay it: more is another place that fits by
-chance; the shift as a part of the rim's size."""
+_FARTHEST = 0.15
+"""Part of the rim's size by which surfaces may move its key points: more is another place that fits by
+chance."""
 
 
 @dataclass(frozen=True)
@@ -94,58 +94,44 @@ def front_halves(
         return FrontHalves(reflection, np.eye(4), np.nan)
     start = procrustes(source, target)
     own, other = (weights[:, rim_points].sum(1) for rim_points in _RIMS)
-    surface = faces[(own[faces] >= _NEAR).all(1)]
+    surface = faces[(own[faces] >= 0.5).all(1)]
     moving = transform_points(reflection, vertices[other >= _OWN])
     if len(surface) < _FEWEST or len(moving) < _FEWEST:
         return FrontHalves(reflection, start, np.nan)
     moving = moving[:: -(-len(moving) // _SAMPLES)]
-    found, apart = _lay_on(vertices, surface, moving, (source, target), start)
-    return FrontHalves(reflection, found, apart)
+    query, normals = ClosestPointQuery(vertices, surface), face_normals(vertices, surface)
+    held = np.repeat([0.0, 1.0], [len(moving), len(source)])
 
-
-def _lay_on(
-    vertices: FloatArray,
-    faces: IntArray,
-    moving: FloatArray,
-    marks: tuple[FloatArray, FloatArray],
-    start: FloatArray,
-) -> tuple[FloatArray, float]:
-    """Return the rigid (4, 4) that lays points (P, 3) on a surface, and their rms distance from it then."""
-    query, normals, size = (
-        ClosestPointQuery(vertices, faces),
-        face_normals(vertices, faces),
-        float(np.linalg.norm(np.ptp(marks[1], axis=0))),
-    )
-    pose = start
-    for _ in range(_ROUNDS):
-        placed = transform_points(pose, moving)
-        hits = query.query(placed)
+    def pairs(_: Alignment, placed: FloatArray) -> Pairs:
+        hits = query.query(placed[held == 0])
         # Tukey's weights: what one rim has and the other lacks does not pull.
-        reach = 3 * float(np.median(hits.distance)) + 1e-9 * size
-        weight = np.clip(1 - (hits.distance / reach) ** 2, 0, None) ** 2
-        normal, center = normals[hits.face], placed.mean(0)
-        rows = np.hstack([np.cross(placed - center, normal), normal]) * np.sqrt(weight)[:, None]
-        off = ((placed - hits.points) * normal).sum(1) * np.sqrt(weight)
-        held = transform_points(pose, marks[0])
-        pull = np.sqrt(_LABEL_SHARE * weight.sum() / len(held))
-        turns = np.cross(held[:, None] - center, np.eye(3)).reshape(-1, 3)
-        rows = np.vstack([rows, pull * np.hstack([turns, np.tile(np.eye(3), (len(held), 1))])])
-        off = np.concatenate([off, pull * (held - marks[1]).ravel()])
-        step = np.linalg.lstsq(rows, -off, rcond=None)[0]
-        turn = rotation_from_vector(step[:3])
-        pose = compose(turn, center + step[3:] - turn @ center) @ pose
-        if np.linalg.norm(step[:3]) + np.linalg.norm(step[3:]) / size < _SETTLED:
-            break
+        reach = 3 * float(np.median(hits.distance))
+        trust = np.clip(1 - (hits.distance / max(reach, np.finfo(float).tiny)) ** 2, 0, None) ** 2
+        pull = np.full(len(source), _LABEL_SHARE * trust.sum() / len(source))
+        goal = np.concatenate([hits.points, target])
+        normal = np.concatenate([normals[hits.face], np.zeros_like(source)])
+        return Pairs(goal - placed, normal, np.concatenate([trust, pull]), held)
+
+    size, center = float(np.linalg.norm(np.ptp(target, axis=0))), moving.mean(0)
+    found = align(
+        np.concatenate([moving, source]) - center,
+        np.ones(len(held)),
+        pairs,
+        Similarity(start[:3, :3], transform_points(start, center)),
+        steps=30,
+        scale_range=(1.0, 1.0),
+        settled=1e-6 * size,
+    ).pose
+    pose = compose(found.rotation, found.translation - found.rotation @ center)
+    moved = np.linalg.norm(transform_points(pose, source) - transform_points(start, source), axis=1)
+    if moved.max() > _FARTHEST * size:
+        return FrontHalves(reflection, start, np.nan)
     distance = query.query(transform_points(pose, moving)).distance
-    change = pose @ invert_rigid(start)
-    moved = np.linalg.norm(transform_points(pose, marks[0]) - transform_points(start, marks[0]), axis=1)
-    far = np.trace(change[:3, :3]) < 1 + 2 * np.cos(_FARTHEST_TURN) or moved.max() > _FARTHEST_SHIFT * size
-    return (start, np.nan) if far else (pose, float(np.sqrt((distance**2).mean())))
+    return FrontHalves(reflection, pose, float(np.sqrt((distance**2).mean())))
 
 
 def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatArray:
-    """Return (20, 4, 4) rigid transforms of key points (20, 3), NaN for missing ones, that take the bend
-    away.
+    """Return (20, 4, 4) rigid transforms of key points (20, 3), NaN for missing ones, that undo the bend.
 
     With F the reflection and Q = `left_from_mirrored`, the key points of the left rim and its hinge share
     Q^-1/2, those of the right side F Q^1/2 F: both move half the way and mirror each other afterwards. The

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
+from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized, vertex_components
 from scan2albedo.geometry.rays import RayCaster

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.checks import checked_mesh
+from scan2albedo.eyeglasses.keypoints import checked_mesh
 from scan2albedo.geometry.mesh import face_cross_products, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster, RayHits

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -16,11 +17,10 @@ from scan2albedo.geometry.rigid import compose, rotation_from_vector
 
 RIGID = 6
 """First parameters of a step: a turn about the key points' centroid (rad), a translation."""
-_NEGLIGIBLE = 1e-9
-"""Weights below this, which most are, do not count in derivatives; they do in positions."""
-_STRETCH, _SCALE = 0.001, 0.01
-"""Part of its length by which a bone is usually stretched, and by which the whole frame is usually too large
-or too small, as a mesh that somebody measured."""
+_STRETCH = 0.001
+"""Part of its length by which a bone is usually stretched."""
+_SCALE = 0.01
+"""Part by which the whole frame is usually too large or too small, as a mesh that somebody measured."""
 _RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
 """How much neighbouring key points are usually turned against each other: of a rim, across the bridge, of
 hinges and temples."""
@@ -38,6 +38,9 @@ class SkinnedPoints:
     """(N, 3)."""
     weights: FloatArray
     """(N, K), rows sum to 1."""
+
+    def __getitem__(self, chosen: Any) -> SkinnedPoints:
+        return SkinnedPoints(self.rest[chosen], self.weights[chosen])
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,11 @@ class FrameMotion:
         result = turned_translations(self.keypoints, self.keypoints + self.state.shifts)
         result[~self.known] = np.eye(4)
         return result
+
+    @cached_property
+    def marks(self) -> SkinnedPoints:
+        """The key points themselves; those that the frame lacks at 0."""
+        return SkinnedPoints(np.nan_to_num(self.keypoints), np.eye(len(self.keypoints)))
 
     @property
     def world_from_frame(self) -> FloatArray:
@@ -182,7 +190,6 @@ class FrameMotion:
 
 
 def _spin(matrices: FloatArray) -> FloatArray:
-    """Return (N, 3, 3) tr(X) - X."""
     return np.trace(matrices, axis1=1, axis2=2)[:, None, None] * np.eye(3) - matrices
 
 
@@ -247,7 +254,7 @@ def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row
     lz = rotation[0, 2] * gx + rotation[1, 2] * gy + rotation[2, 2] * gz
     for k in range(handles):
         w = weights[k]
-        if abs(w) < _NEGLIGIBLE:
+        if w == 0.0:
             continue
         ax, ay, az = rest[0] - keypoints[k, 0], rest[1] - keypoints[k, 1], rest[2] - keypoints[k, 2]
         bx = turns[k, 0, 0] * ax + turns[k, 0, 1] * ay + turns[k, 0, 2] * az

@@ -13,8 +13,13 @@ from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
-from scan2albedo.eyeglasses.checks import checked_keypoints, checked_mesh, checked_weights
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
+from scan2albedo.eyeglasses.keypoints import (
+    KEY_POINT_COUNT,
+    KEY_POINT_NAMES,
+    checked_keypoints,
+    checked_mesh,
+    checked_weights,
+)
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 
@@ -87,7 +92,7 @@ class RegisteredEyeglasses:
     """Evaluations of the objective."""
     plan: Plan
     """Steps that ran or were left out, and why."""
-    trace: Trace
+    trace: Trace = Trace()
     """Errors in pixels."""
 
     @property
@@ -188,8 +193,7 @@ def checked_inputs(
         pose = np.array(start, np.float64)
         if pose.shape != (4, 4):
             raise ValueError(f"start must have shape (4, 4), got {pose.shape}")
-        rotation = pose[:3, :3]
-        if not np.isfinite(pose).all() or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+        if not is_rigid(pose):
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
     return RegistrationInputs(
@@ -204,6 +208,13 @@ def checked_inputs(
         unit=unit,
         plan=tuple(plan),
     )
+
+
+def is_rigid(pose: FloatArray) -> bool:
+    """Return whether (4, 4) is a rotation and a translation over the row 0 0 0 1."""
+    off = np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max()
+    turns = off <= 1e-6 and np.linalg.det(pose[:3, :3]) > 0
+    return bool(turns and np.isfinite(pose).all() and (pose[3] == [0, 0, 0, 1]).all())
 
 
 def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray | None]:

@@ -20,29 +20,22 @@ from scan2albedo.eyeglasses.on_face.outline import FrameMesh, hidden_by
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 
-_INNER = np.linspace(0.1, 0.6, 11)
-"""Parts of the way from an opening's middle to its rim at which masks are looked up."""
-_SIDES_A_RIM = 24
-_SHOWN = 0.5
-"""Covered share of an opening from which a mask counts as showing the lens."""
 _FEWEST = 40
-"""Places of an opening that a view must show to say something about it."""
-_SEAT_MM = 0.5
-"""How far lenses that are put in reach into their rims."""
+"""Places of an opening, of 264, that a view must show to say something about it."""
 
 
 @dataclass(frozen=True)
 class RimOpening:
-    """The opening of one rim."""
+    """The opening of one rim: of the wearer's left (0) or right `side` (1).
+
+    `rim` (5,) are the numbers of its key points, `panes` (P,) the faces of the mesh's own lens; it is
+    `sealed` where the mesh covers it by a surface of one piece with the rim.
+    """
 
     side: int
-    """0 is the wearer's left, 1 the right."""
     rim: IntArray
-    """(5,) numbers of the rim's key points: top, bridge, inner, bottom, outer."""
     panes: IntArray
-    """(P,) faces of the mesh's own lens; none where it has none."""
     sealed: bool
-    """Whether the mesh covers the opening by a surface of one piece with the rim."""
 
 
 def rim_openings(vertices: FloatArray, faces: IntArray, keypoints: FloatArray) -> list[RimOpening]:
@@ -63,43 +56,15 @@ def rim_openings(vertices: FloatArray, faces: IntArray, keypoints: FloatArray) -
     return found
 
 
-def covered_shares(
-    opening: RimOpening,
-    motion: FrameMotion,
-    cameras: Sequence[FloatArray],
-    masks: Sequence[BoolArray | None],
-    head: RayCaster | None,
-) -> FloatArray:
-    """Return (C,) shares of an opening's middle that the masks (H, W) cover, NaN where they cannot say."""
-    marks = SkinnedPoints(np.nan_to_num(motion.keypoints), np.eye(len(motion.keypoints)))
-    # Points spread over the middle of the polygon of the rim's key points.
-    rim = motion.positions(marks)[opening.rim]
-    corners = np.vstack([rim, rim[:1]])
-    way = np.linspace(0, len(rim), _SIDES_A_RIM, endpoint=False)
-    edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
-    middle = rim.mean(0)
-    places = (middle + _INNER[:, None, None] * (edge - middle)).reshape(-1, 3)
-    shares = np.full(len(cameras), np.nan)
-    for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
-        if mask is None:
-            continue
-        seen = places[~hidden_by(head, camera, places)]
-        pixels, depth = project(camera, seen)
-        column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64).T
-        inside = (row >= 0) & (column >= 0) & (row < mask.shape[0]) & (column < mask.shape[1])
-        if inside.sum() >= _FEWEST:
-            shares[number] = mask[row[inside], column[inside]].mean()
-    return shares
-
-
 @dataclass(frozen=True)
 class ShownFrame:
-    """A frame as each view's mask shows it."""
+    """A frame as each view's mask shows it, by the faces in `shown`.
+
+    Behind the vertices and faces of the given `mesh` are those of lenses that were put in.
+    """
 
     mesh: FrameMesh
-    """The given one, and behind its vertices and faces those of lenses that were put in."""
     shown: tuple[IntArray, ...]
-    """Of each view, the faces that its mask shows."""
     steps: tuple[PlanStep, ...]
 
 
@@ -119,11 +84,26 @@ def fit_lenses_to_masks(
     kept = [np.ones(len(mesh.faces), bool) for _ in cameras]
     extra: list[list[IntArray]] = [[] for _ in cameras]
     for opening in rim_openings(mesh.points.rest, mesh.faces, motion.keypoints):
-        shares = covered_shares(opening, motion, cameras, masks, head)
+        # Shares of the opening's middle that the masks cover, at places on 24 rays from the middle of the
+        # polygon of the rim's key points, from a tenth to six tenths of the way.
+        rim = motion.positions(motion.marks)[opening.rim]
+        corners = np.vstack([rim, rim[:1]])
+        way = np.linspace(0, len(rim), 24, endpoint=False)
+        edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
+        steps_out = np.arange(2, 13)[:, None, None] / 20
+        places = (rim.mean(0) + steps_out * (edge - rim.mean(0))).reshape(-1, 3)
+        shares = np.full(count, np.nan)
+        for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
+            if mask is not None:
+                pixels, depth = project(camera, places[~hidden_by(head, camera, places)])
+                column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64).T
+                inside = (row >= 0) & (column >= 0) & (row < mask.shape[0]) & (column < mask.shape[1])
+                if inside.sum() >= _FEWEST:
+                    shares[number] = mask[row[inside], column[inside]].mean()
         if np.isnan(shares).all():
             continue
         # A view that cannot say is taken to be like the others.
-        shown = np.where(np.isnan(shares), np.nanmean(shares), shares) >= _SHOWN
+        shown = np.where(np.isnan(shares), np.nanmean(shares), shares) >= 0.5
         name = f"{SIDES[opening.side]} lens"
         evidence = ", ".join("-" if np.isnan(s) else f"{s:.0%}" for s in shares) + " of the opening covered"
         if len(opening.panes) and not shown.all():
@@ -141,7 +121,7 @@ def fit_lenses_to_masks(
             reason = f"{_views(shown)} a {name} that the mesh does not have"
             given = mesh.points.rest, mesh.faces, motion.keypoints, opening.side
             try:
-                lens = insert_lens(*given, LensMaterial(), seat_mm=_SEAT_MM)
+                lens = insert_lens(*given, LensMaterial(), seat_mm=0.5)
             except EyeglassesError:
                 reason += ", and none fits into the rim: label the mesh's key points anew, or leave out masks"
                 steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))

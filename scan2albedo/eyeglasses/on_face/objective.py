@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -28,15 +29,14 @@ _BEHIND = 1e6
 _ROBUST = 2.0
 """Standard deviations from which the error of a label counts less and less (Cauchy), and that of an outline
 by its size alone (Huber)."""
-_OFFSET_MM, _BIAS_PX = 0.5, 1.0
-"""How far what is labelled usually is from the mesh's key point, along each axis and alike in all views; how
-far a mask usually reaches beyond the frame, or falls short of it, all around."""
+_OFFSET_MM = 0.5
+"""How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
+_BIAS_PX = 1.0
+"""How far a mask usually reaches beyond the frame, or falls short of it, all around."""
 _VOTE = 1 / 20
 """Of a pixel of the outline: a mask's errors are alike over 20 pixels, which share one vote."""
 _REWEIGHTINGS = 3
 """Times that offsets and biases are found with the weights of robust errors."""
-_TINY = 1e-9
-"""Root of an information, of labels in standard deviations a mm, that is none."""
 _CANDIDATES = 200
 """Front vertices nearest to the head that are looked at until they are chosen anew."""
 _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
@@ -54,17 +54,17 @@ class Linearization:
     outline_px: FloatArray
     """(N,) errors of the outline's samples; NaN where they do not count."""
 
+    @property
+    def median_label_px(self) -> float:
+        """Outliers do not show in it."""
+        errors = self.labels_px[np.isfinite(self.labels_px)]
+        return float(np.median(errors)) if len(errors) else np.nan
 
-def median_label_px(at: Linearization) -> float:
-    """Return the median distance of labels: outliers do not show in it."""
-    errors = at.labels_px[np.isfinite(at.labels_px)]
-    return float(np.median(errors)) if len(errors) else float("nan")
-
-
-def mean_outline_px(at: Linearization) -> float:
-    """Return the mean distance of the outline from the mask's: a median of whole pixels would stand still."""
-    errors = np.abs(at.outline_px[np.isfinite(at.outline_px)])
-    return float(np.mean(errors)) if len(errors) else float("nan")
+    @property
+    def mean_outline_px(self) -> float:
+        """A median of whole pixels would stand still."""
+        errors = np.abs(self.outline_px[np.isfinite(self.outline_px)])
+        return float(np.mean(errors)) if len(errors) else np.nan
 
 
 class HeadContact:
@@ -74,7 +74,7 @@ class HeadContact:
         self._query = ClosestPointQuery(vertices, faces)
         self._normals = face_normals(vertices, faces)
         front = np.flatnonzero(_FRONT[points.weights.argmax(1)])
-        self._front = SkinnedPoints(points.rest[front], points.weights[front])
+        self._front = points[front]
         self._candidates = self._front
 
     def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
@@ -90,7 +90,7 @@ class HeadContact:
         if len(self._front.rest) > _CANDIDATES:
             distance = self._query.query(motion.positions(self._front)).distance
             nearest = np.argpartition(distance, _CANDIDATES)[:_CANDIDATES]
-            self._candidates = SkinnedPoints(self._front.rest[nearest], self._front.weights[nearest])
+            self._candidates = self._front[nearest]
 
     def __bool__(self) -> bool:
         return len(self._front.rest) > 0
@@ -106,9 +106,7 @@ class HeadContact:
         away = place[first] - hits.points[first]
         length = float(np.linalg.norm(away))
         slope = normals[first] if length < 1e-9 else np.sign(signed[first]) * away / length
-        one = slice(first, first + 1)
-        point = SkinnedPoints(self._candidates.rest[one], self._candidates.weights[one])
-        return point, place[one], float(signed[first]), slope[None]
+        return self._candidates[[first]], place[[first]], float(signed[first]), slope[None]
 
 
 class RegistrationObjective:
@@ -134,7 +132,6 @@ class RegistrationObjective:
     ) -> None:
         self.contact = contact
         self.keypoints, self.views, self.options = keypoints, views, options
-        self._marks = SkinnedPoints(np.nan_to_num(keypoints), np.eye(len(keypoints)))
         self._cameras = np.stack([view.camera for view in views])
         self._labels = np.stack([view.labels for view in views])
         self._labelled = np.isfinite(self._labels).all(2) & np.isfinite(keypoints).all(1)
@@ -165,22 +162,17 @@ class RegistrationObjective:
             sums.add(point, place, slope, np.array([distance]), np.ones(1))
             sums.cost += distance**2
         if rigid:
-            part = slice(RIGID)
-            return Linearization(
-                sums.cost, sums.gradient[part], sums.matrix[part, part], labels_px, outline_px
-            )
-        gradient, matrix = motion.chained(sums.gradient, sums.matrix)
-        value, rows = bend_prior(motion)
-        return Linearization(
-            sums.cost + float(value @ value),
-            gradient + rows.T @ value,
-            matrix + rows.T @ rows,
-            labels_px,
-            outline_px,
-        )
+            cost, gradient, matrix = sums.cost, sums.gradient[:RIGID], sums.matrix[:RIGID, :RIGID]
+        else:
+            gradient, matrix = motion.chained(sums.gradient, sums.matrix)
+            value, rows = bend_prior(motion)
+            cost = sums.cost + float(value @ value)
+            gradient, matrix = gradient + rows.T @ value, matrix + rows.T @ rows
+        return Linearization(cost, gradient, matrix, labels_px, outline_px)
 
     def _add_labels(self, sums: _Sums) -> FloatArray:
-        place, noise = sums.motion.positions(self._marks), self.options.label_noise_px
+        marks, noise = sums.motion.marks, self.options.label_noise_px
+        place = sums.motion.positions(marks)
         view, mark = np.nonzero(self._labelled)
         pixels, slopes, front = projected(self._cameras[view], place[mark])
         errors = np.full(self._labelled.shape, np.nan)
@@ -201,15 +193,16 @@ class RegistrationObjective:
         inverse = np.linalg.inv(matrix + prior)
         # What is left of each key point's sums without its offset, as three values along the matrix's axes.
         values, axes = np.linalg.eigh(matrix - matrix @ inverse @ matrix)
-        size = np.sqrt(np.maximum(values, 0.0))
+        # Less than rounding leaves, of labels in standard deviations a mm, says nothing.
+        size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(np.finfo(float).eps)
         along = np.einsum("nji,nj->ni", axes, -offset / _OFFSET_MM**2)
         three = np.repeat(np.arange(len(place)), 3)
         sums.add(
-            SkinnedPoints(self._marks.rest[three], self._marks.weights[three]),
+            marks[three],
             place[three],
             (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3),
-            (along / np.maximum(size, _TINY)).ravel(),
-            (size > _TINY).astype(np.float64).ravel(),
+            (along / np.maximum(size, least)).ravel(),
+            (size > least).astype(np.float64).ravel(),
         )
         sums.cost += float(_ROBUST**2 * np.log1p(square / _ROBUST**2).sum())
         sums.cost += float((offset**2).sum() / _OFFSET_MM**2)
@@ -243,8 +236,7 @@ class RegistrationObjective:
             weight = _VOTE * _huber_weights(residual[mine])
             error[mine] -= noise * bias
             sums.cost += tight * bias**2
-            part = SkinnedPoints(samples.points.rest[mine], samples.points.weights[mine])
-            sums.take_common(part, place[mine], slope[mine] / noise, weight, tight)
+            sums.take_common(samples.points[mine], place[mine], slope[mine] / noise, weight, tight)
         size = np.abs(residual)
         cost = np.where(size > _ROBUST, _ROBUST * (2 * size - _ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
@@ -255,8 +247,7 @@ class RegistrationObjective:
 
 
 def _huber_weights(residual: FloatArray) -> FloatArray:
-    size = np.abs(residual)
-    return np.where(size > _ROBUST, _ROBUST / np.maximum(size, _ROBUST), 1.0)
+    return _ROBUST / np.maximum(np.abs(residual), _ROBUST)
 
 
 class _Sums:
@@ -329,7 +320,7 @@ def descend(
     meter: Meter,
     *,
     steps: int = 40,
-    error: Callable[[Linearization], float],
+    error: Literal["median_label_px", "mean_outline_px"],
     tolerance: float = 1e-5,
 ) -> FrameEstimate:
     """Return the best state that `steps` Levenberg-Marquardt steps from `state` reach.
@@ -343,6 +334,6 @@ def descend(
         tolerance=tolerance,
         damping=Damping(largest=1e6),
         meter=meter,
-        on_better=lambda point: meter.record(error(point.at)),
+        on_better=lambda point: meter.record(getattr(point.at, error)),
     )
     return FrameEstimate(found.best.state, found.best.at, found.converged)

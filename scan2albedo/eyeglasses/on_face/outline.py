@@ -17,9 +17,9 @@ from scan2albedo.geometry.rays import RayCaster
 
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
-_NEAR_PX, _REACH = 5.0, 3.0
-"""Nearer ones are left out where the frame's place is known better: beyond these pixels for noise and what
-weights cannot bend, and these standard deviations."""
+_NEAR_PX = 5.0
+"""Nearer ones are left out where the frame's place is known better: beyond these pixels, for noise and what
+weights cannot bend, and three standard deviations."""
 _MARGIN_PX = 96
 """How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
@@ -105,29 +105,29 @@ def search_edges(
 
 @dataclass(frozen=True)
 class ObservedView:
-    """One camera's picture."""
+    """One picture: its camera (3, 4), normalised, labels (K, 2), NaN for missing ones, and shape (H, W).
+
+    `distance` is None without a usable mask, `shape` where neither a mask nor the caller says.
+    """
 
     camera: FloatArray
-    """(3, 4) normalised."""
     labels: FloatArray
-    """(K, 2), NaN for missing ones."""
     distance: MaskDistance | None
-    """None without a usable mask."""
     shape: tuple[int, int] | None
-    """(H, W) of the picture; None where neither a mask nor the caller says."""
 
 
 @dataclass(frozen=True)
 class OutlineSamples:
-    """Points of the frame that make its outlines."""
+    """Points of the frame that make its outlines, and the `view` (N,) of each.
+
+    `edges` (N, 2) are pixels where the mask ends beside the sample, NaN where its distance to the mask
+    counts, `outward` (N, 2) unit vectors in the picture, away from the frame.
+    """
 
     view: IntArray
-    """(N,)"""
     points: SkinnedPoints
     edges: FloatArray
-    """(N, 2) pixels where the mask ends beside the sample; NaN where its distance to the mask counts."""
     outward: FloatArray
-    """(N, 2) unit vectors in the picture, away from the frame."""
 
     def __len__(self) -> int:
         return len(self.view)
@@ -151,16 +151,16 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
 
 @dataclass(frozen=True)
 class Outline:
-    """Pixels of a mask that touch the outside, and the surface points at their centres."""
+    """Pixels of a mask that touch the outside, and the surface points at their centres.
+
+    `pixels` (N, 2) are column and row, `face` (N,) and `barycentric` (N, 3) the points, perspective taken
+    out, `outward` (N, 2) unit vectors in the picture, away from the mask.
+    """
 
     pixels: IntArray
-    """(N, 2) column, row."""
     face: IntArray
-    """(N,)"""
     barycentric: FloatArray
-    """(N, 3) on the surface, perspective taken out."""
     outward: FloatArray
-    """(N, 2) unit vectors in the picture, away from the mask."""
 
 
 def cover(
@@ -299,7 +299,7 @@ class OutlineSampler:
         outline = trace_outline(covered, pixels, depth, faces)
         foremost = faces[outline.face, 0]
         px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
-        reach = _REACH * mesh.points.weights[foremost] @ deviation_mm * px_per_mm
+        reach = 3 * mesh.points.weights[foremost] @ deviation_mm * px_per_mm
         reach = np.minimum(_NEAR_PX + reach, REACH_PX)
         # Where the nearest border of the mask has its outside on the same side, its distance counts;
         # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
@@ -330,8 +330,7 @@ class OutlineSampler:
         return OutlineSamples(
             np.full(len(kept), number),
             SkinnedPoints(
-                np.einsum("nk,nki->ni", share, mesh.points.rest[corners]),
-                np.einsum("nk,nki->ni", share, mesh.points.weights[corners]),
+                *(np.einsum("nk,nki->ni", share, a[corners]) for a in (mesh.points.rest, mesh.points.weights))
             ),
             edges[kept],
             outline.outward[kept],

@@ -27,11 +27,9 @@ from scan2albedo.eyeglasses.on_face.objective import (
     HeadContact,
     RegistrationObjective,
     descend,
-    mean_outline_px,
-    median_label_px,
 )
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, FrameMesh, OutlineSampler
-from scan2albedo.eyeglasses.on_face.report import depth_open, mark_deviations, report
+from scan2albedo.eyeglasses.on_face.report import WORN_MM, depth_open, mark_deviations, report
 from scan2albedo.eyeglasses.on_face.start_poses import require_unmirrored, starting_poses
 from scan2albedo.eyeglasses.weighting.weights import solve_weights
 from scan2albedo.geometry.pinhole import camera_centers
@@ -39,19 +37,9 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
-_TRACINGS, _STEPS, _LEAST_GAIN = 10, 6, 1e-3
-"""Most times that the outline is traced anew, most steps on one tracing, and the part of the cost below which
-a gain ends them."""
-_DISAGREE = 2.0
-"""Times by which outlines may raise the labels' error before they are taken for another picture's."""
-_NEAR_MM = 40.0
-"""Distance up to which a frame whose depth is not known may be drawn onto the nose."""
 _RESOLUTION_MM = 2.0
 """Deviation of depth up to which a frame need not rest on the nose (one view leaves far more open), and cells
 in which the head's vertices are joined: finer ones hide the same and cost more."""
-_STILL, _MOST_INCREASES = 0.5, 2
-"""Movement of the key points between two tracings at which the outlines have settled, in their standard
-deviations; and how often it may grow: tracing jumps from pixel to pixel."""
 
 
 def register_on_face(
@@ -118,9 +106,7 @@ def register_on_face(
     What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`. Deviations hold for
     a mesh of the frame itself, true to about a percent: a canonical frame has the measures of the mean. They
     count labels that miss the key point alike in all views (0.5 mm) and masks that are too wide or too narrow
-    throughout (1 px). Where more than a third of the labels do not fit, nothing counts as observed; where
-    exchanging left and right explains them, that is an error. Masks that contradict good labels are left
-    aside.
+    throughout (1 px). Masks that contradict good labels are left aside.
 
     Li et al. (supplement, equation S3) minimise a rendered segmentation with Adam, some thousand renderings;
     this takes about a hundred evaluations.
@@ -161,10 +147,7 @@ class _Registration:
         self.sampler = OutlineSampler(mesh, given.views, occluder)
 
     def run(self) -> RegisteredEyeglasses:
-        """Run the stages that the input asks for.
-
-        Raises EyeglassesError when labels fix no pose and there is no start, or left and right are exchanged.
-        """
+        """Run the stages that the input asks for; raises as `register_on_face`."""
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
         return report(
             self.given,
@@ -210,7 +193,7 @@ class _Registration:
         first = min(starts, key=lambda state: rigid(state).cost)
         self.meter.count(len(starts))
         found = self._fit_labels("pose", rigid, first)
-        error_px = median_label_px(found.at)
+        error_px = found.at.median_label_px
         self._note("pose", True, f"the best of {len(starts)} starts, refined", f"{error_px:.2f} px")
         # A descent that the budget cut short fits badly without being mirrored.
         if error_px > options.label_noise_px and not self.meter.exhausted:
@@ -230,7 +213,7 @@ class _Registration:
             self.bend_found = False
             return replace(before, converged=False)
         found = self._fit_labels("key_points", partial(self.objective.linearize, samples=None), before.state)
-        evidence = f"{median_label_px(before.at):.2f} -> {median_label_px(found.at):.2f} px"
+        evidence = f"{before.at.median_label_px:.2f} -> {found.at.median_label_px:.2f} px"
         self._note("key_points", True, "labels ask for a bend", evidence)
         self.bend_found = found.converged or not self.meter.exhausted
         return found
@@ -253,7 +236,7 @@ class _Registration:
         contact.orient(motion, camera_centers(np.stack([view.camera for view in self.given.views])))
         contact.select_candidates(motion)
         gap = abs(contact.nearest_point(motion)[2])
-        if gap > _NEAR_MM:
+        if gap > WORN_MM:
             reason = "the head is not near the frame: is it in its frame and unit?"
             self._note("contact", False, reason, f"{gap:.0f} mm")
             return before
@@ -268,7 +251,7 @@ class _Registration:
         """Descend on labels alone, without a deadline: it takes little, and without it there is no answer."""
         child = self.meter.sub_meter(f"{self.meter.stage}.{step}", "px")
         child.budget = replace(child.budget, seconds=None)
-        found = descend(linearize, state, child, error=median_label_px)
+        found = descend(linearize, state, child, error="median_label_px")
         self.meter.merge(child)
         return found
 
@@ -281,26 +264,20 @@ class _Registration:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
         # Lenses are taken out of the outline, or put in, as each view's mask shows them.
-        frame = fit_lenses_to_masks(
-            self.sampler.mesh,
-            self.objective.motion(before.state),
-            [view.camera for view in self.given.views],
-            [
-                m if v.distance is not None else None
-                for v, m in zip(self.given.views, self.given.masks, strict=True)
-            ],
-            self.sampler.head,
-        )
+        views = self.given.views
+        masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
+        motion, cameras = self.objective.motion(before.state), [view.camera for view in views]
+        frame = fit_lenses_to_masks(self.sampler.mesh, motion, cameras, masks, self.sampler.head)
         self.steps += frame.steps
-        self.sampler = OutlineSampler(frame.mesh, self.given.views, self.sampler.head, frame.shown)
+        self.sampler = OutlineSampler(frame.mesh, views, self.sampler.head, frame.shown)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
         known = self.given.known
         # What labels leave open: outlines that have found a wrong place would call it certain.
-        deviation_mm = mark_deviations(self.given, self.objective.motion(before.state), before.at)
+        deviation_mm = mark_deviations(self.given, motion, before.at)
         # One clock for all tracings: the rows of a stage count from its start.
         meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
-        while len(moves) < _TRACINGS and not settled and not meter.exhausted:
+        while len(moves) < 10 and not settled and not meter.exhausted:
             samples = self.sampler.sample(self.objective.motion(found.state), deviation_mm)
             if len(samples) == 0:
                 self.meter.merge(meter)
@@ -312,30 +289,30 @@ class _Registration:
                 partial(self.objective.linearize, samples=samples, rigid=not self.options.bend),
                 start,
                 meter,
-                steps=_STEPS,
-                tolerance=_LEAST_GAIN,
-                error=mean_outline_px,
+                steps=6,
+                tolerance=1e-3,
+                error="mean_outline_px",
             )
-            first = mean_outline_px(found.at) if not moves else first
-            # The longest way of a key point, in its standard deviations.
+            first = found.at.mean_outline_px if not moves else first
+            # The longest way of a key point, in its standard deviations: half of one has settled. It may
+            # grow once, for tracing jumps from pixel to pixel.
             places = []
             for state in (start, found.state):
                 world = self.objective.motion(state).world_from_frame
                 places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
             deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
             moves.append(float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max()))
-            # Movements that were longer than the shortest before them.
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
-            settled = moves[-1] < _STILL or increases >= _MOST_INCREASES
+            settled = moves[-1] < 0.5 or increases > 1
             found = replace(found, converged=settled)
         self.meter.merge(meter)
-        evidence = f"{first:.2f} -> {mean_outline_px(found.at):.2f} px"
+        evidence = f"{first:.2f} -> {found.at.mean_outline_px:.2f} px"
         self._note("outlines", True, f"traced {len(moves)} times", evidence)
-        labels = median_label_px(before.at), median_label_px(found.at)
-        if labels[1] > max(_DISAGREE * labels[0], self.options.label_noise_px):
+        labels = before.at.median_label_px, found.at.median_label_px
+        if labels[1] > max(2 * labels[0], self.options.label_noise_px):
             evidence = f"labels {labels[0]:.1f} -> {labels[1]:.1f} px"
             self._note("masks", False, "they disagree with the labels and are left aside", evidence)
-            views = tuple(replace(view, distance=None) for view in self.given.views)
+            views = tuple(replace(view, distance=None) for view in views)
             self.given = replace(self.given, views=views)
             contact, sampler = self.objective.contact, self.sampler
             self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+from scipy.special import erfinv
 
 from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion
 from scan2albedo.eyeglasses.on_face.inputs import OBSERVED_MM, RegisteredEyeglasses, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.objective import FrameEstimate, Linearization, RegistrationObjective
 from scan2albedo.eyeglasses.on_face.outline import ObservedView, OutlineSampler, hidden_by
@@ -25,14 +28,10 @@ _APART = 0.02
 """Distance of cameras, as a part of that to the frame, from which they count as two places."""
 _ANYWHERE_MM = 1e6
 """Deviation of a point that nothing determines: finite, so that products with weights of 0 stay 0."""
-_WORN_MM = 25.0
-"""Distance of the nearest key point from the head beyond which nobody wears the frame."""
+WORN_MM = 40.0
+"""Distance of the frame from the head beyond which nobody wears it."""
 _LEAST_NOISE_PX = 0.3
 """Below it pixels and the bend's model limit the accuracy, not labels."""
-_MEDIAN_OF_RAYLEIGH, _MEDIAN_OF_NORMAL = 1.1774, 0.6745
-"""Medians of a label's distance and of an outline's absolute error at a deviation of 1 a coordinate."""
-_NEAR_PX, _NEAR = 3.0, 4.0
-"""Pixels of one mask this near to the other agree with it: at least, and in deviations of outlines."""
 _PATCH_PX = 25.0
 """Pixels by which a key point's surroundings may differ: a patch as wide as a temple is more."""
 
@@ -51,30 +50,28 @@ def report(
     options, state, unit = objective.options, found.state, given.unit
     motion = objective.motion(state)
     # Behind the frame's own points there may be those of lenses that only masks show.
-    own = slice(len(given.vertices))
-    points = SkinnedPoints(sampler.mesh.points.rest[own], sampler.mesh.points.weights[own])
-    marks = _marks(given)
+    points = sampler.mesh.points[: len(given.vertices)]
+    marks = motion.marks
     vertices, keypoints = motion.positions(points), motion.positions(marks)
     samples = sampler.sample(motion, mark_deviations(given, motion, found.at))
     rigid = not options.bend
     at = objective.linearize(state, samples, rigid=rigid)
 
     # Deviations from the Gauss-Newton matrix, labels and outlines weighted by the noise that they show.
-    labels, outline = (
-        at.labels_px[np.isfinite(at.labels_px)],
-        np.abs(at.outline_px[np.isfinite(at.outline_px)]),
-    )
+    labels = at.labels_px[np.isfinite(at.labels_px)]
+    outline = np.abs(at.outline_px[np.isfinite(at.outline_px)])
     label_px, outline_px = options.label_noise_px, options.outline_noise_px
     if len(labels) > 4:
-        label_px = max(_LEAST_NOISE_PX, float(np.median(labels)) / _MEDIAN_OF_RAYLEIGH)
+        # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
+        label_px = max(_LEAST_NOISE_PX, float(np.median(labels) / np.sqrt(2 * np.log(2))))
     if len(outline) > 4:
-        outline_px = max(_LEAST_NOISE_PX, float(np.median(outline)) / _MEDIAN_OF_NORMAL)
+        outline_px = max(_LEAST_NOISE_PX, float(np.median(outline) / (np.sqrt(2) * erfinv(0.5))))
     shown = replace(options, label_noise_px=label_px, outline_noise_px=outline_px)
     weighted = RegistrationObjective(objective.keypoints, objective.views, shown, objective.contact)
-    deviations = PointDeviations(motion, weighted.linearize(state, samples, rigid=rigid).matrix)
+    root = _root(weighted.linearize(state, samples, rigid=rigid).matrix)
     visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
     marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
-    covariances = deviations.covariances(marks)
+    covariances = motion.covariances(marks, root)
     # Pictures from one place leave more open than the matrix says.
     inflation = 1.0
     if used := [v for v in given.views if v.distance is not None or np.isfinite(v.labels).all(1).any()]:
@@ -83,7 +80,7 @@ def report(
         if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
             inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
     stated = []
-    for p, c in ((points, deviations.covariances(points)), (marks, covariances)):
+    for p, c in ((points, motion.covariances(points, root)), (marks, covariances)):
         # Frames bend otherwise than their key points say.
         bend_mm = p.weights @ np.linalg.norm(state.shifts, axis=1)
         unmodelled = np.hypot(_MODEL_MM, _MODEL_BENT * np.sqrt(np.maximum(bend_mm, 0.0)))
@@ -121,7 +118,7 @@ def report(
         rows.append(("unconverged", reason, ""))
     if given.head is not None:
         apart = float(ClosestPointQuery(*given.head).query(keypoints[given.known]).distance.min())
-        if apart > _WORN_MM:
+        if apart > WORN_MM:
             reason = f"the head is {apart:.0f} mm or more from the frame: are head and cameras in one frame?"
             rows.append(("head", reason, ""))
         if not marks_visible.any():
@@ -169,32 +166,22 @@ def report(
     )
 
 
-class PointDeviations:
-    """Standard deviations of the frame's points, from the Gauss-Newton matrix of squared deviations.
-
-    The matrix is (6, 6) for a rigid frame, (6 + 3 K, 6 + 3 K) otherwise.
-    """
-
-    def __init__(self, motion: FrameMotion, matrix: FloatArray) -> None:
-        self._motion = motion
-        scale = np.sqrt(np.maximum(np.diag(matrix), 1e-30))
-        values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
-        # Open directions stay finite.
-        values = np.maximum(values, values.max() / _ANYWHERE_MM**2)
-        self._root = vectors / np.sqrt(values) / scale[:, None]
-
-    def covariances(self, points: SkinnedPoints) -> FloatArray:
-        """Return (N, 3, 3) of points in the world."""
-        return self._motion.covariances(points, self._root)
+def _root(matrix: FloatArray) -> FloatArray:
+    """Return a root (P, P) of the inverse of a Gauss-Newton matrix of squared deviations."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
+    # Open directions stay finite.
+    values = np.maximum(values, values.max() / _ANYWHERE_MM**2)
+    return np.asarray(vectors / np.sqrt(values) / scale[:, None])
 
 
 def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:
     """Return the standard deviation of the key points along the line of sight, mm, the head left aside."""
     if not given.labelled:
         return _ANYWHERE_MM
-    covariances = PointDeviations(motion, at.matrix).covariances(_marks(given))
+    covariances = motion.covariances(motion.marks, _root(at.matrix))
     seen = np.tile(given.known, (len(given.views), 1))
-    return _depth_deviation(given.views, motion.positions(_marks(given)), covariances, seen)
+    return _depth_deviation(given.views, motion.positions(motion.marks), covariances, seen)
 
 
 def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> FloatArray:
@@ -204,12 +191,8 @@ def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Lineariz
     """
     if not given.labelled and len(at.outline_px) == 0:
         return np.full(len(given.keypoints), _ANYWHERE_MM)
-    covariances = PointDeviations(motion, at.matrix).covariances(_marks(given))
+    covariances = motion.covariances(motion.marks, _root(at.matrix))
     return np.sqrt(np.maximum(np.linalg.eigvalsh(covariances)[:, -1], 0.0))
-
-
-def _marks(given: RegistrationInputs) -> SkinnedPoints:
-    return SkinnedPoints(np.nan_to_num(given.keypoints), np.eye(len(given.keypoints)))
 
 
 def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) -> BoolArray:
@@ -244,9 +227,6 @@ def compare_masks(
     The intersection over the union, and (K,) pixels of either mask away from the other, by the key point they
     belong to. A pixel of the mask far from the frame is counted for the vertex nearest to it in the picture.
     """
-    from scipy.ndimage import distance_transform_edt
-    from scipy.spatial import cKDTree
-
     vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
     view, faces = sampler.views[number], sampler.shown[number]
     own, face = sampler.mask(motion, number)
@@ -257,7 +237,7 @@ def compare_masks(
     # Distances in the box around both masks are those of the whole picture.
     rows, columns = np.flatnonzero(union.any(1)), np.flatnonzero(union.any(0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
-    limit = max(_NEAR_PX, _NEAR * noise_px)
+    limit = 4 * max(noise_px, 1.0)
     for here, there in ((mask, own), (own, mask)):
         away = here[box] if not there.any() else here[box] & (distance_transform_edt(~there[box]) > limit)
         row, column = np.nonzero(away)

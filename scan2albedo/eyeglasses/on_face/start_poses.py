@@ -19,7 +19,6 @@ from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, Regis
 from scan2albedo.eyeglasses.on_face.objective import (
     RegistrationObjective,
     descend,
-    median_label_px,
     projected,
 )
 from scan2albedo.eyeglasses.on_face.outline import ObservedView
@@ -27,12 +26,8 @@ from scan2albedo.geometry.pinhole import normalized_cameras
 from scan2albedo.geometry.rigid import compose, procrustes
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
-_FEWEST = 4
-"""Labels of one view that fix a pose."""
 _OTHER_UNIT = 3.0
 """Ratio of sizes from which the frame and the cameras cannot be in the same unit."""
-_INLIER_PX = 8.0
-"""Distance up to which a label agrees with a view's pose."""
 _DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12)
 """It begins low, for the linear start is nearly right, and stays above what rounding leaves of the matrix."""
 
@@ -46,52 +41,47 @@ def starting_poses(
     EyeglassesError when the labels fix no pose and none was given, or the units of frame and cameras differ.
     """
     poses = [] if given is None else [given]
-    poses += _triangulated(keypoints, views, noise_px)
-    poses += [pose for view in views if (pose := _from_one_view(keypoints, view)) is not None]
+    labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
+    placed = triangulate(labels, cameras, noise_px=noise_px)
+    known = np.isfinite(keypoints).all(1)
+    good = np.isfinite(placed.points).all(1) & known & (placed.inliers.sum(0) >= 2)
+    if good.sum() >= 3:
+        world, rest = placed.points[good], keypoints[good]
+        large, small = (
+            float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
+            for points in (world, rest)
+        )
+        if not 1 / _OTHER_UNIT < large / small < _OTHER_UNIT:
+            raise EyeglassesError(
+                f"the labels make a frame {large / small:.3g} times as large as the one given: bring glasses "
+                "and cameras to the same unit"
+            )
+        # A line of key points leaves a turn open.
+        if is_posable(rest):
+            poses.append(procrustes(rest, world))
+    poses += [pose for view in views if (pose := _from_one_view(keypoints, view, noise_px)) is not None]
     if not poses:
         labelled = [int(np.isfinite(view.labels).all(1).sum()) for view in views]
         remedy = "label 4 or more in one view, 3 or more in two, or give a start"
-        if max(labelled) >= _FEWEST:
+        if max(labelled) >= 4:
             remedy = (
                 "they contradict one another or the cameras; check labels, order and cameras, or give a start"
             )
         raise EyeglassesError(
             f"the key points labelled in the views ({', '.join(map(str, labelled))}) fix no pose: {remedy}"
         )
-    known = np.isfinite(keypoints).all(1)
     center = keypoints[known].mean(0)
     still = np.zeros_like(keypoints)
     return [FrameState(pose[:3, :3], pose[:3, :3] @ center + pose[:3, 3], still) for pose in poses]
 
 
-def _triangulated(
-    keypoints: FloatArray, views: tuple[ObservedView, ...], noise_px: float
-) -> list[FloatArray]:
-    labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
-    found = triangulate(labels, cameras, noise_px=noise_px)
-    good = np.isfinite(found.points).all(1) & np.isfinite(keypoints).all(1) & (found.inliers.sum(0) >= 2)
-    if good.sum() < 3:
-        return []
-    world, rest = found.points[good], keypoints[good]
-    large, small = (
-        float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
-        for points in (world, rest)
-    )
-    if not 1 / _OTHER_UNIT < large / small < _OTHER_UNIT:
-        raise EyeglassesError(
-            f"the labels make a frame {large / small:.3g} times as large as the one given: bring glasses and "
-            "cameras to the same unit"
-        )
-    # A line of key points leaves a turn open.
-    if not is_posable(rest):
-        return []
-    return [procrustes(rest, world)]
+def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -> FloatArray | None:
+    """Return the pose that most labels of one view agree with, by RANSAC over perspective-n-point.
 
-
-def _from_one_view(keypoints: FloatArray, view: ObservedView) -> FloatArray | None:
-    """Return the pose that most labels of one view agree with, by RANSAC over perspective-n-point."""
+    None where fewer than four are labelled, which fix no pose.
+    """
     seen = np.isfinite(view.labels).all(1) & np.isfinite(keypoints).all(1)
-    if seen.sum() < _FEWEST:
+    if seen.sum() < 4:
         return None
     with needs_extra("opencv"):
         import cv2
@@ -110,7 +100,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView) -> FloatArray | No
             np.eye(3),
             None,
             iterationsCount=300,
-            reprojectionError=float(_INLIER_PX / np.sqrt(abs(np.linalg.det(intrinsic[:2, :2])))),
+            reprojectionError=float(4 * noise_px / np.sqrt(abs(np.linalg.det(intrinsic[:2, :2])))),
             flags=cv2.SOLVEPNP_SQPNP,
         )
     except cv2.error:
@@ -137,8 +127,8 @@ def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptio
     except EyeglassesError:
         return
     first = min(starts, key=lambda state: rigid(state).cost)
-    found = descend(rigid, first, Meter("mirrored", "px"), error=median_label_px)
-    mirrored_px = median_label_px(found.at)
+    found = descend(rigid, first, Meter("mirrored", "px"), error="median_label_px")
+    mirrored_px = found.at.median_label_px
     if mirrored_px < error_px / 2:
         raise EyeglassesError(
             "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "

@@ -27,32 +27,27 @@ from scan2albedo.geometry.rays import RayCaster
 
 MAX_NODES = 10_000
 """Lattice nodes that the automatic spacing may use."""
-_FINEST, _COARSEST = 1 / 150, 1 / 40
-"""Limits of the automatic spacing as parts of the size (the diagonal of the key points' box, or the mesh's
-for a single one): a finer lattice changes deformations less than a scan's noise."""
+_COARSEST = 1 / 40
+"""Largest automatic spacing as a part of the size (the diagonal of the key points' box, or the mesh's for a
+single one)."""
 _REACH = 0.05
 """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
-_COINCIDENT = 1e-6
-"""Part of the size below which two key points are one."""
-_THIN_PART, _SAMPLES = 0.1, 2000
-"""Part of the surface that may be thinner than the automatic spacing, and places where that is measured."""
+_THIN_PART = 0.1
+"""Part of the surface that may be thinner than the automatic spacing."""
+_SAMPLES = 2000
+"""Places where the thickness is measured."""
 _SKIN = 1e-5
 """Rays start this part of the size off the surface, so that float32 does not find the face itself."""
-_OFFSET = 0.3819660112501051
-"""Cells between the mesh's lowest corner and a lattice plane (2 - golden ratio): flat sides and regular grids
-do not lie on the planes, where rounding would decide which cell they touch."""
-_FARTHEST = 2.0**20
-"""Cells along an axis: three such numbers still fit in one integer."""
 
 
 @dataclass(frozen=True)
 class Embedding:
     """The lattice of a mesh; `spacing` is in the mesh's unit.
 
-    `handle_cells` (H, 3) are cells of the `lattice`, one a handle. Key points too close together for the
-    spacing share a handle: `handle` (K,) is that of each key point, `shares` (V, K) how its weight is
-    divided among them. `interpolation` (V, N) takes node values to the vertices. Vertices `follower` (n,)
-    take the weights of `leader` (n,): their parts are out of the lattice's reach.
+    `handle_cells` (H, 3) are cells of the `lattice`, one a handle. `handle` (K,) is that of each key point,
+    which those too close together share, `shares` (V, K) how its weight is divided among them.
+    `interpolation` (V, N) takes node values to the vertices. Vertices `follower` (n,) take the weights of
+    `leader` (n,): their parts are out of the lattice's reach.
     """
 
     lattice: Lattice
@@ -73,14 +68,15 @@ def embed(
     spacing: str | float,
     *,
     max_nodes: int = MAX_NODES,
-    finest: float = _FINEST,
+    finest: float = 1 / 150,
     names: Sequence[str] | None = None,
 ) -> Embedding:
     """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`.
 
-    `finest` is the least automatic spacing as a part of the size.
+    `finest` is the least automatic spacing as a part of the size: a finer lattice changes deformations less
+    than a scan's noise.
     """
-    called = names if names is not None else [str(k) for k in range(len(handles))]
+    called = names or [str(k) for k in range(len(handles))]
     corners = vertices[faces.ravel()]
     # Of the key points: a stray fragment far away does not change how large the glasses are.
     size = float(np.linalg.norm(np.ptp(handles, axis=0))) or float(np.linalg.norm(np.ptp(corners, axis=0)))
@@ -88,7 +84,7 @@ def embed(
         raise EyeglassesError(f"all {len(corners)} corners of the mesh lie in one point: there is no surface")
     apart = _distances(handles, "chebyshev")
     a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
-    if not apart[a, b] > _COINCIDENT * size:
+    if not apart[a, b] > 0:
         raise EyeglassesError(
             f"key points {called[a]} and {called[b]} coincide at {np.round(handles[a], 6).tolist()}; each "
             "needs a place of its own: leave one of them out (null)"
@@ -119,19 +115,40 @@ def embed(
                 "max_nodes"
             )
         cells, step = touched, PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
-    origin = low - _OFFSET * used
+    origin = _origin(low, used)
     owners, handle, merged = _shared_handles((handles - origin) / used, called)
     cells = join_parts(unique_cells(np.concatenate([cells, owners])), _REACH * size / used + 2)
     whole = Lattice.of_cells(cells)
     parts = whole.cell_components
     lattice = Lattice.of_cells(cells[np.isin(parts, parts[whole.find(owners)])])
     local = (vertices - origin) / used
-    follower, leader, left_out = _parts_out_of_reach(lattice, local, faces)
+    # Vertices of parts out of reach follow that of their part which is nearest to the lattice.
+    corner = np.unique(faces)
+    follower = corner[lattice.find(np.floor(local[corner]).astype(np.int64)) < 0]
+    leader, stage = follower, "eyeglasses.weights.rigid_parts"
+    left_out = PlanStep(stage, False, "every part is in reach of a key point")
+    if len(follower):
+        distance = cKDTree(lattice.cells + 0.5).query(local[follower])[0]
+        part = vertex_components(len(local), faces)[follower]
+        by_distance = np.lexsort((distance, part))
+        labels, first = np.unique(part[by_distance], return_index=True)
+        leader = follower[by_distance[first]][np.searchsorted(labels, part)]
+        evidence = f"{len(labels)} parts, {len(follower)} vertices"
+        left_out = PlanStep(stage, True, "parts out of reach of every key point", evidence)
+    # Shares of the key points of one handle in its weight fall with the square of the distance (Shepard's
+    # interpolation): each is 1 at its own key point, and far away they are equal.
+    shares = np.ones((len(vertices), len(handles)))
+    for number in np.flatnonzero(np.bincount(handle) > 1):
+        group = np.flatnonzero(handle == number)
+        square = ((vertices[:, None] - handles[group]) ** 2).sum(2)
+        nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
+        nearness[square == 0] = 1.0
+        shares[:, group] = nearness / nearness.sum(1, keepdims=True)
     return Embedding(
         lattice=lattice,
         handle_cells=owners,
         handle=handle,
-        shares=_shares(vertices, handles, handle),
+        shares=shares,
         interpolation=lattice.interpolation(local),
         spacing=used,
         follower=follower,
@@ -145,6 +162,15 @@ def _distances(places: FloatArray, metric: str) -> FloatArray:
     apart = squareform(pdist(places, metric)) if len(places) > 1 else np.zeros((1, 1))
     np.fill_diagonal(apart, np.inf)
     return np.asarray(apart)
+
+
+def _origin(low: FloatArray, spacing: float) -> FloatArray:
+    """Return the corner (3,) of the lattice around what begins at `low` (3,).
+
+    2 - golden ratio cells lie between: flat sides and regular grids do not lie on the lattice's planes, where
+    rounding would decide which cell they touch.
+    """
+    return low - (3 - np.sqrt(5)) / 2 * spacing
 
 
 def _automatic(
@@ -192,9 +218,10 @@ def _cells(
     vertices: FloatArray, faces: IntArray, low: FloatArray, spacing: float, limit: int
 ) -> IntArray | None:
     """Return the cells the mesh touches or encloses, None where they have more than about `limit` nodes."""
-    local = (vertices - (low - _OFFSET * spacing)) / spacing
+    local = (vertices - _origin(low, spacing)) / spacing
     longest = local[faces.ravel()].max()
-    if longest > _FARTHEST:
+    # Three such numbers still fit in one integer.
+    if longest > 2**20:
         raise EyeglassesError(f"the mesh is {longest:.3g} lattice spacings long: remove what lies far away")
     cells = surface_cells(local[faces], limit)
     if cells is None:
@@ -234,38 +261,3 @@ def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray
         return cells, handle, PlanStep(stage, False, "every key point has cells of its own")
     reason = f"closer together than two spacings, one handle divided by distance: {'; '.join(shared)}"
     return cells, handle, PlanStep(stage, True, reason, f"{len(groups)} handles for {len(handle)} key points")
-
-
-def _shares(vertices: FloatArray, points: FloatArray, handle: IntArray) -> FloatArray:
-    """Return (V, K) shares of the key points (K, 3) of a handle in its weight at vertices (V, 3).
-
-    They fall with the square of the distance and sum to 1 over the key points of a handle: each is 1 at its
-    own key point, and far away they are equal (Shepard's interpolation).
-    """
-    shares = np.ones((len(vertices), len(points)))
-    for number in np.flatnonzero(np.bincount(handle) > 1):
-        group = np.flatnonzero(handle == number)
-        square = ((vertices[:, None] - points[group]) ** 2).sum(2)
-        nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
-        nearness[square == 0] = 1.0
-        shares[:, group] = nearness / nearness.sum(1, keepdims=True)
-    return shares
-
-
-def _parts_out_of_reach(
-    lattice: Lattice, local: FloatArray, faces: IntArray
-) -> tuple[IntArray, IntArray, PlanStep]:
-    """Return followers, leaders (each part's vertex nearest to the lattice) and the step of the plan."""
-    used = np.zeros(len(local), bool)
-    used[faces.ravel()] = True
-    outside = np.flatnonzero(used & (lattice.find(np.floor(local).astype(np.int64)) < 0))
-    stage = "eyeglasses.weights.rigid_parts"
-    if len(outside) == 0:
-        return outside, outside, PlanStep(stage, False, "every part is in reach of a key point")
-    distance = cKDTree(lattice.cells + 0.5).query(local[outside])[0]
-    part = vertex_components(len(local), faces)[outside]
-    by_distance = np.lexsort((distance, part))
-    labels, first = np.unique(part[by_distance], return_index=True)
-    leader = outside[by_distance[first]][np.searchsorted(labels, part)]
-    evidence = f"{len(labels)} parts, {len(outside)} vertices"
-    return outside, leader, PlanStep(stage, True, "parts out of reach of every key point", evidence)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -20,8 +19,6 @@ _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a]
 _TIE = 1e-9
 """Cells below which rounding does not decide: a triangle this near to a cell touches it, and one whose height
 is this part of its length has no area (its corners still count)."""
-_MAX_BOX = 1 << 26
-"""Cells of the largest box in which enclosed cells are looked for (one byte and one label each)."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +45,13 @@ class Lattice:
         nodes = np.stack(np.unravel_index(keys, shape), 1).astype(np.int64) + low
         return cls(cells, nodes, corners.reshape(-1, 8).astype(np.int64))
 
-    @cached_property
-    def node_components(self) -> IntArray:
-        """(N,) labels of the nodes that cells connect."""
-        rows, columns = np.repeat(self.corners[:, 0], 7), self.corners[:, 1:].ravel()
-        count = len(self.nodes)
-        graph = sparse.csr_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(count, count))
-        return connected_components(graph, directed=False)[1].astype(np.int64)
-
     @property
     def cell_components(self) -> IntArray:
         """(C,) labels of the cells that share corners, directly or through others."""
-        return self.node_components[self.corners[:, 0]]
+        rows, columns = np.repeat(self.corners[:, 0], 7), self.corners[:, 1:].ravel()
+        count = len(self.nodes)
+        graph = sparse.csr_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(count, count))
+        return connected_components(graph, directed=False)[1].astype(np.int64)[self.corners[:, 0]]
 
     def find(self, cells: IntArray) -> IntArray:
         """Return (P,) indices of the given cells (P, 3) in `cells`, -1 where they are not among them."""
@@ -90,7 +82,7 @@ class Lattice:
 
 def node_volumes(lattice: Lattice) -> FloatArray:
     """Return (N,) volumes in cells: an eighth of each cell around a node."""
-    return np.bincount(lattice.corners.ravel(), minlength=len(lattice.nodes)) / 8.0
+    return np.bincount(lattice.corners.ravel()) / 8.0
 
 
 def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
@@ -102,7 +94,7 @@ def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
     ends = lattice.corners[:, np.array(_EDGES)].reshape(-1, 2)
     count = len(lattice.nodes)
     shape = (count, count)
-    half = sparse.csr_matrix((np.full(len(ends), 0.25), (ends[:, 0], ends[:, 1])), shape=shape)
+    half = sparse.csr_matrix((np.full(len(ends), 1 / 4), (ends[:, 0], ends[:, 1])), shape=shape)
     links = half + half.T
     return (sparse.diags(np.asarray(links.sum(1)).ravel()) - links).tocsr()
 
@@ -189,7 +181,7 @@ def enclosed_cells(cells: IntArray) -> IntArray:
     """
     low = cells.min(0) - 1
     shape = cells.max(0) - low + 2
-    if float(np.prod(shape.astype(float))) > _MAX_BOX:
+    if float(np.prod(shape.astype(float))) > 2**26:
         return np.zeros((0, 3), np.int64)
     empty = np.ones(tuple(shape), bool)
     empty[tuple((cells - low).T)] = False

@@ -88,13 +88,6 @@ def _elimination(matrix: sparse.csr_matrix) -> tuple[IntArray, sparse.csc_matrix
     )
     lower = sparse.tril(factor.L, -1, "csc")
     lower.sort_indices()
-    run = _postorder(lower)
-    order = np.argsort(factor.perm_c)[run]
-    return order.astype(np.int64), sparse.csc_matrix(_permuted(lower.tocsr(), run))
-
-
-def _postorder(lower: sparse.csc_matrix) -> IntArray:
-    """Return (N,) columns of L: in the elimination tree children before parents, each subtree in one run."""
     count = lower.shape[0]
     parent = np.full(count, count)
     filled = np.flatnonzero(np.diff(lower.indptr))
@@ -102,8 +95,9 @@ def _postorder(lower: sparse.csc_matrix) -> IntArray:
     # Numbered backwards: the walk from the root takes last children first, and reversed it is a postorder.
     ends = count - parent, count - np.arange(count)
     tree = sparse.csr_matrix((np.ones(count), ends), shape=(count + 1, count + 1))
-    walk = depth_first_order(tree, 0, return_predecessors=False)
-    return np.asarray(count - walk[:0:-1], np.int64)
+    run = np.asarray(count - depth_first_order(tree, 0, return_predecessors=False)[:0:-1], np.int64)
+    order = np.argsort(factor.perm_c)[run]
+    return order.astype(np.int64), sparse.csc_matrix(_permuted(lower.tocsr(), run))
 
 
 def _permuted(matrix: sparse.csr_matrix, order: IntArray) -> sparse.csr_matrix:
@@ -244,7 +238,11 @@ def _eliminate(work, width, size):  # type: ignore[no-untyped-def]
         if end - begin == 8:
             _subtract_eight(work, begin, size)
         else:
-            _subtract_one(work, begin, size)
+            column = work[begin]
+            for j in range(end, size):
+                here, factor = work[j], column[j]
+                for i in range(j, size):
+                    here[i] -= factor * column[i]
         begin = end
     return True
 
@@ -259,16 +257,6 @@ def _subtract_eight(work, begin, size):  # type: ignore[no-untyped-def]
         for i in range(j, size):
             first = s * a[i] + t * b[i] + u * c[i] + v * d[i]
             here[i] -= first + w * e[i] + x * f[i] + y * g[i] + z * h[i]
-
-
-@njit(cache=True, nogil=True, fastmath={"contract"})
-def _subtract_one(work, begin, size):  # type: ignore[no-untyped-def]
-    a = work[begin]
-    for j in range(begin + 1, size):
-        here = work[j]
-        s = a[j]
-        for i in range(j, size):
-            here[i] -= s * a[i]
 
 
 @njit(cache=True, nogil=True)

@@ -13,32 +13,20 @@ from scipy import sparse
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.checks import checked_mesh, checked_points
+from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
 from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy, unique_cells
 from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
 
 TOLERANCE = 1e-7
 """Scaled residual of the optimality conditions at which a handle's weights are done."""
-_ROUGH = 1e-4
-"""The same on a lattice that only gives the next finer one its start."""
 _COARSE_NODES = 1500
 """Lattices of more nodes start from the weights of a lattice of twice the spacing."""
-_MAX_STEPS = 60
-"""Newton steps a handle on one lattice."""
-_SUFFICIENT, _SHORTEST = 1e-4, 1e-10
-"""Part of the decrease predicted by the gradient that a step has to bring (Armijo), and the step length below
-which rounding, not the direction, is what stops a column."""
-_ROUNDING = 1e-13
-"""Scaled gradients below this have no sign."""
 
 
 @dataclass(frozen=True)
 class BoundedMinimum:
-    """Minima of `minimize_bounded` for K columns: `x` (N, K) in [0, 1], after `steps` (K,) Newton steps.
-
-    `residual` (K,) is that of `optimality_residual`.
-    """
+    """Minima `x` (N, K) in [0, 1] of K columns, `optimality_residual` (K,) and Newton steps (K,)."""
 
     x: FloatArray
     residual: FloatArray
@@ -115,9 +103,9 @@ def solve_weights(
 
         min over w of  w^T L M^-1 L w / 2,  w = 1 at its key point, 0 at the others', 0 <= w <= 1,
 
-    on the nodes of a lattice around (and inside) the surface, by projected Newton steps from coarse to
-    fine; then the weights are divided by their sum and interpolated trilinearly at the vertices. The
-    mesh may have many parts, holes, flipped, repeated and zero-area faces, and vertices without faces.
+    on the nodes of a lattice around (and inside) the surface; then the weights are divided by their sum and
+    interpolated trilinearly at the vertices. The mesh may have many parts, holes, flipped, repeated and
+    zero-area faces, and vertices without faces.
 
     Parameters
     ----------
@@ -132,8 +120,7 @@ def solve_weights(
         Seconds, or evaluations: Newton steps. When it ends the weights so far are returned, smooth and
         within their bounds, with `converged` False.
     max_nodes : int
-        Lattice nodes that the automatic spacing may use; time and memory grow a little faster than they do.
-        A given spacing may use ten times as many.
+        Lattice nodes that the automatic spacing may use; a given spacing may use ten times as many.
     tolerance : float
         Scaled residual of the optimality conditions at which a handle's weights are done.
     names : sequence of K str, optional
@@ -153,9 +140,9 @@ def solve_weights(
 
     Notes
     -----
-    The key points do not lie on nodes. Trilinear interpolation is a convex combination of a cell's
-    corners, so with weights of at most 1 it is 1 at the key point only if all (of positive share) are 1: the
-    handle is the cell, its eight nodes hold 1 for its own key point and 0 for the others'.
+    Key points do not lie on nodes. Trilinear interpolation of weights of at most 1 is 1 at a key point only
+    if it is 1 at all corners of the cell: the handle is the cell, whose eight nodes hold 1 for its own key
+    point and 0 for the others'.
 
     Key points closer together than two spacings, such as the top and the bottom of a wire, share one handle
     in their middle; its weight is divided among them by the inverse squares of their distances.
@@ -231,14 +218,9 @@ def solve_lattice(
         start = None
         if found is not None:
             start = np.clip((levels[number - 1].interpolation(level.nodes / 2) @ found.x)[free], 0.0, 1.0)
-        found = minimize_bounded(
-            matrix,
-            right,
-            start,
-            tolerance=max(tolerance, _ROUGH) if finer else tolerance,
-            max_steps=_MAX_STEPS,
-            meter=meter,
-        )
+        # A coarser lattice only gives the next finer one its start.
+        least = float(np.sqrt(tolerance)) if finer else tolerance
+        found = minimize_bounded(matrix, right, start, tolerance=least, meter=meter)
         weights[free] = found.x
         found = BoundedMinimum(weights, found.residual, found.steps)
     assert found is not None
@@ -251,7 +233,7 @@ def minimize_bounded(
     start: FloatArray | None,
     *,
     tolerance: float,
-    max_steps: int,
+    max_steps: int = 60,
     meter: Meter,
 ) -> BoundedMinimum:
     """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
@@ -280,14 +262,24 @@ def minimize_bounded(
     for k in range(b.shape[1]):
         held = (x[:, k] <= 0) | (x[:, k] >= 1)
         while not meter.exhausted and residual[k] > tolerance and steps[k] < max_steps:
-            moved = _newton_step(system, b[:, k], x[:, k], product[:, k], held)
+            gradient = product[:, k] - b[:, k]
+            system.refill(held)
+            direction, lowered = system.solve(np.where(held, 0.0, -gradient)), False
+            # A step still shorter is stopped by rounding, not by its direction.
+            for halvings in range(34):
+                trial = np.clip(x[:, k] + 0.5**halvings * direction, 0.0, 1.0)
+                change, after = trial - x[:, k], system.matrix @ trial
+                # Armijo's condition; differences of the energy itself would drown in rounding.
+                predicted = float(gradient @ change)
+                if predicted + 0.5 * float(change @ (after - product[:, k])) <= 1e-4 * predicted < 0:
+                    x[:, k], product[:, k], lowered = trial, after, True
+                    break
             meter.count()
             steps[k] += 1
-            if moved is None and steps[k] > 1:
+            if not lowered and steps[k] > 1:
                 break
-            if moved is not None:
-                x[:, k], product[:, k] = moved
-            gradient, least = product[:, k] - b[:, k], _ROUNDING * diagonal
+            # Below rounding a gradient has no sign.
+            gradient, least = product[:, k] - b[:, k], 400 * np.finfo(float).eps * diagonal
             held = ((x[:, k] <= 0) & (gradient > least)) | ((x[:, k] >= 1) & (gradient < -least))
             residual[k] = optimality_residual(x[:, k], gradient, diagonal)
             meter.record(residual.max())
@@ -300,23 +292,3 @@ def optimality_residual(x: FloatArray, gradient: FloatArray, diagonal: FloatArra
     """Return each column's max |x - clip(x - g / diag(A), 0, 1)|, a length in x; 0 only at the minimum."""
     scaled = gradient / (diagonal if x.ndim == 1 else diagonal[:, None])
     return np.abs(x - np.clip(x - scaled, 0.0, 1.0)).max(0, initial=0.0)
-
-
-def _newton_step(
-    system: SparseCholesky, b: FloatArray, x: FloatArray, product: FloatArray, held: Any
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return (x, A x) after a projected Newton step of the entries not `held`; None if no energy falls."""
-    gradient = product - b
-    system.refill(held)
-    direction = system.solve(np.where(held, 0.0, -gradient))
-    length = 1.0
-    while length > _SHORTEST:
-        trial = np.clip(x + length * direction, 0.0, 1.0)
-        change = trial - x
-        after = system.matrix @ trial
-        # Differences of the energy itself would drown in rounding near the minimum.
-        predicted = float(gradient @ change)
-        if predicted + 0.5 * float(change @ (after - product)) <= _SUFFICIENT * predicted < 0:
-            return trial, after
-        length /= 2
-    return None

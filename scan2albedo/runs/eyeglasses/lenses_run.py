@@ -23,7 +23,7 @@ from scan2albedo.eyeglasses import (
     Surface,
     insert_lenses,
 )
-from scan2albedo.eyeglasses.checks import checked_keypoints
+from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass, worn_axes
 from scan2albedo.eyeglasses.lenses.lens_picture import Lenses, checked_image
 from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
