@@ -20,8 +20,7 @@ from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableR
 from scan2albedo.reflectance.photograph import ImageObservation
 
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
-"""From predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value and its
-gradient (V, 3) by the predicted ones; gradients at vertices that are not used are ignored."""
+"""See `fit_image`."""
 
 PHOTOMETRIC_WEIGHT, SOFTNESS = 2.0, 0.01
 """Of the mean absolute difference, in units of the image's median colour; differences below that share of it
@@ -31,9 +30,6 @@ PRIOR_WEIGHT = {True: 3e-4, False: 1e-3}
 MOST_UNEXPLAINED = 0.25
 """Where a fit's relative RMSE is larger, light, shape or reflectance are wrong."""
 _PERCEPTUAL_WEIGHT = 0.1
-_STEPS, _TOLERANCE, _LARGEST_LOG_SCALE_STEP = 200, 1e-5, 5.0
-"""Most steps, of which 10 to 20 are usual; part of the objective that is not progress; a scale that grows by
-e^5 in a step is a runaway, and would overflow in the exponential."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +49,9 @@ class ImageFit:
     relative_rmse: float
     """Root mean square of the differences over that of the image, at the vertices used."""
     objective: float
-    """Value of the minimised function."""
     converged: bool
     """False when the budget or the steps ended first."""
     iterations: int
-    """Steps taken."""
     trace: Trace
     """Of the objective."""
 
@@ -94,7 +88,8 @@ def fit_image(
         `LightingModel.default()` when omitted.
     perceptual : callable, optional
         P: from predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value
-        and its gradient (V, 3) by the predicted ones; its rows for vertices not used do not count.
+        and its gradient (V, 3) by the predicted ones; its rows for vertices not used do not count. Its second
+        derivative is taken as that along the step before.
     budget : Budget or float, optional
         Evaluations or seconds after which the best so far is returned with `converged=False`.
     on_progress : callable, optional
@@ -102,14 +97,10 @@ def fit_image(
 
     Notes
     -----
-    The second derivative of P is taken as that along the step before, at first as of a squared distance whose
-    least value is 0: this decides the pace, not the end. A wrong gradient ends the search early.
-
     One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
     is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py). Cost of a step: 3
-    U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a second of CPU in
-    all.
+    U (N + M)^2 for U vertices used; about a second of CPU for 3,700 vertices, 40 and 80 coefficients.
     """
     seen = np.asarray(observation.seen)
     if len(seen) != len(model.known):
@@ -128,7 +119,7 @@ def fit_image(
     observed = np.maximum(np.median(terms.observed, axis=0), 1e-4 * terms.unit)
     start[-3:] = np.log(observed / np.maximum(color, 1e-4 * max(float(color.max()), 1e-12)))
     first = MapPoint.evaluate(terms, terms.predict(start), meter)
-    found = most_probable(first, steps=_STEPS, tolerance=_TOLERANCE)
+    found = most_probable(first, steps=200, tolerance=1e-5)
     if not found.converged:
         warnings.warn(
             f"the image fit stopped after {found.steps} steps without having converged; the "
@@ -268,7 +259,7 @@ class ImageTerms:
 
     def moved(self, state: Prediction, step: FloatArray) -> Prediction:
         """Return the prediction a step (P,) on."""
-        limited = np.clip(step[-3:], -_LARGEST_LOG_SCALE_STEP, _LARGEST_LOG_SCALE_STEP)
+        limited = np.clip(step[-3:], -5, 5)  # a longer one would overflow in the exponential
         return self.predict(state.parameters + np.append(step[:-3], limited), state)
 
     def value(self, state: Prediction) -> float:

@@ -32,32 +32,19 @@ from scan2albedo.reflectance import (
 )
 from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, write_olat
-from scan2albedo.runs.reflectance.image_run import (
-    fit_photograph,
-    tune_model,
-    write_fitted_photograph,
-    write_tuned_model,
-)
+from scan2albedo.runs.reflectance.image_run import fit_photograph, tune_model, write_fitted_photograph
 from scan2albedo.runs.reflectance.model_run import (
     build_model,
     read_model_folder,
     write_model_folder,
     write_samples,
 )
-from scan2albedo.synthetic import (
-    FacePhotograph,
-    FlashCapture,
-    Portrait,
-    face_photograph,
-    flash_capture,
-)
+from scan2albedo.synthetic import FacePhotograph, FlashCapture, Portrait, face_photograph, flash_capture
 
 _PORTRAIT = Portrait(picture_size=192)
 """People have no hair: its shadows on the brow are not the mesh's, and a model would learn them as skin."""
-_LEAST_PAIRS, _NEW_PEOPLE = 3, 1000
-"""Pairs that the command `fit` asks for; first seed of people that the model was not learned from."""
-_ALTERNATIONS, _RIDGE = 30, 1e-9
-"""Of the nearest face, found by turns of scale and coefficients; the ridge only keeps the solution unique."""
+_NEW_PEOPLE = 1000
+"""First seed of people that the model was not learned from."""
 CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE = "capture.json", "photograph.json", "landmark_vertices.json"
 _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
 
@@ -129,10 +116,10 @@ def run_reflectance_demo(
         file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
         if number == 0:
             write_olat(read_capture(file), out / "olat")
-        options = ReflectanceFitOptions(least_pairs=_LEAST_PAIRS)
+        options = ReflectanceFitOptions(least_pairs=3)
         done = fit_capture(read_capture(file), options=options, on_progress=on_progress)
         fits.append(out / "fits" / f"person_{number:02d}")
-        write_fit(done, fits[-1], {"least_pairs": _LEAST_PAIRS})
+        write_fit(done, fits[-1], {"least_pairs": options.least_pairs})
         assert done.error is not None
         found, known = done.fit.reflectance.diffuse_linear, done.fit.reflectance.known
         albedo = capture.diffuse_linear[known]
@@ -157,14 +144,14 @@ def run_reflectance_demo(
         )
         for number in range(photographs)
     ]
-    tuned = tune_model(models, files[::2], files[1::2], on_progress=on_progress)
-    write_tuned_model(tuned, out / "tuned", {})
+    tuned = tune_model(models, files[::2], files[1::2], out / "tuned", {}, on_progress=on_progress)
     truth, shape, seen = taken.diffuse_linear, taken.vertices, np.asarray(with_mesh.observation.seen)
     used, nearest = seen & models.model.known, models.mean.reflectance
-    for _ in range(_ALTERNATIONS):
+    # The nearest face, by turns of scale and coefficients; the ridge only keeps the solution unique.
+    for _ in range(30):
         a, b = nearest.diffuse_linear[used], truth[used]
         scaled = VertexReflectance(truth * (np.sum(a * b) / np.sum(b * b)), np.zeros_like(truth), seen)
-        nearest = models.model.project(scaled, prior=_RIDGE).nearest.reflectance
+        nearest = models.model.project(scaled, prior=1e-9).nearest.reflectance
 
     def scaled_error(found: VertexReflectance) -> float:
         """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
@@ -185,9 +172,9 @@ def run_reflectance_demo(
         nearest_error=scaled_error(nearest),
         mean_shape_error_mm=shape_error_mm(models.mean.vertices[seen]),
         shape_error_mm=shape_error_mm(marked.vertices[seen]),
-        tuning_before=tuned.tuning.held_out_before,
-        tuning_after=tuned.tuning.held_out_after,
-        accepted_steps=len(tuned.tuning.accepted_steps),
+        tuning_before=tuned["held_out_before"],
+        tuning_after=tuned["held_out_after"],
+        accepted_steps=len(tuned["accepted_steps"]),
     )
 
 
@@ -230,21 +217,16 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             if light == 0:
                 write_png(staging.folder / room, capture.room[j])
                 write_png(staging.folder / f"skin_{view:02d}.png", _white_where(capture.skin[j]))
-            pairs.append(
-                PairEntry(
-                    camera=f"place_{view:02d}",
-                    flash=f"place_{light:02d}",
-                    flash_image=flash,
-                    room_image=room,
-                )
-            )
+            places = {"camera": f"place_{view:02d}", "flash": f"place_{light:02d}"}
+            pairs.append(PairEntry(**places, flash_image=flash, room_image=room))
         poses = [
-            {
-                "name": f"place_{k:02d}",
-                "rotation": rotation.tolist(),
-                "translation": translation.tolist(),
-                "mask": f"skin_{k:02d}.png" if k <= capture.view.max() else None,
-            }
+            PoseEntry(
+                name=f"place_{k:02d}",
+                rotation=rotation.tolist(),
+                translation=translation.tolist(),
+                intrinsics=None,
+                mask=f"skin_{k:02d}.png" if k <= capture.view.max() else None,
+            )
             for k, (rotation, translation) in enumerate(
                 zip(capture.head_rotations, capture.head_translations, strict=True)
             )
@@ -257,7 +239,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             falloff_distance=options.distance_mm,
             flash_strength=capture.exposure,
             intrinsics=capture.intrinsics.tolist(),
-            poses=tuple(PoseEntry.model_validate(pose) for pose in poses),
+            poses=tuple(poses),
             pictures=tuple(pairs),
         )
         write_capture(staging.folder / CAPTURE_FILE, content)
