@@ -43,7 +43,7 @@ class ReflectanceFit:
     high: FloatArray
     """`low`, `high`: (V, 6): 95 % intervals, >= 0; they hold the estimate."""
     pair_count: IntArray
-    """(V,): pictures used; 0 for unseen vertices."""
+    """(V,): pictures used."""
     condition: FloatArray
     """(V,): condition number of the observations' matrix, without the prior; inf where it is singular."""
     activation: FloatArray
@@ -66,13 +66,12 @@ class ReflectanceFit:
     level: float
     """Unit of the prior: the median albedo without highlights."""
     bounded_albedos: int
-    """Vertices where an albedo is held at 0."""
+    """Vertices with an albedo of 0."""
     settled: BoolArray
     """(V,): known and done when the fit ended."""
     converged: bool
     """All known vertices and the gains are; False when the budget or the iterations ended the fit first."""
     iterations: int
-    """Reweightings."""
     residual: float
     """Robust loss per observation; 1/2 is pure noise."""
     trace: Trace
@@ -104,10 +103,8 @@ def fit_reflectance(
 
         sum rho((y_jk - c_k D_j - w.S_j) / sigma_jk) + prior(c, w),   c, w >= 0,
 
-    (Han, Wang, Xu, supplement), rho robust, the channels of a picture together; the prior is Gaussian. For
-    given robust weights c is eliminated and the eight sets of weights at 0 are tried; where an albedo would
-    be negative, all 64 sets. Raises `ReflectanceError` when there are no pictures, or no vertex is seen in
-    enough of them.
+    (Han, Wang, Xu, supplement), rho robust, the channels of a picture together; the prior is Gaussian. Raises
+    `ReflectanceError` when there are no pictures, or no vertex is seen in enough of them.
 
     Parameters
     ----------
@@ -117,21 +114,18 @@ def fit_reflectance(
     budget : Budget or float, optional
         Evaluations are passes over all vertices still moving.
     on_progress : callable, optional
-        Called with every row of the trace.
 
     Notes
     -----
-    Strength of the flashes times reflectance is one number: albedos are in units of that strength, and
-    pictures twice as bright give twice the reflectance, for the prior follows the albedos' level.
+    Albedos are in units of the flashes' strength; the prior follows their level.
 
-    Intervals come from the Gaussian posterior before the bounds, cut at 0; where a number is not identified
-    they are the prior's. They account for noise, the prior and, where samples have slopes, wrong normals: two
-    tilts of each normal are found with the six numbers, their prior Student's t. They widen with the misfit,
-    and by 1 / max n.l where no flash stands above the vertex. With normals off by 0, 1 and 3 degrees 97 % of
-    them hold the truth, at 1 % noise in 90 pictures; on a head rendered by other code 95-96 %, and 90 % with
-    light between parts of the face (``python tools/bench_reflectance.py --heads``).
-
-    Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less; with slopes twice that.
+    Intervals come from the Gaussian posterior before the bounds, cut at 0. They account for noise, the prior
+    and, where samples have slopes, wrong normals: two tilts of each normal are found with the six numbers,
+    their prior Student's t. They widen with the misfit, and by 1 / max n.l where no flash stands above the
+    vertex. With normals off by 0, 1 and 3 degrees 97 % of them hold the truth, at 1 % noise in 90 pictures;
+    on a head rendered by other code 95-96 %, and 90 % with light between parts of the face
+    (``python tools/bench_reflectance.py --heads``). Cost: 0.2 microseconds or less for a vertex in a picture
+    and reweighting; with slopes twice that.
 
     Examples
     --------
@@ -240,14 +234,11 @@ def _condition(normal: FloatArray) -> FloatArray:
     for k in range(3):
         matrix[:, k, k] = normal[:, k, 0]
         matrix[:, k, 3:] = matrix[:, 3:, k] = normal[:, k, 1:4]
-    lobes = normal[:, :, 4:10].sum(1)
     row, column = np.triu_indices(3)
-    matrix[:, 3 + row, 3 + column] = lobes
-    matrix[:, 3 + column, 3 + row] = lobes
-    values = np.linalg.eigvalsh(matrix)
-    smallest = values[:, 0]
-    singular = smallest <= 64 * np.finfo(float).eps * values[:, -1]
-    return np.sqrt(np.where(singular, np.inf, values[:, -1] / np.where(singular, 1.0, smallest)))
+    matrix[:, 3 + row, 3 + column] = matrix[:, 3 + column, 3 + row] = normal[:, :, 4:10].sum(1)
+    smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, -1]].T
+    singular = smallest <= 64 * np.finfo(float).eps * largest
+    return np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
 
 
 def divided_by_gain(data: Observations, light: IntArray, gain: FloatArray) -> Observations:
@@ -326,16 +317,6 @@ def relighting_error(
         At least one, and not all.
     options : ReflectanceFitOptions
         With light gains, a flash that lit none of the others has gain 1.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> lobes = rng.random((8, 20, 4))
-    >>> observed = 0.4 * lobes[..., :1] + 0.1 * lobes[..., 1:].sum(-1, keepdims=True) * np.ones(3)
-    >>> every = np.ones(observed.shape, bool)
-    >>> samples = VertexSamples(observed, np.full(observed.shape, 1e-6), every, lobes, np.arange(8))
-    >>> bool(relighting_error(samples, np.arange(8) < 2).relative_rmse < 1e-4)
-    True
     """
     left_out = np.asarray(held_out)
     if left_out.dtype != np.bool_ or left_out.shape != samples.light.shape:
