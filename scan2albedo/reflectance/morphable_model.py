@@ -17,15 +17,10 @@ from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
-_CLIP_TOLERANCE = 1e-9
-"""Negatives smaller than this are rounding and not counted."""
 _PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
-_LEAST_SAMPLES, _HELD_OUT = 10, 5
-"""For a choice of the number of directions; one sample of so many is then left out."""
-_COUNTS = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
-_BLOCK_MM, _AS_GOOD = 25.0, 1.01
-"""Edge of the blocks of a face that are left out; errors within this factor of the least are as good."""
+_BLOCK_MM = 25.0
+"""Edge of the blocks of a face that are left out."""
 _PARTS = {"diffuse": "diffuse", "total": "sum", "share": "share"}
 """The model's fields, and what the names of their arrays begin with in its file."""
 _KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
@@ -53,12 +48,10 @@ class ReflectanceModelHeader(BaseModel):
 
 @dataclass(frozen=True)
 class ModelReflectance:
-    """A reflectance that a model made."""
+    """A reflectance that a model made of coefficients (N,)."""
 
     reflectance: VertexReflectance
-    """Of the vertices that the model knows."""
     coefficients: FloatArray
-    """(N,)."""
     clipped_share: float
     """Of the numbers of known vertices (six each) that were negative and became 0."""
 
@@ -68,7 +61,6 @@ class Projection:
     """The nearest reflectance of a model."""
 
     nearest: ModelReflectance
-    """And its coefficients."""
     diffuse_rmse: float
     """Of the albedo, over vertices known on both sides."""
     weights_rmse: float
@@ -85,13 +77,9 @@ class MorphableReflectanceModel:
 
     Examples
     --------
-    >>> rng = np.random.default_rng(0)
-    >>> numbers = rng.uniform(0.1, 0.6, (4, 2, 50, 3))
+    >>> numbers = np.random.default_rng(0).uniform(0.1, 0.6, (4, 2, 50, 3))
     >>> faces = [VertexReflectance(diffuse, weights, np.ones(50, bool)) for diffuse, weights in numbers]
-    >>> model = MorphableReflectanceModel.from_samples(faces)
-    >>> model.components
-    3
-    >>> model.project(faces[2]).diffuse_rmse < 1e-12
+    >>> MorphableReflectanceModel.from_samples(faces).project(faces[2]).diffuse_rmse < 1e-12
     True
     """
 
@@ -275,8 +263,8 @@ class MorphableReflectanceModel:
         """
         diffuse, total, share = (part.at(coefficients) for part in (self.diffuse, self.total, self.share))
         total = total[:, None]
-        negative = (diffuse < -_CLIP_TOLERANCE).astype(int)
-        negative += (total < -_CLIP_TOLERANCE) | (share < -_CLIP_TOLERANCE)
+        rounding = -1e-9
+        negative = (diffuse < rounding).astype(int) + ((total < rounding) | (share < rounding))
         weights = np.maximum(total, 0) * np.maximum(share, 0)
         return ModelReflectance(
             VertexReflectance(np.maximum(diffuse, 0), weights, self.known),
@@ -348,32 +336,24 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
 
     A model is learned from four of five samples. Of each other face, every second block of 25 mm gives the
     most probable coefficients, with what the kept directions leave out as noise, and the albedo of the other
-    blocks is compared. The fewest directions are taken whose error (RMS) is within 1 % of the least: more of
-    them describe the samples and not people, and make every fit slower. Raises `ReflectanceError` for fewer
-    than 10 samples or another number of vertices.
-
-    Parameters
-    ----------
-    samples : sequence of VertexReflectance
-    vertices : (V, 3) array_like of float
-        Millimetres: of any of the faces, or their mean.
+    blocks is compared. The fewest directions are taken whose error (RMS) is within 1 % of the least.
+    `vertices` (V, 3), mm, are those of any of the faces. Raises `ReflectanceError` for fewer than 10 samples
+    or another number of vertices.
     """
-    if len(samples) < _LEAST_SAMPLES:
+    if len(samples) < 10:
         raise ReflectanceError(
-            f"{len(samples)} samples do not show how many directions to keep; give {_LEAST_SAMPLES} or more"
+            f"{len(samples)} samples do not show how many directions to keep; give 10 or more"
         )
     xyz = np.asarray(vertices, np.float64)
-    tested = list(samples[_HELD_OUT - 1 :: _HELD_OUT])
-    model = MorphableReflectanceModel.from_samples(
-        [sample for k, sample in enumerate(samples) if k % _HELD_OUT != _HELD_OUT - 1]
-    )
+    model = MorphableReflectanceModel.from_samples([one for k, one in enumerate(samples) if k % 5 != 4])
     if xyz.shape != (len(model.known), 3):
         raise ReflectanceError(f"vertices is {xyz.shape}, expected ({len(model.known)}, 3)")
     # Neighbouring cubes differ in this sum by one, so that they fall into different halves.
     first = np.floor(xyz / _BLOCK_MM).sum(1) % 2 == 0
-    counts = [count for count in _COUNTS if count < model.components] + [model.components]
+    tried = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
+    counts = [count for count in tried if count < model.components] + [model.components]
     size, deviation, errors = 3 * int(model.known.sum()), model.deviation, np.zeros(len(counts))
-    for sample in tested:
+    for sample in samples[4::5]:
         both = model.known & sample.known
         off = np.where(both[:, None], sample.diffuse_linear - model.diffuse.mean, 0.0)
         for given in (first, ~first):
@@ -386,4 +366,4 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
                 b = np.linalg.solve(gram[:count, :count] + noise * np.eye(count), towards[:count])
                 made = np.tensordot(b, model.diffuse.basis[:count, hidden], 1)
                 errors[number] += np.sum((made - off[hidden]) ** 2)
-    return counts[int(np.argmax(errors <= _AS_GOOD**2 * errors.min()))]
+    return counts[int(np.argmax(errors <= 1.01**2 * errors.min()))]
