@@ -70,7 +70,7 @@ class PhotographFiles:
 
     path: Path
     content: FacePhotographFile
-    """In the file's own unit."""
+    """`path`, `content`: of the file, in its own unit."""
     image: NDArray[np.generic]
     """(H, W, 3) uint8, uint16 or float32: values."""
     mask: BoolArray | None
@@ -225,7 +225,7 @@ class CaptureFiles:
 
     path: Path
     content: FlashCaptureFile
-    """In the file's own unit."""
+    """`path`, `content`: of the file, in its own unit."""
     rig: CaptureRig
     """Millimetres."""
     vertices: FloatArray

@@ -52,15 +52,15 @@ class GeometryFit:
     """(68,) distances in the image; NaN where a landmark was not seen or left out."""
     photometric_rmse_before: float | None
     photometric_rmse_after: float | None
-    """Of the colours over that of the image, at vertices that both shapes show: with the shape from landmarks
-    alone (or the initial one), and with photometry, accepted or not; None without photometry."""
+    """`photometric_rmse_before`, `photometric_rmse_after`: of the colours over that of the image, at vertices
+    that both shapes show: from landmarks alone (or the start), and with photometry; None without it."""
     plan: Plan
     """Whether landmarks and photometry were used, and why."""
     converged: bool
-    """False when the budget or the steps ended first."""
     iterations: int
     trace: Trace
-    """Of the objective, in rows of "reflectance.geometry.landmarks" and ".photometry"."""
+    """Of the objective, in rows of "reflectance.geometry.landmarks" and ".photometry". `converged` is False
+    when the budget or the steps (`iterations`) ended first."""
 
     @property
     def landmark_rmse_px(self) -> float | None:
@@ -119,10 +119,8 @@ def refine_geometry(
         Rigid; found from the landmarks when omitted.
     initial_identity, initial_expression : (N_S,), (N_E,) array_like of float, optional
         Zeros when omitted.
-    budget : Budget or float, optional
-        Evaluations or seconds after which the best so far is returned with `converged=False`.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
+    budget, on_progress : optional
+        When it ends the best so far is returned with `converged=False`; called with every `TraceRow`.
 
     Notes
     -----
@@ -265,8 +263,7 @@ def _descent(
     start = MapPoint(objective, state, np.inf, meter)
     if not meter.exhausted:
         start = MapPoint.evaluate(objective, state, meter)
-    first = Damping(first=min(damping, 0.1))
-    return most_probable(start, steps=steps, tolerance=1e-4, damping=first)
+    return most_probable(start, steps=steps, tolerance=1e-4, damping=Damping(first=damping))
 
 
 def _initial_pose(

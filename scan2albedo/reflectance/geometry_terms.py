@@ -169,7 +169,7 @@ class PhotometricTerm:
         if off is None:
             return np.inf
         observed = self.image.look_up(project(self.camera, vertices[self.used])[0]) / self.unit
-        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), 1e-300))
+        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), np.finfo(float).tiny))
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`, where its value is finite."""

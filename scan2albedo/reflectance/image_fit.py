@@ -50,10 +50,10 @@ class ImageFit:
     """Root mean square of the differences over that of the image, at the vertices used."""
     objective: float
     converged: bool
-    """False when the budget or the steps ended first."""
     iterations: int
     trace: Trace
-    """Of the objective."""
+    """`objective`, `trace`: of what is minimised. `converged` is False when the budget or the steps
+    (`iterations`) ended first."""
 
 
 def fit_image(
@@ -90,10 +90,8 @@ def fit_image(
         P: from predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value
         and its gradient (V, 3) by the predicted ones; its rows for vertices not used do not count. Its second
         derivative is taken as that along the step before.
-    budget : Budget or float, optional
-        Evaluations or seconds after which the best so far is returned with `converged=False`.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
+    budget, on_progress : optional
+        When it ends the best so far is returned with `converged=False`; called with every `TraceRow`.
 
     Notes
     -----
@@ -116,8 +114,9 @@ def fit_image(
     # The mean face in mean light, as bright as the image.
     start = np.zeros(len(terms.prior))
     color = np.median(terms.predict(start).color, axis=0)
-    observed = np.maximum(np.median(terms.observed, axis=0), 1e-4 * terms.unit)
-    start[-3:] = np.log(observed / np.maximum(color, 1e-4 * max(float(color.max()), 1e-12)))
+    floor = 1e-4 * np.array([terms.unit, max(float(color.max()), np.finfo(float).tiny)])
+    observed = np.median(terms.observed, axis=0)
+    start[-3:] = np.log(np.maximum(observed, floor[0]) / np.maximum(color, floor[1]))
     first = MapPoint.evaluate(terms, terms.predict(start), meter)
     found = most_probable(first, steps=200, tolerance=1e-5)
     if not found.converged:

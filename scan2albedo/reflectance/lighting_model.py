@@ -41,6 +41,10 @@ class LightingModel(LinearModel):
         """Learn a model of `components` directions from `count` maps of `generated_environment`.
 
         Raises `ReflectanceError` when `count` is below 2, which has no directions.
+
+        Parameters
+        ----------
+        count, components, seed : int
         """
         if count < 2:
             raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")
@@ -94,7 +98,7 @@ def generated_environment(seed: int | np.random.Generator) -> FloatArray:
     """Return a map (32, 64, 3) of linear radiance: a sky, a room with windows, one with lamps, or a studio.
 
     Rows go from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x; all azimuths are equally
-    likely.
+    likely. The same `seed` gives the same map.
     """
     rng = np.random.default_rng(seed)
     kinds: tuple[Callable[[np.random.Generator], FloatArray], ...] = (_sky, _windows, _lamps, _studio)

@@ -48,12 +48,13 @@ class ReflectanceModelHeader(BaseModel):
 
 @dataclass(frozen=True)
 class ModelReflectance:
-    """A reflectance that a model made of coefficients (N,)."""
+    """A reflectance that a model made."""
 
     reflectance: VertexReflectance
     coefficients: FloatArray
+    """(N,)."""
     clipped_share: float
-    """Of the numbers of known vertices (six each) that were negative and became 0."""
+    """Of the numbers of known vertices (six each) that were negative and became 0 in `reflectance`."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,8 @@ class Projection:
 
     nearest: ModelReflectance
     diffuse_rmse: float
-    """Of the albedo, over vertices known on both sides."""
     weights_rmse: float
-    """Of the weights, which follow the albedo's coefficients."""
+    """`diffuse_rmse`, `weights_rmse`: of `nearest`, over vertices known on both sides."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ class MorphableReflectanceModel:
     @property
     def explained(self) -> FloatArray:
         """(N,) shares of the albedo's variance that the directions hold one by one."""
-        return self.deviation**2 / max(self.total_variance, 1e-300)
+        return self.deviation**2 / max(self.total_variance, np.finfo(float).tiny)
 
     def mean_only(self) -> MorphableReflectanceModel:
         """Return the model without its directions."""
@@ -327,7 +327,7 @@ def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray
     if std is not None and sample.known.any():
         differ = _PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
         square = np.nan_to_num(std[:, :3]).max(1) ** 2
-        weight *= differ**2 / np.maximum(differ**2 + square, 1e-300)
+        weight *= differ**2 / np.maximum(differ**2 + square, np.finfo(float).tiny)
     return weight
 
 

@@ -25,7 +25,7 @@ from scan2albedo.reflectance.environment_shading import (
     light_response,
     unit_vectors,
 )
-from scan2albedo.reflectance.olat import linear_values, picture_values
+from scan2albedo.reflectance.olat import OlatOptions, linear_values, picture_values
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS
 from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
 from scan2albedo.reflectance.vertex_visibility import (
@@ -210,8 +210,8 @@ def observe_photograph(
     *,
     normals: ArrayLike | None = None,
     mask: ArrayLike | None = None,
-    gamma: float = 1.2,
-    saturation: float = 0.98,
+    gamma: float = OlatOptions.gamma,
+    saturation: float = OlatOptions.saturation,
 ) -> ImageObservation:
     """Look up a face's vertices in a photograph, where the camera sees them well; with their transfer.
 

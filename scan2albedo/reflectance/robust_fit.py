@@ -185,7 +185,7 @@ class RobustFit:
         if self.tilting:
             worse = self.loss[rows] > loss * (1 + 1e-12)
             self.damping[rows] = np.where(
-                worse, np.maximum(10 * self.damping[rows], 0.1), 0.1 * self.damping[rows]
+                worse, np.maximum(10 * self.damping[rows], 0.1), self.damping[rows] / 10
             )
             back = rows[worse]
             self.estimate[back], self.tilt[back] = before[worse], tilt[worse]
@@ -260,7 +260,7 @@ def normal_sigma(
         total = np.maximum(terms @ found, _LEAST_SIGMA**2) + noise
         robust = (TILT_FREEDOM + 2) / (TILT_FREEDOM + square / total)
         before, found = found, nnls(terms / total[:, None], (robust * square / 2 - noise) / total)[0]
-        if np.abs(found - before).max() < 1e-3 * max(before.max(), 1e-12):
+        if np.abs(found - before).max() <= 1e-3 * before.max():
             break
     variance = np.stack([np.ones(count), wide], 1) @ found
     return np.sqrt(np.maximum(variance, _LEAST_SIGMA**2))

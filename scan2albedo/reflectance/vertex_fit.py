@@ -70,12 +70,11 @@ class ReflectanceFit:
     settled: BoolArray
     """(V,): known and done when the fit ended."""
     converged: bool
-    """All known vertices and the gains are; False when the budget or the iterations ended the fit first."""
+    """All known vertices and the gains are; False when the budget or the `iterations` ended the fit first."""
     iterations: int
     residual: float
-    """Robust loss per observation; 1/2 is pure noise."""
     trace: Trace
-    """Of the loss per observation."""
+    """`residual`, `trace`: robust loss per observation; 1/2 is pure noise."""
 
     @property
     def parameters(self) -> FloatArray:
@@ -111,9 +110,8 @@ def fit_reflectance(
     samples : VertexSamples
         J pictures of V vertices.
     options : ReflectanceFitOptions
-    budget : Budget or float, optional
-        Evaluations are passes over all vertices still moving.
-    on_progress : callable, optional
+    budget, on_progress : optional
+        Evaluations are passes over all vertices still moving; called with every row of the trace.
 
     Notes
     -----

@@ -285,7 +285,7 @@ def sample_vertices(
     angle = np.arccos(np.clip(np.einsum("fkc,fc->fk", normal[index], flat), -1, 1))
     weight = np.repeat(area, 3)
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
-    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), 1e-300))
+    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(
         observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread
     )
