@@ -93,15 +93,15 @@ class PhotographFiles:
 def read_photograph(path: str | Path) -> PhotographFiles:
     """Return what the photograph file at `path` says, with its image, mask and mesh.
 
-    Raises `ReflectanceError` when the file is invalid, or mask and image differ in size; names it and the
-    first fault; `ScanError` when image, mask or mesh cannot be read.
+    Raises `ReflectanceError` when the file is invalid, or mask and image differ in size; `ScanError` when
+    image, mask or mesh cannot be read.
     """
     file = Path(path)
     content = read_record(
         file,
         FacePhotographFile,
         what="photograph",
-        advice="give a file that write_photograph wrote (data_schemas/face_photograph.schema.json)",
+        advice="write it as data_schemas/face_photograph.schema.json says",
         error=ReflectanceError,
     )
     scale, folder = MM_PER_UNIT[content.unit], file.parent
@@ -119,11 +119,6 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     if content.mask is not None:
         mask = read_skin_mask(folder / content.mask, image.shape[:2], f"photograph {file}")
     return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
-
-
-def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
-    """Write `content` to `path`, whole or not at all; the rest is the caller's. Raises `OutputError`."""
-    write_record(path, content, indent=1)
 
 
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
@@ -291,8 +286,7 @@ class CaptureFiles:
 def read_capture(path: str | Path) -> CaptureFiles:
     """Return what the capture file at `path` says, and its mesh; no picture is read.
 
-    Raises `ReflectanceError` when the file or a pose in it is invalid; names it and the first fault;
-    `ScanError` when the mesh cannot be read.
+    Raises `ReflectanceError` when the file or a pose in it is invalid, `ScanError` when its mesh is.
     """
     file = Path(path)
     content = read_record(

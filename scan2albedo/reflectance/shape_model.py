@@ -17,13 +17,9 @@ from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficien
 
 LANDMARKS = 68
 """In iBUG-68 order."""
-_KINDS = {
-    "mean": "f",
-    "identity_basis": "f",
-    "expression_basis": "f",
-    "faces": "iu",
-    "landmark_vertices": "iu",
-}
+_KINDS = dict.fromkeys(("mean", "identity_basis", "expression_basis"), "f") | dict.fromkeys(
+    ("faces", "landmark_vertices"), "iu"
+)
 """Of the arrays in a file."""
 
 
@@ -58,8 +54,6 @@ class MorphableShapeModel(LinearModel):
     >>> model = MorphableShapeModel.from_samples(people, None, [[0, 1, 2]], np.arange(68))
     >>> model.identity_components, model.expression_components
     (4, 0)
-    >>> model.shape(np.zeros(4), []).shape
-    (100, 3)
     """
 
     identity_components: int
@@ -99,10 +93,10 @@ class MorphableShapeModel(LinearModel):
     ) -> MorphableShapeModel:
         """Learn a model from shapes of one topology, rigidly aligned to each other.
 
-        The directions are those of `principal_directions`: of the neutral faces' deviations from their mean,
-        and of the expressions' offsets, where an offset and its opposite count as equally likely, so that no
-        expression is the mean one. Cost: (K^2 + 4 E^2) V. Raises `ReflectanceError` when there is no face,
-        topologies differ, or numbers are not finite; `ValueError` when a number of components is negative.
+        The directions are the principal ones of the neutral faces' deviations from their mean, and of the
+        expressions' offsets, where an offset and its opposite count as equally likely. Raises
+        `ReflectanceError` when there is no face, topologies differ, or numbers are not finite; `ValueError`
+        when a number of components is negative.
 
         Parameters
         ----------
@@ -110,8 +104,7 @@ class MorphableShapeModel(LinearModel):
             Millimetres; one or more. One gives a model without directions of identity.
         expression_offsets : (E, V, 3) array_like of float, optional
             Expressive minus neutral face of the same person.
-        faces : (F, 3) array_like of int
-        landmark_vertices : (68,) array_like of int
+        faces, landmark_vertices : (F, 3), (68,) array_like of int
         identity_components, expression_components : int
             Most directions to keep; there are at most K - 1 and E.
         """

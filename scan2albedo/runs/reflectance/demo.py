@@ -18,7 +18,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
-from scan2albedo.io.records import Record
+from scan2albedo.io.records import Record, write_record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.reflectance import (
     OlatOptions,
@@ -28,7 +28,6 @@ from scan2albedo.reflectance import (
     read_capture,
     read_photograph,
     write_capture,
-    write_photograph,
 )
 from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, write_olat
@@ -271,7 +270,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
                 "landmarks": landmarks,
             }
         )
-        write_photograph(staging.folder / PHOTOGRAPH_FILE, content)
+        write_record(staging.folder / PHOTOGRAPH_FILE, content, indent=1)
         staging.write_record()
     return folder / PHOTOGRAPH_FILE
 
