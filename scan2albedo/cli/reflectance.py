@@ -293,9 +293,9 @@ def demo(
 ) -> None:
     """Photograph synthetic people, fit, learn and use a model, and print the error against the truth."""
     with _work("demo", out) as progress:
-        from scan2albedo.runs.reflectance.demo import run_reflectance_demo
+        from scan2albedo.runs.reflectance.demo import report_lines, run_reflectance_demo
 
-        report = run_reflectance_demo(
+        figures = run_reflectance_demo(
             out,
             people=people,
             photographs=photographs,
@@ -303,10 +303,9 @@ def demo(
             on_progress=progress.update,
             say=lambda line: progress.say(f"demo: {line}"),
         )
-    if json_summary:
-        echo_json({"out": str(out), **vars(report)})
-    else:
-        typer.echo("\n".join(report.lines()))
+    _summarise(figures, out, json_summary)
+    if not json_summary:
+        typer.echo("\n".join(report_lines(figures)))
 
 
 @contextmanager

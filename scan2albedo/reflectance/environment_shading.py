@@ -236,19 +236,13 @@ def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
     return unit
 
 
-@dataclass(frozen=True)
-class ShadingGradient:
-    """Derivatives of the radiance (V, 3); rows by channel, columns by coordinate."""
-
-    by_normal: FloatArray
-    by_view: FloatArray
-    """`by_normal`, `by_view`: (V, 3, 3), right for changes along the sphere."""
-
-
 def shading_gradient(
     reflectance: VertexReflectance, normals: FloatArray, toward_camera: FloatArray, light: FloatArray
-) -> ShadingGradient:
+) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of `shade_environment`'s radiance under light (81, 3), lobes "tilted".
+
+    By normals and by directions to the camera, both (V, 3, 3), rows by channel, columns by coordinate; right
+    for changes along the sphere.
 
     The V vertices are known, their normals n and directions to the camera v unit vectors with c = n.v > 0.
     With e = (c n - v) / sin(angle) and f = (n - c v) / sin(angle), the angle between n and v has the
@@ -288,4 +282,4 @@ def shading_gradient(
         weight = reflectance.weights[:, k, None, None]
         by_normal += weight * (lobe_by_normal + by_angle[:, :, None] * e[:, None, :])
         by_view += weight * (across_n * n[:, None, :] - across - by_angle[:, :, None] * f[:, None, :])
-    return ShadingGradient(by_normal, by_view)
+    return by_normal, by_view

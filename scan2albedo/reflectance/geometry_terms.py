@@ -181,8 +181,8 @@ class PhotometricTerm:
         view = sight / distance[:, None]
         pixels, _ = project(self.camera, points)
         normals = vertex_normals(vertices, self.faces)[used]
-        turned = shading_gradient(self.reflectance, normals, view, self.light)
-        across = turned.by_view - np.einsum("uji,ui,uk->ujk", turned.by_view, view, view)
+        by_normal, by_view = shading_gradient(self.reflectance, normals, view, self.light)
+        across = by_view - np.einsum("uji,ui,uk->ujk", by_view, view, view)
         direct = self.image.gradient(pixels) @ projection_jacobian(self.camera, points)
         # The line of sight turns against the vertex: its derivative is -(I - v v^T) / distance.
         direct += across / distance[:, None, None]
@@ -193,7 +193,7 @@ class PhotometricTerm:
         row = np.repeat(np.arange(len(used)), length)
         taken = by_vertex.indptr[used][row] + np.arange(start[-1]) - start[row]
         column = by_vertex.indices[taken]
-        blocks = -turned.by_normal[row] @ by_vertex.data[taken]
+        blocks = -by_normal[row] @ by_vertex.data[taken]
         blocks[column == used[row]] += direct
         shape = (3 * len(used), by_vertex.shape[1])
         jacobian = sparse.bsr_matrix((blocks / self.unit, column, start), shape=shape)

@@ -289,10 +289,6 @@ class RelightingError:
     """Of displayed values, radiance^(1 / 1.2) with the 99th percentile of the observed as white."""
     noise_part: float
     """The part of `relative_rmse` that the observations' own sigma explains."""
-    of_picture: FloatArray
-    """(J,): relative RMSE of each picture; NaN where it was not left out or shows no known vertex."""
-    observations: int
-    """Their number."""
     fit: ReflectanceFit
     """Of the other pictures."""
 
@@ -335,11 +331,6 @@ def relighting_error(
     seen = unseen.valid & fit.reflectance.known[:, None]
     if not seen.any():
         raise ReflectanceError("the pictures held out show no vertex that the others do: hold out others")
-    of_picture = np.full(len(left_out), np.nan)
-    of_picture[left_out] = [
-        _relative(unseen.observed_linear[j][seen[j]], predicted[j][seen[j]]) if seen[j].any() else np.nan
-        for j in range(len(seen))
-    ]
     observed, made = unseen.observed_linear[seen], predicted[seen]
     if not observed.any():
         raise ReflectanceError(
@@ -348,16 +339,10 @@ def relighting_error(
     white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
     displayed = [np.clip(linear / white, 0, 1) ** (1 / OlatOptions.gamma) for linear in (observed, made)]
     off = float(np.mean((displayed[0] - displayed[1]) ** 2))
+    power = float(np.mean(observed**2))
     return RelightingError(
-        _relative(observed, made),
+        float(np.sqrt(np.mean((observed - made) ** 2) / power)),
         float(-10 * np.log10(max(off, np.finfo(float).tiny))),
-        float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / np.mean(observed**2))),
-        of_picture,
-        int(seen.sum()),
+        float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / power)),
         fit,
     )
-
-
-def _relative(observed: FloatArray, predicted: FloatArray) -> float:
-    power = max(float(np.mean(observed**2)), np.finfo(float).tiny)
-    return float(np.sqrt(np.mean((observed - predicted) ** 2) / power))

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,55 +41,30 @@ from scan2albedo.synthetic import FacePhotograph, FlashCapture, Portrait, face_p
 
 _PORTRAIT = Portrait(picture_size=192)
 """People have no hair: its shadows on the brow are not the mesh's, and a model would learn them as skin."""
-_NEW_PEOPLE = 1000
-"""First seed of people that the model was not learned from."""
 CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE = "capture.json", "photograph.json", "landmark_vertices.json"
 _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
 
 
-@dataclass(frozen=True)
-class ReflectanceDemoReport:
-    """Errors against the truth; of albedos as relative RMSE, of those of photographs at the best scale."""
-
-    people: int
-    diffuse_error: tuple[float, ...]
-    diffuse_median_error: tuple[float, ...]
-    held_out_error: tuple[float, ...]
-    """Of each person's fit to flash pictures, over known vertices; the median of the relative differences
-    instead; of predicted pictures that were left out of the fit."""
-    mesh_known_error: float
-    landmarks_error: float
-    mean_face_error: float
-    nearest_error: float
-    """Of a new person's albedo from one photograph, the mesh being known; from landmarks alone; of the
-    model's mean in its place; of the model's face whose albedo is nearest at some scale."""
-    shape_error_mm: float
-    mean_shape_error_mm: float
-    """Of the shape from landmarks, mean over vertices after rigid alignment; of the mean shape instead."""
-    tuning_before: float
-    tuning_after: float
-    accepted_steps: int
-
-    def lines(self) -> list[str]:
-        """Return the report as text."""
-        diffuse, median, relit = (
-            100 * float(np.mean(values))
-            for values in (self.diffuse_error, self.diffuse_median_error, self.held_out_error)
-        )
-        return [
-            f"error against the ground truth, {self.people} people with 35 pairs of pictures each:",
-            f"  albedo of vertices        relative RMSE {diffuse:.1f} %, median {median:.1f} %",
-            f"  pictures left out         relative RMSE {relit:.1f} %",
-            "a person whom the model does not know, from one photograph in unknown light:",
-            f"  albedo, mesh known        relative RMSE {100 * self.mesh_known_error:.1f} %",
-            f"  albedo, from landmarks    relative RMSE {100 * self.landmarks_error:.1f} %",
-            f"  the model's mean instead  relative RMSE {100 * self.mean_face_error:.1f} %",
-            f"  the model's nearest face  relative RMSE {100 * self.nearest_error:.1f} %",
-            f"  shape from landmarks      {self.shape_error_mm:.2f} mm mean, of the mean shape "
-            f"{self.mean_shape_error_mm:.2f} mm",
-            f"fine-tuning: {self.accepted_steps} changes accepted, held-out objective "
-            f"{self.tuning_before:.4g} -> {self.tuning_after:.4g}",
-        ]
+def report_lines(figures: dict[str, Any]) -> list[str]:
+    """Return the figures of `run_reflectance_demo` as text."""
+    percent = {
+        name: 100 * float(np.mean(value)) for name, value in figures.items() if name.endswith("_error")
+    }
+    return [
+        f"error against the ground truth, {figures['people']} people with 35 pairs of pictures each:",
+        f"  albedo of vertices        relative RMSE {percent['diffuse_error']:.1f} %, median "
+        f"{percent['diffuse_median_error']:.1f} %",
+        f"  pictures left out         relative RMSE {percent['held_out_error']:.1f} %",
+        "a person whom the model does not know, from one photograph in unknown light:",
+        f"  albedo, mesh known        relative RMSE {percent['mesh_known_error']:.1f} %",
+        f"  albedo, from landmarks    relative RMSE {percent['landmarks_error']:.1f} %",
+        f"  the model's mean instead  relative RMSE {percent['mean_face_error']:.1f} %",
+        f"  the model's nearest face  relative RMSE {percent['nearest_error']:.1f} %",
+        f"  shape from landmarks      {figures['shape_error_mm']:.2f} mm mean, of the mean shape "
+        f"{figures['mean_shape_error_mm']:.2f} mm",
+        f"fine-tuning: {figures['accepted_steps']} changes accepted, held-out objective "
+        f"{figures['tuning_before']:.4g} -> {figures['tuning_after']:.4g}",
+    ]
 
 
 def run_reflectance_demo(
@@ -101,12 +75,13 @@ def run_reflectance_demo(
     seed: int = 0,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
-) -> ReflectanceDemoReport:
+) -> dict[str, Any]:
     """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.
 
     Everything goes through files, as with real pictures: ``captures``, ``fits``, ``model``, ``samples``,
     ``photographs``, ``fit_image`` and ``tuned`` in `out`. The model is learned from 2 or more `people`;
-    `photographs`, 2 or more, are of others, half of them held out from fine-tuning.
+    `photographs`, 2 or more, are of others, half of them held out from fine-tuning. Errors of albedos are
+    relative RMSE, of those of photographs at the best scale; shapes are aligned rigidly.
     """
     fits, errors = [], []
     for number in range(people):
@@ -130,7 +105,8 @@ def run_reflectance_demo(
     write_samples(out / "model", out / "samples", count=6, seed=seed)
     models = read_model_folder(out / "model")
     say("fitting a photograph of another person")
-    taken, fitted = _photograph(seed + _NEW_PEOPLE, 0), []
+    others = seed + 1000  # seeds of people that the model was not learned from
+    taken, fitted = _photograph(others, 0), []
     for name in ("mesh", "landmarks"):
         file = write_synthetic_photograph(taken, out / "photographs" / name, mesh=name == "mesh")
         fitted.append(fit_photograph(read_photograph(file), models, on_progress=on_progress))
@@ -139,7 +115,7 @@ def run_reflectance_demo(
     say("fine-tuning")
     files = [
         write_synthetic_photograph(
-            _photograph(seed + _NEW_PEOPLE + 1 + number, number + 1), out / "photographs" / f"{number:02d}"
+            _photograph(others + 1 + number, number + 1), out / "photographs" / f"{number:02d}"
         )
         for number in range(photographs)
     ]
@@ -160,21 +136,21 @@ def run_reflectance_demo(
         aligned = transform_points(procrustes(found, shape[seen]), found)
         return float(np.linalg.norm(aligned - shape[seen], axis=1).mean())
 
-    return ReflectanceDemoReport(
-        people=people,
-        diffuse_error=tuple(one[0] for one in errors),
-        diffuse_median_error=tuple(one[1] for one in errors),
-        held_out_error=tuple(one[2] for one in errors),
-        mesh_known_error=scaled_error(with_mesh.face.reflectance),
-        landmarks_error=scaled_error(marked.face.reflectance),
-        mean_face_error=scaled_error(models.mean.reflectance),
-        nearest_error=scaled_error(nearest),
-        mean_shape_error_mm=shape_error_mm(models.mean.vertices[seen]),
-        shape_error_mm=shape_error_mm(marked.vertices[seen]),
-        tuning_before=tuned["held_out_before"],
-        tuning_after=tuned["held_out_after"],
-        accepted_steps=len(tuned["accepted_steps"]),
-    )
+    return {
+        "people": people,
+        "diffuse_error": [one[0] for one in errors],
+        "diffuse_median_error": [one[1] for one in errors],
+        "held_out_error": [one[2] for one in errors],
+        "mesh_known_error": scaled_error(with_mesh.face.reflectance),
+        "landmarks_error": scaled_error(marked.face.reflectance),
+        "mean_face_error": scaled_error(models.mean.reflectance),
+        "nearest_error": scaled_error(nearest),
+        "shape_error_mm": shape_error_mm(marked.vertices[seen]),
+        "mean_shape_error_mm": shape_error_mm(models.mean.vertices[seen]),
+        "tuning_before": tuned["held_out_before"],
+        "tuning_after": tuned["held_out_after"],
+        "accepted_steps": len(tuned["accepted_steps"]),
+    }
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
