@@ -71,8 +71,8 @@ class LightingModel(LinearModel):
         spread = samples * (_WHITE / samples[:, :1])
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
-        found = principal_directions(off, components, size=float(np.sum(spread**2)))
-        return cls(spread.mean(0), found.of(off))
+        weights, _ = principal_directions(off, components, size=float(np.sum(spread**2)))
+        return cls(spread.mean(0), np.tensordot(weights, off, 1))
 
     def light(self, coefficients: ArrayLike, *, scale_rgb: ArrayLike = (1.0, 1.0, 1.0)) -> FloatArray:
         """Return coefficients (81, 3) of light with mean radiance `scale_rgb` (3,).

@@ -129,19 +129,14 @@ class MorphableReflectanceModel:
         Parameters
         ----------
         samples : sequence of VertexReflectance
-            K, one or more. One gives a model that is its mean; identical ones give no direction.
+            K, one or more. One gives a model that is its mean; identical ones give no direction. Where one
+            does not know a vertex, it is taken to be the mean of those that do.
         components : int, optional
             Directions to keep; all, at most K - 1, when omitted.
         least_support : float
             Share of the samples, above 0, that must know a vertex for the model to know it.
         weights : sequence of (V,) array_like of float, optional
             Of each sample's vertices, 0 to 1: the mean is weighted, deviations are multiplied by them.
-
-        Notes
-        -----
-        Where a sample does not know a vertex, it is taken to be the mean of those that do; the variance there
-        comes out too small by about the share of samples missing (see `support`). w' of a vertex without a
-        lobe is a gap too. How weights vary where the albedo does not is left out. Cost: K^2 V.
         """
         if components is not None and components < 0:
             raise ValueError(f"components must be 0 or more, got {components}")
@@ -177,16 +172,16 @@ class MorphableReflectanceModel:
         total = lobes.sum(2)
         share = np.divide(lobes, total[..., None], out=np.zeros_like(lobes), where=total[..., None] > 0)
         mean, off = _mean_and_deviations(diffuse, trust, 0.0)
-        directions = principal_directions(off, components, size=float(np.sum(mean**2)))
+        directions, total_variance = principal_directions(off, components, size=float(np.sum(mean**2)))
         sum_mean, sum_off = _mean_and_deviations(total, trust, 0.0)
         share_mean, share_off = _mean_and_deviations(share, trust * (there & (total > 0)), 1 / 3)
         return cls(
             known,
             support.astype(np.int64),
-            LinearModel(mean, directions.of(off)),
-            LinearModel(sum_mean, directions.of(sum_off)),
-            LinearModel(np.where(known[:, None], share_mean, 0.0), directions.of(share_off)),
-            directions.total_variance,
+            LinearModel(mean, np.tensordot(directions, off, 1)),
+            LinearModel(sum_mean, np.tensordot(directions, sum_off, 1)),
+            LinearModel(np.where(known[:, None], share_mean, 0.0), np.tensordot(directions, share_off, 1)),
+            total_variance,
             len(samples),
         )
 

@@ -116,10 +116,8 @@ class MorphableShapeModel(LinearModel):
         if len(neutral) == 0:
             raise ReflectanceError("there is no face to learn shapes from; give one or more")
         count, mean = neutral.shape[1], neutral.mean(0)
-        identity = principal_directions(
-            neutral - mean, identity_components, size=float(np.sum(neutral**2))
-        ).of(neutral - mean)
-        expression = np.zeros((0, count, 3))
+        off, expression = neutral - mean, np.zeros((0, count, 3))
+        identity, _ = principal_directions(off, identity_components, size=float(np.sum(neutral**2)))
         if expression_offsets is not None:
             offsets = _checked_stack(expression_offsets, "expression_offsets")
             if offsets.shape[1] != count:
@@ -129,12 +127,11 @@ class MorphableShapeModel(LinearModel):
                 )
             both = np.concatenate([offsets, -offsets])
             if len(both):
-                expression = principal_directions(
-                    both, expression_components, size=float(np.sum(both**2))
-                ).of(both)
+                weights, _ = principal_directions(both, expression_components, size=float(np.sum(both**2)))
+                expression = np.tensordot(weights, both, 1)
         return cls(
             mean,
-            np.concatenate([identity, expression]),
+            np.concatenate([np.tensordot(identity, off, 1), expression]),
             len(identity),
             np.asarray(faces, np.int64),
             np.asarray(landmark_vertices, np.int64),
@@ -151,26 +148,19 @@ class MorphableShapeModel(LinearModel):
             advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
             error=ReflectanceError,
         )
-        parts = [np.atleast_1d(arrays[name]).astype(np.float64) for name in tuple(_KINDS)[:3]]
-        found = tuple(len(part) for part in parts)
+        mean, *bases = (np.atleast_1d(arrays[name]).astype(np.float64) for name in tuple(_KINDS)[:3])
+        found = tuple(len(part) for part in (mean, *bases))
         expected = header.vertices, header.identity_components, header.expression_components
         if found != expected:
             raise ReflectanceError(
                 f"shape model {path}: its header says (vertices, identity, expression) = {expected}, the "
                 f"arrays hold {found}; write the file again"
             )
-        for name, part in zip(_KINDS, parts, strict=False):
-            shape = (*part.shape[: part.ndim - 2], header.vertices, 3)
-            if part.shape != shape or part.ndim != (2 if name == "mean" else 3):
-                raise ReflectanceError(f"{path}: {name} is {part.shape}, expected {shape}; write it again")
+        indices = arrays["faces"], arrays["landmark_vertices"]
         try:
-            return cls(
-                parts[0],
-                np.concatenate(parts[1:]),
-                header.identity_components,
-                arrays["faces"],
-                arrays["landmark_vertices"],
-            )
+            for name, basis in zip(("identity_basis", "expression_basis"), bases, strict=True):
+                LinearModel(mean, basis).check(f"shape model: {name}", (header.vertices, 3))
+            return cls(mean, np.concatenate(bases), header.identity_components, *indices)
         except ReflectanceError as error:
             raise ReflectanceError(f"{path}: {error}; write the file again") from error
 

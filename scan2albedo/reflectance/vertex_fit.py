@@ -43,24 +43,23 @@ class ReflectanceFit:
     high: FloatArray
     """`low`, `high`: (V, 6): 95 % intervals, >= 0; they hold the estimate."""
     pair_count: IntArray
-    """(V,): pictures used."""
     condition: FloatArray
-    """(V,): condition number of the observations' matrix, without the prior; inf where it is singular."""
+    """`pair_count`, `condition`: (V,): pictures used; condition number of their matrix, without prior."""
     activation: FloatArray
     """(V, 3): largest value over the pictures of each lobe over its peak, max(0, n.h)^s; 0 where unseen."""
     identifiability: FloatArray
     """(V, 6): posterior over prior standard deviation: 1 where pictures add nothing."""
     identified: BoolArray
-    """(V, 6): identifiability is small enough; False where not known, or where an albedo is impossible."""
     impossible: BoolArray
-    """(V,): an albedo is above `most_albedo`: what the fit assumes does not hold there."""
+    """`identified`: (V, 6): identifiability is small enough, and no albedo `impossible`: (V,) above
+    `most_albedo`."""
     misfit: FloatArray
     """(V,): root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where
     there are not more observations than unknowns."""
     tilt: FloatArray
-    """(V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles."""
     normal_sigma_degrees: FloatArray
-    """(V,): deviation of the normals along each tangent that the fit assumed."""
+    """`tilt`: (V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles;
+    `normal_sigma_degrees`: (V,): their deviation that the fit assumed."""
     light_gain: FloatArray
     """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
     level: float

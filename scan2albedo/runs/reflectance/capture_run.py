@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -78,7 +77,19 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     ) as results:
         for number, linear in enumerate(olat.linear):
             write_exr(results.folder / f"olat_{number:03d}.exr", linear)
-        write_png(results.folder / "olat.png", _sheet(olat, lights=len(set(capture.rig.light.tolist()))))
+        # A sheet of all pictures in rows, small, as bright as their brightest percentile allows.
+        step = max(1, -(-max(olat.linear.shape[1:3]) // 128))
+        small = np.clip(olat.linear[:, ::step, ::step], 0, None)
+        level = max(float(np.percentile(small, 99.7)), np.finfo(float).tiny)
+        small = np.where(olat.saturated[:, ::step, ::step], np.float32(level), small)
+        lights = len(set(capture.rig.light.tolist()))
+        columns = lights if len(small) % lights == 0 else min(11, len(small))
+        rows = -(-len(small) // columns)
+        padded = np.zeros((rows * columns, *small.shape[1:]), np.float32)
+        padded[: len(small)] = np.minimum(small / level, 1)
+        grid = padded.reshape(rows, columns, *small.shape[1:]).transpose(0, 2, 1, 3, 4)
+        sheet = grid.reshape(rows * small.shape[1], columns * small.shape[2], 3)
+        write_png(results.folder / "olat.png", encode_srgb_bytes(sheet))
     return figures
 
 
@@ -275,17 +286,3 @@ def _notes_of_pairs(capture: CaptureFiles, olat: OlatImages) -> tuple[str, ...]:
         for one in olat.diagnostics
         if one.name != "saturated" or one.part > 0.05
     )
-
-
-def _sheet(olat: OlatImages, *, lights: int) -> NDArray[np.uint8]:
-    """Return all pictures in rows, small, as bright as their brightest percentile allows."""
-    step = max(1, -(-max(olat.linear.shape[1:3]) // 128))
-    small = np.clip(olat.linear[:, ::step, ::step], 0, None)
-    level = max(float(np.percentile(small, 99.7)), 1e-12)
-    small = np.where(olat.saturated[:, ::step, ::step], np.float32(level), small)
-    columns = lights if len(small) % lights == 0 else min(11, len(small))
-    rows = -(-len(small) // columns)
-    padded = np.zeros((rows * columns, *small.shape[1:]), np.float32)
-    padded[: len(small)] = np.minimum(small / level, 1)
-    grid = padded.reshape(rows, columns, *small.shape[1:]).transpose(0, 2, 1, 3, 4)
-    return encode_srgb_bytes(grid.reshape(rows * small.shape[1], columns * small.shape[2], 3))
