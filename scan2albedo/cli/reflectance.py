@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,11 +50,8 @@ def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = Fa
         from scan2albedo.runs.reflectance.capture_run import write_olat
 
         figures = write_olat(read_capture(capture), out)
-        _tell_notes(progress, "olat", out)
-        progress.say(
-            f"olat: {figures['pairs']} pairs, {100 * figures['valid_share']:.2f} % of the pixels valid; "
-            f"files in {out}"
-        )
+        valid = f"{100 * figures['valid_share']:.2f} % of the pixels valid"
+        _report(progress, "olat", out, f"{figures['pairs']} pairs, {valid}")
     _summarise(figures, out, json_summary)
 
 
@@ -90,12 +87,15 @@ def fit(
     """
     from scan2albedo.reflectance import ReflectanceFitOptions
 
+    sigma: float | str = normal_sigma
+    with suppress(ValueError):
+        sigma = float(normal_sigma)
     try:
         options = ReflectanceFitOptions(
             loss=loss,
             light_gains=light_gains,
             least_pairs=least_pairs,
-            normal_sigma_degrees=_number_or_auto(normal_sigma),
+            normal_sigma_degrees=sigma,
         )
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
@@ -125,14 +125,13 @@ def fit(
                 "budget": budget,
             },
         )
-        _tell_notes(progress, "fit", out)
         known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
-        text = f"fit: {known} from {figures['pairs']} pairs"
+        text = f"{known} from {figures['pairs']} pairs"
         if left_out := figures["pairs_of_capture"] - figures["pairs"]:
             text += f", {left_out} left out"
         if "held_out" in figures:
             text += f"; pictures left out are predicted to {100 * figures['held_out']['relative_rmse']:.1f} %"
-        progress.say(f"{text}; files in {out}")
+        _report(progress, "fit", out, text)
     _summarise(figures, out, json_summary)
 
 
@@ -185,10 +184,9 @@ def build(
             )
         options = {"components": components, "least_support": least_support, "synthetic": synthetic}
         figures = write_model_folder(built, out, options)
-        progress.say(
-            f"build: {figures['components']} directions from {figures['samples']} faces, "
-            f"{figures['known_vertices']} of {figures['vertices']} vertices; files in {out}"
-        )
+        known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
+        text = f"{figures['components']} directions from {figures['samples']} faces, {known}"
+        _report(progress, "build", out, text)
     _summarise(figures, out, json_summary)
 
 
@@ -208,7 +206,7 @@ def sample(
         from scan2albedo.runs.reflectance.model_run import write_samples
 
         figures = write_samples(model, out, count=count, seed=seed, scale=scale)
-        progress.say(f"sample: {count} reflectances in {out}")
+        _report(progress, "sample", out, f"{count} reflectances")
     _summarise(figures, out, json_summary)
 
 
@@ -240,11 +238,8 @@ def fit_image(
         models = default_model() if model is None else read_model_folder(model)
         done = fit_photograph(taken, models, budget=spend, on_progress=progress.update)
         figures = write_fitted_photograph(done, models, out, {"budget": budget})
-        _tell_notes(progress, "fit-image", out)
-        progress.say(
-            f"fit-image: relative RMSE {100 * figures['relative_rmse']:.1f} % over "
-            f"{figures['seen_vertices']} vertices; files in {out}"
-        )
+        rmse = f"relative RMSE {100 * figures['relative_rmse']:.1f} %"
+        _report(progress, "fit-image", out, f"{rmse} over {figures['seen_vertices']} vertices")
     _summarise(figures, out, json_summary)
 
 
@@ -267,24 +262,22 @@ def finetune(
     """Improve a model with photographs; it changes only when photographs held out are explained better."""
     spend = checked_budget(budget)
     with _work("finetune", out) as progress:
-        from scan2albedo.runs.reflectance.image_run import tune_model, write_tuned_model
+        from scan2albedo.runs.reflectance.image_run import tune_model
         from scan2albedo.runs.reflectance.model_run import read_model_folder
 
-        done = tune_model(
+        figures = tune_model(
             read_model_folder(model),
             photographs,
             held_out or (),
+            out,
+            {"budget": budget},
             budget=spend,
             on_progress=progress.update,
             say=lambda line: progress.say(f"finetune: {line}"),
         )
-        figures = write_tuned_model(done, out, {"budget": budget})
-        _tell_notes(progress, "finetune", out)
+        changes = f"{len(figures['accepted_steps'])} changes accepted"
         before, after = figures["held_out_before"], figures["held_out_after"]
-        progress.say(
-            f"finetune: {len(figures['accepted_steps'])} changes accepted, held-out {before:.4g} -> "
-            f"{after:.4g}; files in {out}"
-        )
+        _report(progress, "finetune", out, f"{changes}, held-out {before:.4g} -> {after:.4g}")
     _summarise(figures, out, json_summary)
 
 
@@ -300,9 +293,9 @@ def demo(
 ) -> None:
     """Photograph synthetic people, fit, learn and use a model, and print the error against the truth."""
     with _work("demo", out) as progress:
-        from scan2albedo.runs.reflectance.demo import run_reflectance_demo
+        from scan2albedo.runs.reflectance.demo import report_lines, run_reflectance_demo
 
-        report = run_reflectance_demo(
+        figures = run_reflectance_demo(
             out,
             people=people,
             photographs=photographs,
@@ -310,10 +303,9 @@ def demo(
             on_progress=progress.update,
             say=lambda line: progress.say(f"demo: {line}"),
         )
-    if json_summary:
-        echo_json({"out": str(out), **vars(report)})
-    else:
-        typer.echo("\n".join(report.lines()))
+    _summarise(figures, out, json_summary)
+    if not json_summary:
+        typer.echo("\n".join(report_lines(figures)))
 
 
 @contextmanager
@@ -332,18 +324,12 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
         yield progress
 
 
-def _number_or_auto(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
-def _tell_notes(progress: ProgressLines, name: str, out: Path) -> None:
+def _report(progress: ProgressLines, name: str, out: Path, text: str) -> None:
+    """Say the notes of a command's record, and what it did."""
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.reflectance import FILES
 
-    for note in RunFolder(out, FILES).read().notes:
+    for note in (*RunFolder(out, FILES).read().notes, f"{text}; files in {out}"):
         progress.say(f"{name}: {note}")
 
 

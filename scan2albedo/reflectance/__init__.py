@@ -10,17 +10,16 @@ from scan2albedo.reflectance.capture_files import (
     read_capture,
     read_photograph,
     write_capture,
-    write_photograph,
 )
-from scan2albedo.reflectance.environment_shading import EnvironmentShading, LightResponse, shade_environment
-from scan2albedo.reflectance.face_fit import Evidence, FaceFit, fit_face
+from scan2albedo.reflectance.environment_shading import LightResponse, shade_environment
+from scan2albedo.reflectance.face_fit import FaceFit, fit_face
 from scan2albedo.reflectance.finetune import FineTuning, finetune
 from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
-from scan2albedo.reflectance.image_fit import ImageFit, PerceptualDistance, fit_image
+from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel, generated_environment
 from scan2albedo.reflectance.linear_model import LinearModel
-from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel, Projection
-from scan2albedo.reflectance.olat import CaptureDiagnostic, OlatImages, OlatOptions, extract_olat
+from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
+from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.photograph import ImageObservation, light_transfer, observe_photograph
 from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, point_light_radiance
 from scan2albedo.reflectance.reflectance_files import MeshReflectance, read_reflectance, write_reflectance
@@ -49,11 +48,8 @@ from scan2albedo.reflectance.vertex_samples import (
 __all__ = [
     "EXPONENTS",
     "PARAMETERS",
-    "CaptureDiagnostic",
     "CaptureFiles",
     "CaptureRig",
-    "EnvironmentShading",
-    "Evidence",
     "FaceFit",
     "FineTuning",
     "GeometryFit",
@@ -63,14 +59,11 @@ __all__ = [
     "LightingModel",
     "LinearModel",
     "MeshReflectance",
-    "ModelReflectance",
     "MorphableReflectanceModel",
     "MorphableShapeModel",
     "OlatImages",
     "OlatOptions",
-    "PerceptualDistance",
     "PhotographFiles",
-    "Projection",
     "ReflectanceFit",
     "ReflectanceFitOptions",
     "RelightingError",
@@ -98,6 +91,5 @@ __all__ = [
     "sample_vertices",
     "shade_environment",
     "write_capture",
-    "write_photograph",
     "write_reflectance",
 ]

@@ -93,14 +93,7 @@ def detail_field(divided: ShadingDivided, vertices: ArrayLike, faces: IntArray) 
     Blurs of growing width divide the residual of the photograph into bands. In each, with R the residual's
     covariance (3, 3) over the channels and S that of the light's error, the best linear estimate of the
     albedo's part is (R - S) R^-1 times the residual (Wiener); R - S is cut at 0. What is wider than the last
-    blur is left to the light, and the field fades far from usable vertices.
-
-    Parameters
-    ----------
-    divided : ShadingDivided
-    vertices : (V, 3) array_like of float
-        Millimetres.
-    faces : (F, 3) array of int
+    blur is left to the light, and the field fades far from usable vertices (V, 3), mm.
     """
     usable = divided.usable
     field = np.zeros_like(divided.log_ratio)
@@ -126,10 +119,3 @@ def detail_field(divided: ShadingDivided, vertices: ArrayLike, faces: IntArray) 
         field += band @ (root @ (axis * np.maximum(kept, 0.0)) @ axis.T @ inverse).T
         finer = coarser
     return field * np.clip(cover, 0.0, 1.0)[:, None]
-
-
-def with_details(reflectance: VertexReflectance, field: FloatArray) -> VertexReflectance:
-    """Return a reflectance whose albedo is changed by factors exp(field) (V, 3)."""
-    known = reflectance.known[:, None]
-    diffuse = np.where(known, reflectance.diffuse_linear * np.exp(field), reflectance.diffuse_linear)
-    return VertexReflectance(diffuse, reflectance.weights, reflectance.known)

@@ -21,16 +21,20 @@ from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.shape_model import LANDMARKS
 from scan2albedo.reflectance.vertex_samples import CaptureRig, rig_of_head_poses
 
+Row = tuple[float, float, float]
+Matrix = tuple[Row, Row, Row]
 _Row = tuple[float, float, float, float]
 _Pixel = tuple[float, float]
 
 
-class FacePhotographFile(BaseModel):
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class FacePhotographFile(_Part):
     """The content of a photograph file."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, title="scan2albedo face photograph"
-    )
+    model_config = ConfigDict(title="scan2albedo face photograph")
 
     format: Literal["scan2albedo face photograph"] = "scan2albedo face photograph"
     format_version: Literal[1] = 1
@@ -65,9 +69,8 @@ class PhotographFiles:
     """The content of a photograph file, with its image, mask and mesh."""
 
     path: Path
-    """Of the file."""
     content: FacePhotographFile
-    """What the file holds, in its own unit."""
+    """`path`, `content`: of the file, in its own unit."""
     image: NDArray[np.generic]
     """(H, W, 3) uint8, uint16 or float32: values."""
     mask: BoolArray | None
@@ -90,15 +93,15 @@ class PhotographFiles:
 def read_photograph(path: str | Path) -> PhotographFiles:
     """Return what the photograph file at `path` says, with its image, mask and mesh.
 
-    Raises `ReflectanceError` when the file is invalid, or mask and image differ in size; names it and the
-    first fault; `ScanError` when image, mask or mesh cannot be read.
+    Raises `ReflectanceError` when the file is invalid, or mask and image differ in size; `ScanError` when
+    image, mask or mesh cannot be read.
     """
     file = Path(path)
     content = read_record(
         file,
         FacePhotographFile,
         what="photograph",
-        advice="give a file that write_photograph wrote (data_schemas/face_photograph.schema.json)",
+        advice="write it as data_schemas/face_photograph.schema.json says",
         error=ReflectanceError,
     )
     scale, folder = MM_PER_UNIT[content.unit], file.parent
@@ -118,11 +121,6 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
 
 
-def write_photograph(path: str | Path, content: FacePhotographFile) -> None:
-    """Write `content` to `path`, whole or not at all; the rest is the caller's. Raises `OutputError`."""
-    write_record(path, content, indent=1)
-
-
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
     """Return a mask (H, W), True where its image is brighter than half of its brightest value.
 
@@ -136,16 +134,6 @@ def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
             "all must have one size"
         )
     return np.asarray(values.max(-1) > values.max() / 2, np.bool_)
-
-
-_SIGMAS = 6.0
-"""Brighter than noise, of millions of pixels."""
-Row = tuple[float, float, float]
-Matrix = tuple[Row, Row, Row]
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class PoseEntry(_Part):
@@ -173,9 +161,7 @@ class PairEntry(_Part):
 class FlashCaptureFile(_Part):
     """The content of a capture file."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, allow_inf_nan=False, title="scan2albedo flash capture"
-    )
+    model_config = ConfigDict(title="scan2albedo flash capture")
 
     format: Literal["scan2albedo flash capture"] = "scan2albedo flash capture"
     format_version: Literal[1] = 1
@@ -233,9 +219,8 @@ class CaptureFiles:
     """The content of a capture file; pictures are read when they are needed."""
 
     path: Path
-    """Of the file."""
     content: FlashCaptureFile
-    """What the file holds, in its own unit."""
+    """`path`, `content`: of the file, in its own unit."""
     rig: CaptureRig
     """Millimetres."""
     vertices: FloatArray
@@ -259,7 +244,7 @@ class CaptureFiles:
         return "gamma" in self.content.model_fields_set
 
     def pair_names(self) -> tuple[str, ...]:
-        """Return camera and flash of each pair."""
+        """Camera and flash of each pair."""
         return tuple(f"{pair.camera} lit by {pair.flash}" for pair in self.content.pictures)
 
     def extract_olat(self) -> OlatImages:
@@ -289,7 +274,8 @@ class CaptureFiles:
             if (skin := mask_of[pair.camera]) is not None:
                 valid[j] &= mask(skin)[..., None]
         olat = replace(olat, linear=np.where(valid, olat.linear, np.float32(0)))
-        if valid.any() and not (olat.linear > _SIGMAS * olat.sigma).any(where=valid):
+        # Six standard deviations are brighter than noise, of millions of pixels.
+        if valid.any() and not (olat.linear > 6 * olat.sigma).any(where=valid):
             raise ReflectanceError(
                 f"{whose}: no pixel of any pair is brighter with its flash by more than noise: did the "
                 "flashes fire, do the names of the files say so, is `noise` right?"
@@ -300,8 +286,7 @@ class CaptureFiles:
 def read_capture(path: str | Path) -> CaptureFiles:
     """Return what the capture file at `path` says, and its mesh; no picture is read.
 
-    Raises `ReflectanceError` when the file or a pose in it is invalid; names it and the first fault;
-    `ScanError` when the mesh cannot be read.
+    Raises `ReflectanceError` when the file or a pose in it is invalid, `ScanError` when its mesh is.
     """
     file = Path(path)
     content = read_record(
@@ -330,8 +315,5 @@ def read_capture(path: str | Path) -> CaptureFiles:
 
 
 def write_capture(path: str | Path, content: FlashCaptureFile) -> None:
-    """Write `content` to `path`, whole or not at all; pictures and mesh are the caller's.
-
-    Raises `OutputError`.
-    """
+    """Write `content` to `path`, whole or not at all; the rest is the caller's. Raises `OutputError`."""
     write_record(path, content, indent=1)

@@ -22,8 +22,6 @@ Lobe = Literal["tilted", "full"]
 have it: the lobe of v = n over the whole sphere, turned to the mirrored view."""
 
 ORDER = 8
-_VIEWS, _QUADRATURE = 33, (96, 192)
-"""Of the tables of tilted lobes: angles of view, and heights and turns of the sums."""
 _DEGREES = harmonic_degrees(ORDER)
 HARMONICS = len(_DEGREES)
 """Coefficients a channel."""
@@ -32,10 +30,7 @@ HARMONICS = len(_DEGREES)
 def lambert_coefficients(order: int = ORDER) -> FloatArray:
     """Return (order + 1,) responses A_l / pi of a Lambertian surface (Ramamoorthi and Hanrahan, JOSA A 2001).
 
-        A_l / pi = 2 integral over 0 ... 1 of t P_l(t) dt.
-
-    >>> lambert_coefficients(4).round(6).tolist()
-    [1.0, 0.666667, 0.25, 0.0, -0.041667]
+    A_l / pi = 2 integral over 0 ... 1 of t P_l(t) dt.
     """
     response = np.zeros(order + 1)
     response[:2] = [1.0, 2 / 3][: order + 1]
@@ -55,9 +50,6 @@ def lobe_coefficients(exponent: float, order: int = ORDER) -> FloatArray:
         B_0 = 1,   B_{l+1} = B_l (a - l) / (a + l + 2).
 
     Raises `ValueError` when s is not more than 0.
-
-    >>> lobe_coefficients(8, order=4).round(4).tolist()
-    [1.0, 0.6667, 0.2857, 0.0714, 0.0079]
     """
     if not exponent > 0:
         raise ValueError(f"exponent must be more than 0, got {exponent}")
@@ -70,19 +62,14 @@ def tilted_lobe(
 ) -> tuple[FloatArray, FloatArray]:
     """Return coefficients (..., 9) of the true lobe, averaged around its mean direction, and that direction.
 
-    Lobes lean from the mirrored view towards the normal, broad ones most: light from below the horizon is
-    missing, and n.h falls more slowly that way. The second array is the tilt in rad from n to the mean
-    direction, in the plane of n and v away from v; the mirrored view has the tilt `angle_rad`, between n and
-    v. From pi / 2 on (a surface that is not seen) coefficients are 0. With `derivative` 1 both are
-    differentiated by the angle. Raises `ValueError` when the exponent is not more than 0 or an angle not
-    finite.
+    Lobes lean from the mirrored view towards the normal, broad ones most. The second array is the tilt in rad
+    from n to the mean direction, in the plane of n and v away from v; the mirrored view has the tilt
+    `angle_rad`, between n and v. From pi / 2 on (a surface that is not seen) coefficients are 0. With
+    `derivative` 1 both are differentiated by the angle. Raises `ValueError` when the exponent is not more
+    than 0 or an angle not finite.
 
     In generated light the highlights of s = 1, 8 and 64 seen at 60 degrees are 3, 3 and 12 % off; with the
-    full lobe 79, 72 and 86 % (tools/bench_reflectance_model.py). The table has 33 views, splines between.
-
-    >>> _, tilt = tilted_lobe(np.radians([0, 60]), 8)
-    >>> np.degrees(tilt).round(1).tolist()
-    [0.0, 41.8]
+    full lobe 79, 72 and 86 % (tools/bench_reflectance_model.py).
     """
     if not exponent > 0:
         raise ValueError(f"exponent must be more than 0, got {exponent}")
@@ -96,13 +83,13 @@ def tilted_lobe(
 @cache
 def _spline(exponent: float) -> CubicSpline:
     """Coefficients of the true lobe around its mean direction, and its tilt, by the angle between n and v."""
-    angles, (heights, turns) = np.linspace(0, np.pi / 2, _VIEWS), _QUADRATURE
+    angles, heights, turns = np.linspace(0, np.pi / 2, 33), 96, 192  # of the views, and of the sums
     nodes, weights = leggauss(heights)
     t, across = (nodes + 1) / 2, np.sqrt(1 - ((nodes + 1) / 2) ** 2)
     # The lobe is even in the turn, so half a circle of midpoints covers all of it.
     forward = -across[:, None] * np.cos((np.arange(turns) + 0.5) * np.pi / turns)
     upward = np.broadcast_to(t[:, None], forward.shape)
-    table = np.empty((_VIEWS, ORDER + 2))
+    table = np.empty((len(angles), ORDER + 2))
     for row, angle in zip(table, angles, strict=True):
         light_view = np.cos(angle) * upward - np.sin(angle) * forward
         normal_half = (upward + np.cos(angle)) / np.sqrt(2 + 2 * light_view)
@@ -249,19 +236,13 @@ def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
     return unit
 
 
-@dataclass(frozen=True)
-class ShadingGradient:
-    """Derivatives of the radiance (V, 3); rows by channel, columns by coordinate."""
-
-    by_normal: FloatArray
-    by_view: FloatArray
-    """`by_normal`, `by_view`: (V, 3, 3), right for changes along the sphere."""
-
-
 def shading_gradient(
     reflectance: VertexReflectance, normals: FloatArray, toward_camera: FloatArray, light: FloatArray
-) -> ShadingGradient:
+) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of `shade_environment`'s radiance under light (81, 3), lobes "tilted".
+
+    By normals and by directions to the camera, both (V, 3, 3), rows by channel, columns by coordinate; right
+    for changes along the sphere.
 
     The V vertices are known, their normals n and directions to the camera v unit vectors with c = n.v > 0.
     With e = (c n - v) / sin(angle) and f = (n - c v) / sin(angle), the angle between n and v has the
@@ -301,4 +282,4 @@ def shading_gradient(
         weight = reflectance.weights[:, k, None, None]
         by_normal += weight * (lobe_by_normal + by_angle[:, :, None] * e[:, None, :])
         by_view += weight * (across_n * n[:, None, :] - across - by_angle[:, :, None] * f[:, None, :])
-    return ShadingGradient(by_normal, by_view)
+    return by_normal, by_view

@@ -12,7 +12,7 @@ from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.albedo_details import ShadingDivided, detail_field, with_details
+from scan2albedo.reflectance.albedo_details import ShadingDivided, detail_field
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
@@ -20,12 +20,13 @@ from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
-_BLOCK_MM, _FOLDS, _LEAST_BLOCKS = 12.0, 3, 12
-"""Edge of the cubes whose vertices are left out together, and number of fits that share them; with fewer
-cubes there is no evidence."""
-_MARGIN, _LEAST_GAIN = 2.0, 0.07
-"""A gain must exceed this many of its standard errors over the blocks, and this share of the error: light
-that skin reflects onto skin is coloured, and gains a little."""
+_BLOCK_MM = 12.0
+"""Edge of the cubes whose vertices are left out together."""
+_LEAST_BLOCKS = 12
+"""With fewer cubes there is no evidence."""
+_LEAST_GAIN = 0.07
+"""A gain must exceed this share of the error: light that skin reflects onto skin is coloured, and gains a
+little."""
 
 
 @dataclass(frozen=True)
@@ -39,32 +40,16 @@ class Evidence:
     """`error_before`, `error_after`: mean absolute logarithm of predicted over observed colours, less its
     mean over the channels."""
     gain: float
-    """Their difference, mean over blocks."""
     standard_error: float
-    """Of the gain, over blocks."""
     blocks: int
-    """That were judged."""
+    """`gain`, `standard_error`: of the difference, over the `blocks` that were judged."""
     accepted: bool
-    """Whether the step is believed."""
     unexplained: float = 0.0
     """Relative RMSE of the fit to all blocks, where it is too large to believe anything."""
     objective_before: float = np.nan
     objective_after: float = np.nan
     """`objective_before`, `objective_after`: of the fits to all blocks with the mean face and with the
-    person; NaN where colour has decided already."""
-
-    def __str__(self) -> str:
-        if not np.isfinite(self.error_before):
-            return f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
-        text = (
-            f"colour of left-out blocks {100 * self.error_before:.2f} -> {100 * self.error_after:.2f} %, "
-            f"gain {100 * self.gain:.2f} +- {100 * self.standard_error:.2f} %, {self.blocks} blocks"
-        )
-        if np.isfinite(self.objective_after):
-            text += f"; objective of all blocks {self.objective_before:.4g} -> {self.objective_after:.4g}"
-        if self.unexplained:
-            text += f"; relative RMSE of all blocks {100 * self.unexplained:.1f} %"
-        return text
+    person; NaN where colour has decided already. `accepted` says whether the step is believed."""
 
     @property
     def missed_mean(self) -> bool:
@@ -84,7 +69,17 @@ class Evidence:
             reason = f"{what} predict parts of the photograph that were left out"
         else:
             reason = f"{what} do not predict parts of the photograph that were left out"
-        return PlanStep(f"reflectance.image.{self.step}", self.accepted, reason, str(self))
+        text = f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
+        if np.isfinite(self.error_before):
+            text = (
+                f"colour of left-out blocks {100 * self.error_before:.2f} -> {100 * self.error_after:.2f} %, "
+                f"gain {100 * self.gain:.2f} +- {100 * self.standard_error:.2f} %, {self.blocks} blocks"
+            )
+        if np.isfinite(self.objective_after):
+            text += f"; objective of all blocks {self.objective_before:.4g} -> {self.objective_after:.4g}"
+        if self.unexplained:
+            text += f"; relative RMSE of all blocks {100 * self.unexplained:.1f} %"
+        return PlanStep(f"reflectance.image.{self.step}", self.accepted, reason, text)
 
 
 @dataclass(frozen=True)
@@ -106,9 +101,8 @@ class FaceFit:
     details: FloatArray | None
     """(V, 3): logarithms of the factors on the albedo; None where they were not accepted."""
     evidence: tuple[Evidence, ...]
-    """For details and for the person."""
     plan: Plan
-    """What was believed, and why."""
+    """`evidence` for details and for the person, and what was believed, and why."""
 
 
 def fit_face(
@@ -144,11 +138,8 @@ def fit_face(
         Millimetres.
     faces : (F, 3) array_like of int
     lighting : LightingModel, optional
-        `LightingModel.default()` when omitted.
-    budget : Budget or float, optional
-        Of each of the fits.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
+    budget, on_progress : optional
+        Of each of the fits, see `fit_image`.
 
     Notes
     -----
@@ -191,7 +182,8 @@ def fit_face(
     if details.accepted:
         divided = ShadingDivided.from_observation(observation, model, reflectance, fit.light)
         field = detail_field(divided, xyz, index)
-        reflectance = with_details(reflectance, field)
+        factor = np.where(reflectance.known[:, None], np.exp(field), 1.0)
+        reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
         used = np.flatnonzero(np.asarray(observation.seen) & model.known)
         part = VertexReflectance(
             reflectance.diffuse_linear[used], reflectance.weights[used], np.ones(len(used), bool)
@@ -219,10 +211,10 @@ def _left_out_errors(
     block = np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    count = int(block.max(initial=-1)) + 1
-    fold_of = np.random.default_rng(0).permutation(count) % _FOLDS
+    count, folds = int(block.max(initial=-1)) + 1, 3
+    fold_of = np.random.default_rng(0).permutation(count) % folds
     errors: dict[str, FloatArray] = {}
-    for fold in range(_FOLDS):
+    for fold in range(folds):
         held_out = used & (fold_of[block] == fold)
         kept = used & ~held_out
         if not held_out.any() or not kept.any():
@@ -258,5 +250,5 @@ def _judged(errors: dict[str, FloatArray], step: str, before: str, after: str) -
         return Evidence(step, np.nan, np.nan, 0.0, 0.0, count, False)
     gain, spread = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(count))
     first, last = float(one[common].mean()), float(two[common].mean())
-    accepted = gain > max(_MARGIN * spread, _LEAST_GAIN * first)
+    accepted = gain > max(2 * spread, _LEAST_GAIN * first)  # two standard errors
     return Evidence(step, first, last, gain, spread, count, accepted)

@@ -42,9 +42,8 @@ class FineTuning:
     accepted_steps: tuple[float, ...]
     """Share of its change that each accepted round took."""
     held_out_before: float
-    """Mean objective of fits to the held-out images with the model given."""
     held_out_after: float
-    """The same with `model`."""
+    """`held_out_before`, `held_out_after`: mean objective of fits to the held-out images with each model."""
     converged: bool
     """False when the budget or the rounds ended while changes still helped."""
     trace: Trace
@@ -84,18 +83,13 @@ def finetune(
     vertices : (V, 3) array_like of float
         Their positions in mm, of any face at rest.
     lighting : LightingModel, optional
-        `LightingModel.default()` when omitted.
-    budget : Budget or float, optional
-        Image fits or seconds; the best model so far is returned when it ends.
-    on_progress : callable, optional
-        Called with every `TraceRow`, whose error is the held-out objective.
+    budget, on_progress : optional
+        Image fits or seconds, the best model so far is returned when it ends; called with every `TraceRow`.
 
     Notes
     -----
-    Images determine the albedo only up to the light: the anchor keeps it. It is Gaussian, for then each
-    vertex has a closed form; the absolute differences of Han, Wang and Xu, who tune networks by gradients,
-    favour few vertices. Tuning adds no directions. tools/bench_reflectance_finetune.py measures it on other
-    pictures.
+    Images determine the albedo only up to the light: the anchor keeps it. Tuning adds no directions.
+    tools/bench_reflectance_finetune.py measures it on other pictures.
     """
     count = len(model.known)
     triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
@@ -117,7 +111,7 @@ def finetune(
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
 
     def fit(observation: ImageObservation, tried: MorphableReflectanceModel, late: bool = False) -> ImageFit:
-        """Fit an image; raise `_OutOfTime` when the deadline cut the fit short, unless `late` is allowed."""
+        # Raises `_OutOfTime` when the deadline cut the fit short, unless that is allowed (`late`).
         if meter.out_of_time and not late:
             raise _OutOfTime
         meter.count()
@@ -177,7 +171,7 @@ def is_improvement(before: FloatArray, after: FloatArray) -> bool:
     The mean, and the mean of the images' relative falls, must fall by over 0.1 %, `assured_gains` be above 0.
     """
     falls = after.mean(0) < (1 - _LEAST_GAIN) * before.mean(0)
-    gains = (1 - after / np.maximum(before, 1e-300)).mean(0)
+    gains = (1 - after / np.maximum(before, np.finfo(float).tiny)).mean(0)
     return bool((falls & (gains > _LEAST_GAIN) & (assured_gains(before, after) > 0)).all())
 
 
@@ -189,7 +183,7 @@ def assured_gains(before: FloatArray, after: FloatArray) -> FloatArray:
     """
     from scipy.special import stdtrit
 
-    gains = 1 - after / np.maximum(before, 1e-300)
+    gains = 1 - after / np.maximum(before, np.finfo(float).tiny)
     count = len(gains)
     if count == 1:
         return np.asarray(gains[0])
@@ -234,8 +228,8 @@ def best_change(
 
         (x_i . x_i') (m_c^2 [j = j'] d_ij d_i'j' + m_s^2 h_ij h_i'j') + noise,
 
-    a system of 3 M equations for M images. Cost: V (3 M)^3 / 3; memory 12 V M numbers. The `fits` may be
-    those of another model with the same directions.
+    a system of 3 M equations for M images. Cost: V (3 M)^3 / 3. The `fits` may be those of another model with
+    the same directions.
     """
     count, images = len(model.known), len(fits)
     scores = np.stack([fit.face.coefficients for fit in fits])

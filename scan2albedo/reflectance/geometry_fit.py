@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,15 +15,14 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
-from scan2albedo.optimization import Damping
+from scan2albedo.optimization import Damping, Descent
 from scan2albedo.reflectance.environment_shading import checked_light
 from scan2albedo.reflectance.geometry_terms import (
-    PRIOR_WEIGHT,
     GeometryObjective,
     GeometryState,
     LandmarkTerm,
-    Photometry,
     SmoothImage,
+    photometric_term,
 )
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
 from scan2albedo.reflectance.linear_model import checked_coefficients
@@ -31,18 +31,7 @@ from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 
 BLUR_EDGES = 0.3
-"""The image is smoothed by this standard deviation, in mean edges of the mesh: the reflectance does not hold
-what is finer than the spacing of its vertices."""
-_RIGID_STEPS, _LANDMARK_STEPS = 20, 100
-"""Most steps with landmarks alone: of the pose, then of pose and shape."""
-_ROUNDS, _REFRESH_STEPS = 10, 5
-"""With photometry: rays find anew which vertices are seen at most so often, after so many steps."""
-_LANDMARK_GROWTH, _LANDMARK_SLACK_PX = 1.5, 0.5
-"""Photometry is not accepted when it makes the landmarks' error larger than this times the error without, and
-by more than this many pixels."""
-_TOLERANCE, _LARGEST_FIRST_DAMPING = 1e-4, 0.1
-"""Part of the objective that is not progress; a search goes on with the damping that the one before ended
-with, but with no more than this."""
+"""Standard deviation of the image's smoothing, in mean edges of the mesh: vertices hold nothing finer."""
 
 
 @dataclass(frozen=True)
@@ -62,18 +51,16 @@ class GeometryFit:
     landmark_error_px: FloatArray
     """(68,) distances in the image; NaN where a landmark was not seen or left out."""
     photometric_rmse_before: float | None
-    """Of the colours with the shape from landmarks alone (or the initial one), over that of the image, over
-    vertices that both shapes show; None without photometry."""
     photometric_rmse_after: float | None
-    """The same with photometry, accepted or not."""
+    """`photometric_rmse_before`, `photometric_rmse_after`: of the colours over that of the image, at vertices
+    that both shapes show: from landmarks alone (or the start), and with photometry; None without it."""
     plan: Plan
     """Whether landmarks and photometry were used, and why."""
     converged: bool
-    """False when the budget or the steps ended first."""
     iterations: int
-    """Steps taken."""
     trace: Trace
-    """Of the objective, in rows of "reflectance.geometry.landmarks" and ".photometry"."""
+    """Of the objective, in rows of "reflectance.geometry.landmarks" and ".photometry". `converged` is False
+    when the budget or the steps (`iterations`) ended first."""
 
     @property
     def landmark_rmse_px(self) -> float | None:
@@ -106,12 +93,12 @@ def refine_geometry(
 
     q in mm at the face's depth, by Levenberg-Marquardt with analytic derivatives on re-weighted squares. In r
     both the image, smoothed by 0.3 edges of the mesh, moves under a vertex and the shading turns with its
-    normal. Rays find which vertices U are seen, anew every few steps. The result with photometry is accepted
-    only when the objective over the vertices seen in both shapes falls, landmarks stay near, and the colours
-    are explained; otherwise the result of the landmarks alone is returned. Raises `ReflectanceError` when
-    there is neither a landmark nor photometry, no initial pose and too few landmarks to find one, another
-    topology, or numbers that are not finite; `ValueError` when shapes disagree, or only one of `reflectance`
-    and `light` is given. Warns by `RuntimeWarning` when it stops without having converged.
+    normal. Rays find which vertices U are seen, anew every five steps. The result with photometry is accepted
+    only when the objective over the vertices seen in both shapes falls and the colours are explained;
+    otherwise the result of the landmarks alone is returned. Raises `ReflectanceError` when there is neither a
+    landmark nor photometry, no initial pose and too few landmarks to find one, another topology, or numbers
+    that are not finite; `ValueError` when shapes disagree, or only one of `reflectance` and `light` is given.
+    Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------
@@ -132,10 +119,8 @@ def refine_geometry(
         Rigid; found from the landmarks when omitted.
     initial_identity, initial_expression : (N_S,), (N_E,) array_like of float, optional
         Zeros when omitted.
-    budget : Budget or float, optional
-        Evaluations or seconds after which the best so far is returned with `converged=False`.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
+    budget, on_progress : optional
+        When it ends the best so far is returned with `converged=False`; called with every `TraceRow`.
 
     Notes
     -----
@@ -157,10 +142,11 @@ def refine_geometry(
             )
         ]
     )
-    state = _initial_state(matrix, landmarks, shape_model, initial_scene_from_model, coefficients)
+    pose = _initial_pose(matrix, landmarks, shape_model, initial_scene_from_model, coefficients)
+    state = GeometryState.from_pose(shape_model, pose, coefficients)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
-    photometry = None
+    term_over = None
     if reflectance is not None and light is not None:
         # The mean edge of the mesh in the image; 0 where the face is behind the camera.
         edges, _ = edges_with_faces(shape_model.faces)
@@ -173,46 +159,121 @@ def refine_geometry(
                 f"the reflectance has {len(reflectance.known)} vertices and the shape model "
                 f"{len(shape_model.mean)}; bring both to one topology"
             )
-        photometry = Photometry(image, matrix, shape_model.faces, reflectance, checked_light(light))
+        term_over = partial(
+            photometric_term, image, matrix, shape_model.faces, reflectance, checked_light(light)
+        )
     elif not np.isfinite(landmarks).any():
         raise ReflectanceError(
             "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
         )
-    fit = _Refinement(matrix, landmarks, shape_model, state)
     meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
-    fit.run_landmarks(meter)
-    fit.run_photometry(photometry, meter)
-    if not fit.converged:
+    converged, iterations = True, 0
+    rmse: tuple[float | None, float | None] = (None, None)
+    seen, anchors = np.flatnonzero(np.isfinite(landmarks).all(1)), []
+    name = "reflectance.geometry.landmarks"
+    plan = [PlanStep(name, False, "no landmark is seen")]
+    if len(seen):
+        vertex = shape_model.landmark_vertices[seen]
+        _, depth = project(matrix, state.vertices[vertex])
+        if not (depth > 0).all():
+            raise ReflectanceError(
+                "landmarks lie behind the camera at the initial pose; check pose and camera"
+            )
+        anchors = [LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))]
+        plan = [PlanStep(name, True, "landmarks are seen", f"{len(seen)} landmarks")]
+        stage = meter.sub_meter(name, "objective")
+        for rigid, most in ((True, 20), (False, 100)):
+            found = _descent(GeometryObjective(shape_model, anchors, rigid), state, stage, most)
+            state, converged = found.best.state, found.converged
+            iterations += found.steps
+        meter.merge(stage)
+    name = "reflectance.geometry.photometry"
+    if term_over is None:
+        plan.append(PlanStep(name, False, "no reflectance and light are given"))
+    elif meter.exhausted:
+        converged = False
+        plan.append(PlanStep(name, False, "the budget had ended"))
+    else:
+        stage = meter.sub_meter(name, "objective")
+        colored, steps, ended, damping = state, 0, False, Damping().first
+        for _ in range(10):  # each finds anew which vertices are seen
+            term = term_over(colored.vertices)
+            if term is None or stage.exhausted:
+                break
+            found = _descent(GeometryObjective(shape_model, [*anchors, term]), colored, stage, 5, damping)
+            colored, damping = found.best.state, found.damping
+            steps += found.steps
+            if found.converged:
+                ended = not stage.exhausted
+                break
+        meter.merge(stage)
+        iterations += steps
+        objection, evidence = "the image shows nothing of the face, or no step helps", ""
+        if steps:
+            objection = "shapes before and after show nothing in common"
+            if (term := term_over(state.vertices, colored.vertices)) is not None:
+                objective = GeometryObjective(shape_model, [*anchors, term])
+                free = meter.untraced()
+                values = [MapPoint.evaluate(objective, one, free).cost for one in (state, colored)]
+                before, after = (term.relative_rmse(one.vertices) for one in (state, colored))
+                evidence = f"relative rmse {before:.4f} -> {after:.4f}, {len(term.used)} vertices"
+                rmse = before, after
+                objection = ""
+                if not values[1] < values[0]:
+                    objection = "the objective did not fall over what both shapes show"
+                elif not after <= MOST_UNEXPLAINED:
+                    objection = "the colours are not explained; light or reflectance are others"
+        plan.append(PlanStep(name, not objection, objection or "the colours are explained better", evidence))
+        if not objection:
+            state, converged = colored, ended
+        elif meter.exhausted:
+            converged = False
+    if not converged:
         warnings.warn(
-            f"the geometry fit stopped after {fit.iterations} steps without having converged",
+            f"the geometry fit stopped after {iterations} steps without having converged",
             RuntimeWarning,
             stacklevel=2,
         )
-    identity, expression = np.split(fit.state.coefficients, [shape_model.identity_components])
+    identity, expression = np.split(state.coefficients, [shape_model.identity_components])
+    pixels, _ = project(matrix, state.vertices[shape_model.landmark_vertices])
     return GeometryFit(
-        scene_from_model=fit.state.scene_from_model,
+        scene_from_model=state.scene_from_model,
         identity=identity,
         expression=expression,
-        vertices=fit.state.vertices,
-        normals=vertex_normals(fit.state.vertices, shape_model.faces),
-        landmark_error_px=fit.landmark_errors(fit.state),
-        photometric_rmse_before=fit.rmse[0],
-        photometric_rmse_after=fit.rmse[1],
-        plan=Plan(tuple(fit.steps)),
-        converged=fit.converged,
-        iterations=fit.iterations,
+        vertices=state.vertices,
+        normals=vertex_normals(state.vertices, shape_model.faces),
+        landmark_error_px=np.asarray(np.linalg.norm(pixels - landmarks, axis=1)),
+        photometric_rmse_before=rmse[0],
+        photometric_rmse_after=rmse[1],
+        plan=Plan(tuple(plan)),
+        converged=converged,
+        iterations=iterations,
         trace=meter.trace,
     )
 
 
-def _initial_state(
+def _descent(
+    objective: GeometryObjective,
+    state: GeometryState,
+    meter: Meter,
+    steps: int,
+    damping: float = Damping().first,
+) -> Descent[MapPoint[GeometryState]]:
+    """Return where up to `steps` steps lead, nowhere when the budget has ended."""
+    start = MapPoint(objective, state, np.inf, meter)
+    if not meter.exhausted:
+        start = MapPoint.evaluate(objective, state, meter)
+    return most_probable(start, steps=steps, tolerance=1e-4, damping=Damping(first=damping))
+
+
+def _initial_pose(
     camera: FloatArray,
     landmarks: FloatArray,
     model: MorphableShapeModel,
     pose: ArrayLike | None,
     coefficients: FloatArray,
-) -> GeometryState:
-    """Return the initial state, its pose from landmarks where none is given."""
+) -> FloatArray:
+    """Return the pose given, checked, or the one that the landmarks show."""
     if pose is not None:
         matrix = np.array(pose, np.float64)
         if matrix.shape != (4, 4):
@@ -223,150 +284,19 @@ def _initial_state(
             raise ReflectanceError(
                 "initial_scene_from_model is not a rigid transform; give rotation and translation"
             )
-        return GeometryState.from_pose(model, matrix, coefficients)
+        return matrix
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
-    if len(seen) < LEAST_FOR_POSE:
+    if len(seen) < 6:
         raise ReflectanceError(
-            f"{len(seen)} landmarks are seen, and a pose takes {LEAST_FOR_POSE}; give "
-            "initial_scene_from_model"
+            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
         )
     points = model.at(coefficients)[model.landmark_vertices[seen]]
-    return GeometryState.from_pose(model, pose_from_landmarks(camera, points, landmarks[seen]), coefficients)
+    return pose_from_landmarks(camera, points, landmarks[seen])
 
 
 def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
     """Return the size of a pixel at the median depth."""
     return float(np.median(depth) / np.sqrt(abs(np.linalg.det(camera[:, :3]))))
-
-
-class _Search:
-    """A state that descents move one after the other."""
-
-    def __init__(self, start: GeometryState, meter: Meter) -> None:
-        self.state, self.meter = start, meter
-        self.iterations, self.converged, self.hardly_fell = 0, False, True
-        self._damping = Damping().first
-
-    def run(self, objective: GeometryObjective, steps: int) -> None:
-        """Take up to `steps` steps; says whether it converged, and whether another run is not worth it."""
-        self.converged = False
-        if self.meter.exhausted:
-            return
-        start = MapPoint.evaluate(objective, self.state, self.meter)
-        damping = Damping(first=min(self._damping, _LARGEST_FIRST_DAMPING))
-        found = most_probable(start, steps=steps, tolerance=_TOLERANCE, damping=damping)
-        self.hardly_fell = start.cost - found.best.cost <= _TOLERANCE * found.best.cost
-        self.state, self._damping = found.best.state, found.damping
-        self.iterations += found.steps
-        self.converged = found.converged
-
-
-class _Refinement:
-    """A fit in its two stages: landmarks alone, then colours with them, accepted or not."""
-
-    def __init__(
-        self, camera: FloatArray, landmarks: FloatArray, model: MorphableShapeModel, state: GeometryState
-    ) -> None:
-        self.camera, self.landmarks, self.model, self.state = camera, landmarks, model, state
-        self.converged, self.iterations = True, 0
-        self.rmse: tuple[float | None, float | None] = (None, None)
-        self.steps: list[PlanStep] = []
-        self.anchor: LandmarkTerm | None = None
-        seen = np.flatnonzero(np.isfinite(landmarks).all(1))
-        if len(seen):
-            vertex = model.landmark_vertices[seen]
-            _, depth = project(camera, state.vertices[vertex])
-            if not (depth > 0).all():
-                raise ReflectanceError(
-                    "landmarks lie behind the camera at the initial pose; check pose and camera"
-                )
-            self.anchor = LandmarkTerm(camera, vertex, landmarks[seen], _pixel_mm(camera, depth))
-
-    def run_landmarks(self, meter: Meter) -> None:
-        """Fit the landmarks alone."""
-        name = "reflectance.geometry.landmarks"
-        if self.anchor is None:
-            self.steps.append(PlanStep(name, False, "no landmark is seen"))
-            return
-        stage = meter.sub_meter(name, "objective")
-        rigid = _Search(self.state, stage)
-        rigid.run(GeometryObjective(self.model, [self.anchor], rigid=True), _RIGID_STEPS)
-        search = _Search(rigid.state, stage)
-        search.run(GeometryObjective(self.model, [self.anchor]), _LANDMARK_STEPS)
-        self.state, self.converged = search.state, search.converged
-        self.iterations += rigid.iterations + search.iterations
-        meter.merge(stage)
-        self.steps.append(PlanStep(name, True, "landmarks are seen", f"{len(self.anchor.vertex)} landmarks"))
-
-    def run_photometry(self, photometry: Photometry | None, meter: Meter) -> None:
-        """Fit landmarks and colours, updating the seen vertices every few steps, and judge the result."""
-        name = "reflectance.geometry.photometry"
-        if photometry is None:
-            self.steps.append(PlanStep(name, False, "no reflectance and light are given"))
-            return
-        if meter.exhausted:
-            self.converged = False
-            self.steps.append(PlanStep(name, False, "the budget had ended"))
-            return
-        stage = meter.sub_meter(name, "objective")
-        search, converged = _Search(self.state, stage), False
-        for _ in range(_ROUNDS):
-            term = photometry.term(search.state.vertices)
-            if term is None or stage.exhausted:
-                break
-            terms = (term,) if self.anchor is None else (self.anchor, term)
-            search.run(GeometryObjective(self.model, terms), _REFRESH_STEPS)
-            # Nothing to gain from what is seen now, and so neither from finding it anew.
-            if search.converged or search.hardly_fell:
-                converged = not stage.exhausted
-                break
-        meter.merge(stage)
-        self.iterations += search.iterations
-        if self._accepted(name, photometry, search):
-            self.state, self.converged = search.state, converged
-        elif meter.exhausted:
-            self.converged = False
-
-    def _accepted(self, name: str, photometry: Photometry, search: _Search) -> bool:
-        """Return whether the result of photometry is accepted, and write it into the plan."""
-        if search.iterations == 0:
-            self.steps.append(PlanStep(name, False, "the image shows nothing of the face, or no step helps"))
-            return False
-        states = self.state, search.state
-        term = photometry.term(*(state.vertices for state in states))
-        if term is None:
-            self.steps.append(PlanStep(name, False, "shapes before and after show nothing in common"))
-            return False
-        values, rmse, error = [], [], []
-        for state in states:
-            rmse.append(term.relative_rmse(state.vertices))
-            of_landmarks = 0.0 if self.anchor is None else self.anchor.value(state.vertices)
-            prior = PRIOR_WEIGHT * float(state.coefficients @ state.coefficients)
-            values.append(term.value(state.vertices) + of_landmarks + prior)
-            if self.anchor is not None:
-                error.append(float(np.sqrt(np.nanmean(self.landmark_errors(state) ** 2))))
-        self.rmse = rmse[0], rmse[1]
-        objection = ""
-        if not values[1] < values[0]:
-            objection = "the objective did not fall over what both shapes show"
-        elif not rmse[1] <= MOST_UNEXPLAINED:
-            objection = "the colours are not explained; light or reflectance are others"
-        elif error and error[1] > max(_LANDMARK_GROWTH * error[0], error[0] + _LANDMARK_SLACK_PX):
-            objection = f"the landmarks' error grew from {error[0]:.2f} to {error[1]:.2f} px"
-        evidence = f"relative rmse {rmse[0]:.4f} -> {rmse[1]:.4f}, {len(term.used)} vertices"
-        reason = objection or "the colours are explained better"
-        self.steps.append(PlanStep(name, not objection, reason, evidence))
-        return not objection
-
-    def landmark_errors(self, state: GeometryState) -> FloatArray:
-        """Return (68,) distances in pixels, NaN where a landmark is not seen."""
-        pixels, _ = project(self.camera, state.vertices[self.model.landmark_vertices])
-        return np.asarray(np.linalg.norm(pixels - self.landmarks, axis=1))
-
-
-LEAST_FOR_POSE, _ITERATIONS = 6, 200
-_STARTS_DEG = ((0.0, 0.0), (0.0, 45.0), (0.0, -45.0), (35.0, 0.0), (-35.0, 0.0))
-"""Pitch and yaw that the first rotation is turned by: flat sets of points have two minima."""
 
 
 def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
@@ -396,10 +326,11 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
     off = onto - np.eye(3)
     to_translation = -np.linalg.inv(off.sum(0))
     best, least = np.eye(4), np.inf
-    for pitch, yaw in np.radians(_STARTS_DEG):
+    # Flat sets of points have two minima, hence several starts: pitch and yaw in degrees.
+    for pitch, yaw in np.radians([(0, 0), (0, 45), (0, -45), (35, 0), (-35, 0)]):
         rotation = upright @ rotation_from_vector([0, yaw, 0]) @ rotation_from_vector([pitch, 0, 0])
         before = np.inf
-        for _ in range(_ITERATIONS):
+        for _ in range(200):
             shift = to_translation @ np.einsum("nij,nj->i", off, local @ rotation.T)
             pose = compose(rotation, shift)
             target = np.einsum("nij,nj->ni", onto, transform_points(pose, local))

@@ -26,13 +26,9 @@ from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 LANDMARK_WEIGHT, PRIOR_WEIGHT = 0.2, 1e-3
 """Of the mean squared distance of landmarks, in mm at the face's depth, and of the squared coefficients."""
-POSE = 6
-"""Parameters of a step's pose: turn around the face's middle in rad, and shift in mm."""
 _VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
 """Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer
 than so many pixels to an edge of the surface in the image."""
-_LEAST_VERTICES = 20
-"""Fewer do not determine a shape."""
 
 
 class SmoothImage:
@@ -173,7 +169,7 @@ class PhotometricTerm:
         if off is None:
             return np.inf
         observed = self.image.look_up(project(self.camera, vertices[self.used])[0]) / self.unit
-        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), 1e-300))
+        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), np.finfo(float).tiny))
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`, where its value is finite."""
@@ -185,8 +181,8 @@ class PhotometricTerm:
         view = sight / distance[:, None]
         pixels, _ = project(self.camera, points)
         normals = vertex_normals(vertices, self.faces)[used]
-        turned = shading_gradient(self.reflectance, normals, view, self.light)
-        across = turned.by_view - np.einsum("uji,ui,uk->ujk", turned.by_view, view, view)
+        by_normal, by_view = shading_gradient(self.reflectance, normals, view, self.light)
+        across = by_view - np.einsum("uji,ui,uk->ujk", by_view, view, view)
         direct = self.image.gradient(pixels) @ projection_jacobian(self.camera, points)
         # The line of sight turns against the vertex: its derivative is -(I - v v^T) / distance.
         direct += across / distance[:, None, None]
@@ -197,7 +193,7 @@ class PhotometricTerm:
         row = np.repeat(np.arange(len(used)), length)
         taken = by_vertex.indptr[used][row] + np.arange(start[-1]) - start[row]
         column = by_vertex.indices[taken]
-        blocks = -turned.by_normal[row] @ by_vertex.data[taken]
+        blocks = -by_normal[row] @ by_vertex.data[taken]
         blocks[column == used[row]] += direct
         shape = (3 * len(used), by_vertex.shape[1])
         jacobian = sparse.bsr_matrix((blocks / self.unit, column, start), shape=shape)
@@ -208,43 +204,37 @@ class PhotometricTerm:
         return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
 
 
-@dataclass(frozen=True)
-class Photometry:
-    """A smoothed image, its camera, and the face's reflectance in a light."""
+def photometric_term(
+    image: SmoothImage,
+    camera: FloatArray,
+    faces: IntArray,
+    reflectance: VertexReflectance,
+    light: FloatArray,
+    *shapes: FloatArray,
+) -> PhotometricTerm | None:
+    """Return the term over the vertices that are known, seen and on valid pixels in all `shapes` (V, 3).
 
-    image: SmoothImage
-    camera: FloatArray
-    """(3, 4), normalised."""
-    faces: IntArray
-    reflectance: VertexReflectance
-    light: FloatArray
-    """(81, 3)."""
-
-    def term(self, *shapes: FloatArray) -> PhotometricTerm | None:
-        """Return the term over the vertices that are known, seen and on valid pixels in all shapes (V, 3).
-
-        None where they are too few, or all is black in the first shape.
-        """
-        usable = self.reflectance.known
-        for vertices in shapes:
-            pixels, depth = project(self.camera, vertices)
-            if not (np.isfinite(vertices).all() and (depth > 0).all()):
-                return None
-            usable = usable & self.image.covers(pixels)
-            if usable.sum() < _LEAST_VERTICES:
-                return None
-            visibility = VertexVisibility(vertices, self.faces, vertex_normals(vertices, self.faces))
-            usable = usable & visibility.seen(self.camera, _VIEW_COSINE, _MARGIN_PX)
-        used = np.flatnonzero(usable)
-        if len(used) < _LEAST_VERTICES:
+    None where there are none, or all is black in the first shape.
+    """
+    usable = reflectance.known
+    for vertices in shapes:
+        pixels, depth = project(camera, vertices)
+        if not (np.isfinite(vertices).all() and (depth > 0).all()):
             return None
-        grey = np.abs(self.image.look_up(project(self.camera, shapes[0][used])[0])).mean(1)
-        unit = float(np.median(grey)) or float(grey.mean())
-        if not unit > 0:
-            return None
-        one = self.reflectance
-        part = VertexReflectance(one.diffuse_linear[used], one.weights[used], one.known[used])
-        return PhotometricTerm(self.image, self.camera, self.faces, used, part, self.light, unit)
+        usable = usable & image.covers(pixels)
+        if usable.any():
+            visibility = VertexVisibility(vertices, faces, vertex_normals(vertices, faces))
+            usable = usable & visibility.seen(camera, _VIEW_COSINE, _MARGIN_PX)
+    used = np.flatnonzero(usable)
+    if not len(used):
+        return None
+    grey = np.abs(image.look_up(project(camera, shapes[0][used])[0])).mean(1)
+    unit = float(np.median(grey)) or float(grey.mean())
+    if not unit > 0:
+        return None
+    one = reflectance
+    part = VertexReflectance(one.diffuse_linear[used], one.weights[used], one.known[used])
+    return PhotometricTerm(image, camera, faces, used, part, light, unit)
 
 
 def projection_jacobian(camera: FloatArray, points: FloatArray) -> FloatArray:
@@ -285,11 +275,11 @@ class GeometryObjective:
     @cached_property
     def prior(self) -> FloatArray:
         """(6 + N,) precisions."""
-        return np.append(np.zeros(POSE), np.full(self.model.components, 2 * PRIOR_WEIGHT))
+        return np.append(np.zeros(6), np.full(self.model.components, 2 * PRIOR_WEIGHT))
 
     def numbers(self, state: GeometryState) -> FloatArray:
         """Return zeros for the pose, and the coefficients (6 + N,)."""
-        return np.append(np.zeros(POSE), state.coefficients)
+        return np.append(np.zeros(6), state.coefficients)
 
     def value(self, state: GeometryState) -> float:
         """Return the sum of the terms."""
@@ -301,7 +291,7 @@ class GeometryObjective:
         basis = self.model.basis[:count].reshape(count, state.vertices.size).T
         turn = -cross_matrices(state.vertices - state.vertices.mean(0))
         shift = np.broadcast_to(np.eye(3), turn.shape)
-        pose_motion = np.concatenate([turn, shift], axis=2).reshape(-1, POSE)
+        pose_motion = np.concatenate([turn, shift], axis=2).reshape(-1, 6)
         rotation = state.scene_from_model[:3, :3]
         for term in self.terms:
             local = term.linearized(state.vertices)
@@ -311,13 +301,13 @@ class GeometryObjective:
             yield LocalTerm(jacobian, local.slope, local.curvature)
 
     def moved(self, state: GeometryState, step: FloatArray) -> GeometryState:
-        """Return the state after a turn, a shift and a change of coefficients (P,)."""
+        """Return the state after a turn about its middle (rad), a shift (mm) and a change of coefficients."""
         middle = state.vertices.mean(0)
         # A turn of more than a radian in one step is a runaway.
         turn = step[:3] / max(1.0, float(np.linalg.norm(step[:3])))
         pivot, away = compose(np.eye(3), middle), compose(np.eye(3), -middle)
         motion = compose(rotation_from_vector(turn), np.zeros(3))
-        pose = compose(np.eye(3), step[3:POSE]) @ pivot @ motion @ away @ state.scene_from_model
+        pose = compose(np.eye(3), step[3:6]) @ pivot @ motion @ away @ state.scene_from_model
         coefficients = state.coefficients.copy()
-        coefficients[: len(step) - POSE] += step[POSE:]
+        coefficients[: len(step) - 6] += step[6:]
         return GeometryState.from_pose(self.model, pose, coefficients)

@@ -20,8 +20,7 @@ from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableR
 from scan2albedo.reflectance.photograph import ImageObservation
 
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
-"""From predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value and its
-gradient (V, 3) by the predicted ones; gradients at vertices that are not used are ignored."""
+"""See `fit_image`."""
 
 PHOTOMETRIC_WEIGHT, SOFTNESS = 2.0, 0.01
 """Of the mean absolute difference, in units of the image's median colour; differences below that share of it
@@ -31,9 +30,6 @@ PRIOR_WEIGHT = {True: 3e-4, False: 1e-3}
 MOST_UNEXPLAINED = 0.25
 """Where a fit's relative RMSE is larger, light, shape or reflectance are wrong."""
 _PERCEPTUAL_WEIGHT = 0.1
-_STEPS, _TOLERANCE, _LARGEST_LOG_SCALE_STEP = 200, 1e-5, 5.0
-"""Most steps, of which 10 to 20 are usual; part of the objective that is not progress; a scale that grows by
-e^5 in a step is a runaway, and would overflow in the exponential."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +49,11 @@ class ImageFit:
     relative_rmse: float
     """Root mean square of the differences over that of the image, at the vertices used."""
     objective: float
-    """Value of the minimised function."""
     converged: bool
-    """False when the budget or the steps ended first."""
     iterations: int
-    """Steps taken."""
     trace: Trace
-    """Of the objective."""
+    """`objective`, `trace`: of what is minimised. `converged` is False when the budget or the steps
+    (`iterations`) ended first."""
 
 
 def fit_image(
@@ -94,22 +88,17 @@ def fit_image(
         `LightingModel.default()` when omitted.
     perceptual : callable, optional
         P: from predicted and observed linear colours (V, 3), NaN at vertices that are not used, to a value
-        and its gradient (V, 3) by the predicted ones; its rows for vertices not used do not count.
-    budget : Budget or float, optional
-        Evaluations or seconds after which the best so far is returned with `converged=False`.
-    on_progress : callable, optional
-        Called with every `TraceRow`.
+        and its gradient (V, 3) by the predicted ones; its rows for vertices not used do not count. Its second
+        derivative is taken as that along the step before.
+    budget, on_progress : optional
+        When it ends the best so far is returned with `converged=False`; called with every `TraceRow`.
 
     Notes
     -----
-    The second derivative of P is taken as that along the step before, at first as of a squared distance whose
-    least value is 0: this decides the pace, not the end. A wrong gradient ends the search early.
-
     One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
     is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py). Cost of a step: 3
-    U (N + M)^2 for U vertices used; 3,700 vertices with 40 and 80 coefficients take about a second of CPU in
-    all.
+    U (N + M)^2 for U vertices used; about a second of CPU for 3,700 vertices, 40 and 80 coefficients.
     """
     seen = np.asarray(observation.seen)
     if len(seen) != len(model.known):
@@ -125,10 +114,11 @@ def fit_image(
     # The mean face in mean light, as bright as the image.
     start = np.zeros(len(terms.prior))
     color = np.median(terms.predict(start).color, axis=0)
-    observed = np.maximum(np.median(terms.observed, axis=0), 1e-4 * terms.unit)
-    start[-3:] = np.log(observed / np.maximum(color, 1e-4 * max(float(color.max()), 1e-12)))
+    floor = 1e-4 * np.array([terms.unit, max(float(color.max()), np.finfo(float).tiny)])
+    observed = np.median(terms.observed, axis=0)
+    start[-3:] = np.log(np.maximum(observed, floor[0]) / np.maximum(color, floor[1]))
     first = MapPoint.evaluate(terms, terms.predict(start), meter)
-    found = most_probable(first, steps=_STEPS, tolerance=_TOLERANCE)
+    found = most_probable(first, steps=200, tolerance=1e-5)
     if not found.converged:
         warnings.warn(
             f"the image fit stopped after {found.steps} steps without having converged; the "
@@ -268,7 +258,7 @@ class ImageTerms:
 
     def moved(self, state: Prediction, step: FloatArray) -> Prediction:
         """Return the prediction a step (P,) on."""
-        limited = np.clip(step[-3:], -_LARGEST_LOG_SCALE_STEP, _LARGEST_LOG_SCALE_STEP)
+        limited = np.clip(step[-3:], -5, 5)  # a longer one would overflow in the exponential
         return self.predict(state.parameters + np.append(step[:-3], limited), state)
 
     def value(self, state: Prediction) -> float:

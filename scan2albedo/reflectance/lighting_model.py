@@ -15,13 +15,10 @@ from scan2albedo.lighting.harmonics import map_directions, row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
 
-COMPONENTS = 80
 _WHITE = np.sqrt(4 * np.pi)
 """First coefficient of light whose mean radiance is 1."""
 SHAPE = (32, 64)
 """Rows and columns: finer than harmonics of order 8 resolve."""
-
-_KELVIN = {"candle": 1900.0, "tungsten": 2800.0, "neutral": 4200.0, "daylight": 6000.0, "shade": 9000.0}
 
 
 @dataclass(frozen=True)
@@ -40,16 +37,14 @@ class LightingModel(LinearModel):
         return _default()
 
     @classmethod
-    def generate(cls, *, count: int = 600, components: int = COMPONENTS, seed: int = 0) -> LightingModel:
+    def generate(cls, *, count: int = 600, components: int = 80, seed: int = 0) -> LightingModel:
         """Learn a model of `components` directions from `count` maps of `generated_environment`.
 
         Raises `ReflectanceError` when `count` is below 2, which has no directions.
 
         Parameters
         ----------
-        count, components : int
-        seed : int
-            Same seed, same model.
+        count, components, seed : int
         """
         if count < 2:
             raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")
@@ -59,18 +54,25 @@ class LightingModel(LinearModel):
         return cls.from_coefficients(np.stack([projection @ image for image in maps]), components=components)
 
     @classmethod
-    def from_coefficients(cls, lights: ArrayLike, *, components: int = COMPONENTS) -> LightingModel:
+    def from_coefficients(cls, lights: ArrayLike, *, components: int = 80) -> LightingModel:
         """Learn a model from the coefficients (K, 81, 3) of lights.
 
         Raises `ValueError` for another shape, `ReflectanceError` when a light is not finite or has a dark
         channel.
         """
-        samples = _checked_lights(lights)
+        samples = np.asarray(lights, np.float64)
+        if samples.ndim != 3 or samples.shape[1:] != (HARMONICS, 3) or len(samples) == 0:
+            raise ValueError(f"lights must have shape (K, {HARMONICS}, 3), got {samples.shape}")
+        bad = ~(np.isfinite(samples).all((1, 2)) & (samples[:, 0] > 0).all(1))
+        if bad.any():
+            raise ReflectanceError(
+                f"light {int(np.flatnonzero(bad)[0])} has NaN or a channel without light; leave it out"
+            )
         spread = samples * (_WHITE / samples[:, :1])
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
-        found = principal_directions(off, components, size=float(np.sum(spread**2)))
-        return cls(spread.mean(0), found.of(off))
+        weights, _ = principal_directions(off, components, size=float(np.sum(spread**2)))
+        return cls(spread.mean(0), np.tensordot(weights, off, 1))
 
     def light(self, coefficients: ArrayLike, *, scale_rgb: ArrayLike = (1.0, 1.0, 1.0)) -> FloatArray:
         """Return coefficients (81, 3) of light with mean radiance `scale_rgb` (3,).
@@ -86,50 +88,17 @@ class LightingModel(LinearModel):
         """
         return checked_coefficients(scale_rgb, 3, "scale_rgb") * self.at(coefficients)
 
-    def project(self, light: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return coefficients (N,) and scale_rgb (3,) of the model's light nearest to one (81, 3).
-
-        Raises `ValueError` for another shape, `ReflectanceError` when it is not finite or has a dark channel.
-        """
-        target = _checked_lights(np.asarray(light, np.float64)[None])[0]
-        off = target * (_WHITE / target[0]) - self.mean
-        flat = self.basis.reshape(self.components, HARMONICS * 3)
-        return flat @ off.ravel() / self.deviation**2, target[0] / _WHITE
-
 
 @cache
 def _default() -> LightingModel:
     return LightingModel.generate()
 
 
-def _checked_lights(lights: ArrayLike) -> FloatArray:
-    samples = np.asarray(lights, np.float64)
-    if samples.ndim != 3 or samples.shape[1:] != (HARMONICS, 3) or len(samples) == 0:
-        raise ValueError(f"lights must have shape (K, {HARMONICS}, 3), got {samples.shape}")
-    bad = ~(np.isfinite(samples).all((1, 2)) & (samples[:, 0] > 0).all(1))
-    if bad.any():
-        raise ReflectanceError(
-            f"light {int(np.flatnonzero(bad)[0])} has NaN or a channel without light; leave it out"
-        )
-    return samples
-
-
 def generated_environment(seed: int | np.random.Generator) -> FloatArray:
     """Return a map (32, 64, 3) of linear radiance: a sky, a room with windows, one with lamps, or a studio.
 
     Rows go from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x; all azimuths are equally
-    likely.
-
-    Parameters
-    ----------
-    seed : int or numpy.random.Generator
-        The same seed gives the same map.
-
-    Examples
-    --------
-    >>> image = generated_environment(0)
-    >>> image.shape, bool(image.min() > 0)
-    ((32, 64, 3), True)
+    likely. The same `seed` gives the same map.
     """
     rng = np.random.default_rng(seed)
     kinds: tuple[Callable[[np.random.Generator], FloatArray], ...] = (_sky, _windows, _lamps, _studio)
@@ -171,7 +140,7 @@ def _windows(rng: np.random.Generator) -> FloatArray:
 def _lamps(rng: np.random.Generator) -> FloatArray:
     """A room at night with one to six lamps, most of them above."""
     toward, image = _directions(), _room(rng, rng.uniform(0.02, 0.3))
-    color = _color(_KELVIN[str(rng.choice(["candle", "tungsten", "neutral", "daylight"]))])
+    color = _color(rng.choice([1900, 2800, 4200, 6000]))  # candles, tungsten, neutral, daylight
     for _ in range(rng.integers(1, 7)):
         lamp = map_directions(np.arccos(rng.uniform(-0.3, 1.0)), rng.uniform(-np.pi, np.pi))
         strength = rng.uniform(2, 30)

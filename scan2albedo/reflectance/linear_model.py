@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 
-_RANK_TOLERANCE, _ROUNDING = 1e-12, 1e-28
-"""Eigenvalues below these shares are rounding: of the largest, and of the squared values themselves."""
+_RANK_TOLERANCE = 1e-12
+"""Eigenvalues below this share of the largest are rounding."""
+_ROUNDING = 1e-28
+"""So are those below this share of the squared values themselves."""
 
 
 @dataclass(frozen=True)
@@ -50,22 +52,10 @@ class LinearModel:
                 raise ReflectanceError(f"{what} {name} holds NaN or infinite values")
 
 
-@dataclass(frozen=True)
-class PrincipalDirections:
-    """N directions of K samples, as sums of their deviations from the mean."""
-
-    weights: FloatArray
-    """(N, K): of the samples' deviations in each direction of unit variance, largest variance first."""
-    total_variance: float
-    """Of the samples, all directions together."""
-
-    def of(self, deviations: FloatArray) -> FloatArray:
-        """Return the directions (N, ...) of deviations (K, ...)."""
-        return np.asarray(np.tensordot(self.weights, deviations, 1))
-
-
-def principal_directions(deviations: FloatArray, most: int | None, *, size: float) -> PrincipalDirections:
-    """Return the directions in which deviations X (K, ...) vary most.
+def principal_directions(
+    deviations: FloatArray, most: int | None, *, size: float
+) -> tuple[FloatArray, float]:
+    """Return weights (N, K) that sum deviations X (K, ...) to the directions of most variance, and all of it.
 
     X X^T = U diag(e) U^T; direction i is X^T u_i / sqrt(K - 1), the largest entry of u_i positive. Rounding,
     of X and of values whose squares sum to `size`, is left out: N is at most the rank, K - 1, and `most`.
@@ -79,7 +69,7 @@ def principal_directions(deviations: FloatArray, most: int | None, *, size: floa
     largest = np.abs(vectors).argmax(0)
     sign = np.where(vectors[largest, np.arange(count)] < 0, -1.0, 1.0)
     spread = max(count - 1, 1)
-    return PrincipalDirections((vectors * sign)[:, :kept].T / np.sqrt(spread), float(values.sum() / spread))
+    return (vectors * sign)[:, :kept].T / np.sqrt(spread), float(values.sum() / spread)
 
 
 def checked_coefficients(values: ArrayLike, count: int, name: str) -> FloatArray:

@@ -17,15 +17,10 @@ from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
-_CLIP_TOLERANCE = 1e-9
-"""Negatives smaller than this are rounding and not counted."""
 _PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
-_LEAST_SAMPLES, _HELD_OUT = 10, 5
-"""For a choice of the number of directions; one sample of so many is then left out."""
-_COUNTS = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
-_BLOCK_MM, _AS_GOOD = 25.0, 1.01
-"""Edge of the blocks of a face that are left out; errors within this factor of the least are as good."""
+_BLOCK_MM = 25.0
+"""Edge of the blocks of a face that are left out."""
 _PARTS = {"diffuse": "diffuse", "total": "sum", "share": "share"}
 """The model's fields, and what the names of their arrays begin with in its file."""
 _KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
@@ -56,11 +51,10 @@ class ModelReflectance:
     """A reflectance that a model made."""
 
     reflectance: VertexReflectance
-    """Of the vertices that the model knows."""
     coefficients: FloatArray
     """(N,)."""
     clipped_share: float
-    """Of the numbers of known vertices (six each) that were negative and became 0."""
+    """Of the numbers of known vertices (six each) that were negative and became 0 in `reflectance`."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +62,9 @@ class Projection:
     """The nearest reflectance of a model."""
 
     nearest: ModelReflectance
-    """And its coefficients."""
     diffuse_rmse: float
-    """Of the albedo, over vertices known on both sides."""
     weights_rmse: float
-    """Of the weights, which follow the albedo's coefficients."""
+    """`diffuse_rmse`, `weights_rmse`: of `nearest`, over vertices known on both sides."""
 
 
 @dataclass(frozen=True)
@@ -85,13 +77,9 @@ class MorphableReflectanceModel:
 
     Examples
     --------
-    >>> rng = np.random.default_rng(0)
-    >>> numbers = rng.uniform(0.1, 0.6, (4, 2, 50, 3))
+    >>> numbers = np.random.default_rng(0).uniform(0.1, 0.6, (4, 2, 50, 3))
     >>> faces = [VertexReflectance(diffuse, weights, np.ones(50, bool)) for diffuse, weights in numbers]
-    >>> model = MorphableReflectanceModel.from_samples(faces)
-    >>> model.components
-    3
-    >>> model.project(faces[2]).diffuse_rmse < 1e-12
+    >>> MorphableReflectanceModel.from_samples(faces).project(faces[2]).diffuse_rmse < 1e-12
     True
     """
 
@@ -141,19 +129,14 @@ class MorphableReflectanceModel:
         Parameters
         ----------
         samples : sequence of VertexReflectance
-            K, one or more. One gives a model that is its mean; identical ones give no direction.
+            K, one or more. One gives a model that is its mean; identical ones give no direction. Where one
+            does not know a vertex, it is taken to be the mean of those that do.
         components : int, optional
             Directions to keep; all, at most K - 1, when omitted.
         least_support : float
             Share of the samples, above 0, that must know a vertex for the model to know it.
         weights : sequence of (V,) array_like of float, optional
             Of each sample's vertices, 0 to 1: the mean is weighted, deviations are multiplied by them.
-
-        Notes
-        -----
-        Where a sample does not know a vertex, it is taken to be the mean of those that do; the variance there
-        comes out too small by about the share of samples missing (see `support`). w' of a vertex without a
-        lobe is a gap too. How weights vary where the albedo does not is left out. Cost: K^2 V.
         """
         if components is not None and components < 0:
             raise ValueError(f"components must be 0 or more, got {components}")
@@ -189,16 +172,16 @@ class MorphableReflectanceModel:
         total = lobes.sum(2)
         share = np.divide(lobes, total[..., None], out=np.zeros_like(lobes), where=total[..., None] > 0)
         mean, off = _mean_and_deviations(diffuse, trust, 0.0)
-        directions = principal_directions(off, components, size=float(np.sum(mean**2)))
+        directions, total_variance = principal_directions(off, components, size=float(np.sum(mean**2)))
         sum_mean, sum_off = _mean_and_deviations(total, trust, 0.0)
         share_mean, share_off = _mean_and_deviations(share, trust * (there & (total > 0)), 1 / 3)
         return cls(
             known,
             support.astype(np.int64),
-            LinearModel(mean, directions.of(off)),
-            LinearModel(sum_mean, directions.of(sum_off)),
-            LinearModel(np.where(known[:, None], share_mean, 0.0), directions.of(share_off)),
-            directions.total_variance,
+            LinearModel(mean, np.tensordot(directions, off, 1)),
+            LinearModel(sum_mean, np.tensordot(directions, sum_off, 1)),
+            LinearModel(np.where(known[:, None], share_mean, 0.0), np.tensordot(directions, share_off, 1)),
+            total_variance,
             len(samples),
         )
 
@@ -260,7 +243,7 @@ class MorphableReflectanceModel:
     @property
     def explained(self) -> FloatArray:
         """(N,) shares of the albedo's variance that the directions hold one by one."""
-        return self.deviation**2 / max(self.total_variance, 1e-300)
+        return self.deviation**2 / max(self.total_variance, np.finfo(float).tiny)
 
     def mean_only(self) -> MorphableReflectanceModel:
         """Return the model without its directions."""
@@ -275,8 +258,8 @@ class MorphableReflectanceModel:
         """
         diffuse, total, share = (part.at(coefficients) for part in (self.diffuse, self.total, self.share))
         total = total[:, None]
-        negative = (diffuse < -_CLIP_TOLERANCE).astype(int)
-        negative += (total < -_CLIP_TOLERANCE) | (share < -_CLIP_TOLERANCE)
+        rounding = -1e-9
+        negative = (diffuse < rounding).astype(int) + ((total < rounding) | (share < rounding))
         weights = np.maximum(total, 0) * np.maximum(share, 0)
         return ModelReflectance(
             VertexReflectance(np.maximum(diffuse, 0), weights, self.known),
@@ -339,7 +322,7 @@ def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray
     if std is not None and sample.known.any():
         differ = _PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
         square = np.nan_to_num(std[:, :3]).max(1) ** 2
-        weight *= differ**2 / np.maximum(differ**2 + square, 1e-300)
+        weight *= differ**2 / np.maximum(differ**2 + square, np.finfo(float).tiny)
     return weight
 
 
@@ -348,32 +331,24 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
 
     A model is learned from four of five samples. Of each other face, every second block of 25 mm gives the
     most probable coefficients, with what the kept directions leave out as noise, and the albedo of the other
-    blocks is compared. The fewest directions are taken whose error (RMS) is within 1 % of the least: more of
-    them describe the samples and not people, and make every fit slower. Raises `ReflectanceError` for fewer
-    than 10 samples or another number of vertices.
-
-    Parameters
-    ----------
-    samples : sequence of VertexReflectance
-    vertices : (V, 3) array_like of float
-        Millimetres: of any of the faces, or their mean.
+    blocks is compared. The fewest directions are taken whose error (RMS) is within 1 % of the least.
+    `vertices` (V, 3), mm, are those of any of the faces. Raises `ReflectanceError` for fewer than 10 samples
+    or another number of vertices.
     """
-    if len(samples) < _LEAST_SAMPLES:
+    if len(samples) < 10:
         raise ReflectanceError(
-            f"{len(samples)} samples do not show how many directions to keep; give {_LEAST_SAMPLES} or more"
+            f"{len(samples)} samples do not show how many directions to keep; give 10 or more"
         )
     xyz = np.asarray(vertices, np.float64)
-    tested = list(samples[_HELD_OUT - 1 :: _HELD_OUT])
-    model = MorphableReflectanceModel.from_samples(
-        [sample for k, sample in enumerate(samples) if k % _HELD_OUT != _HELD_OUT - 1]
-    )
+    model = MorphableReflectanceModel.from_samples([one for k, one in enumerate(samples) if k % 5 != 4])
     if xyz.shape != (len(model.known), 3):
         raise ReflectanceError(f"vertices is {xyz.shape}, expected ({len(model.known)}, 3)")
     # Neighbouring cubes differ in this sum by one, so that they fall into different halves.
     first = np.floor(xyz / _BLOCK_MM).sum(1) % 2 == 0
-    counts = [count for count in _COUNTS if count < model.components] + [model.components]
+    tried = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
+    counts = [count for count in tried if count < model.components] + [model.components]
     size, deviation, errors = 3 * int(model.known.sum()), model.deviation, np.zeros(len(counts))
-    for sample in tested:
+    for sample in samples[4::5]:
         both = model.known & sample.known
         off = np.where(both[:, None], sample.diffuse_linear - model.diffuse.mean, 0.0)
         for given in (first, ~first):
@@ -386,4 +361,4 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
                 b = np.linalg.solve(gram[:count, :count] + noise * np.eye(count), towards[:count])
                 made = np.tensordot(b, model.diffuse.basis[:count, hidden], 1)
                 errors[number] += np.sum((made - off[hidden]) ** 2)
-    return counts[int(np.argmax(errors <= _AS_GOOD**2 * errors.min()))]
+    return counts[int(np.argmax(errors <= 1.01**2 * errors.min()))]

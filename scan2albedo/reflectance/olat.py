@@ -47,17 +47,15 @@ class OlatOptions:
 
 @dataclass(frozen=True)
 class CaptureDiagnostic:
-    """Something wrong with a pair of pictures."""
+    """Something wrong with a `part` of the pixels of a `pair` of pictures, in words: `message`."""
 
     name: str
     """One of "room_brighter_than_flash", "saturated", "not_finite"."""
     pair: int
     part: float
-    """Share of the pixels of the `pair`."""
     left_out: bool
     """Whether the whole pair is."""
     message: str
-    """One sentence for a person."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +87,10 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     m is the number of pairs that share the picture of the room's light (are given equal ones): its noise is
     the same in all of them, so that their mean has no less of it.
 
-    Its slope is 0 in the dark, where first order does not hold; values count there as at least s. Negative
-    differences stay: cut off, they would bias dark skin upwards. A clipped channel is lost, the other two are
-    not. Raises `ValueError` when shapes disagree; `ReflectanceError` when there are no pairs, when values are
-    beyond white, or when every pair is darker with its flash.
+    Values count as at least s, for the slope is 0 in the dark. Negative differences stay: cut off, they would
+    bias dark skin upwards. A clipped channel is lost, the other two are not. Raises `ValueError` when shapes
+    disagree; `ReflectanceError` when there are no pairs, when values are beyond white, or when every pair is
+    darker with its flash.
 
     Parameters
     ----------
@@ -141,9 +139,22 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
         usable = (finite & ~saturated[j]).all(-1)
         changed = (np.abs(difference) > _SIGMAS * np.sqrt(noise + noise_of_room)).all(-1) & usable
         darker, brighter = changed & (difference < 0).all(-1), changed & (difference > 0).all(-1)
-        found = _diagnostics(
-            j, finite, saturated[j], int(usable.sum()), int(darker.sum()), int(brighter.sum())
-        )
+        found = []
+        if (missing := 1 - float(finite.all(-1).mean())) > 0:
+            text = f"{100 * missing:.3g} % of the pixels have no number and are left out"
+            found.append(CaptureDiagnostic("not_finite", j, missing, missing == 1, f"pair {j}: {text}"))
+        if (clipped := float(saturated[j].any(-1).mean())) > 0:
+            text = f"{100 * clipped:.3g} % of the pixels are saturated and their channels left out"
+            found.append(CaptureDiagnostic("saturated", j, clipped, False, f"pair {j}: {text}"))
+        part = float(darker.sum() / max(usable.sum(), 1))
+        if part > _BRIGHTER_ROOM_PART:
+            swapped, advice = bool(darker.sum() > brighter.sum()), "did head or exposure change between them?"
+            if swapped:
+                advice = "left out, were the pictures exchanged?"
+            text = f"{100 * part:.3g} % of the pixels are brighter in the room's light than with the flash"
+            found.append(
+                CaptureDiagnostic("room_brighter_than_flash", j, part, swapped, f"pair {j}: {text}: {advice}")
+            )
         diagnostics += found
         valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
         linear[j], sigma[j] = np.where(valid[j], difference, 0.0), np.sqrt(noise + sharing[j] * noise_of_room)
@@ -154,37 +165,10 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
 
 
 def _pictures(given: Pictures, name: str) -> list[NDArray[Any]]:
-    """Return pictures (H, W, 3), one for an array of one."""
     pictures = [given] if isinstance(given, np.ndarray) and given.ndim == 3 else list(given)
     if not pictures:
         raise ReflectanceError(f"{name} holds no pictures: there are no pairs, give one at least")
     return [np.asarray(picture) for picture in pictures]
-
-
-def _diagnostics(
-    pair: int, finite: BoolArray, saturated: BoolArray, usable: int, darker: int, brighter: int
-) -> list[CaptureDiagnostic]:
-    found = []
-    missing, clipped = 1 - float(finite.all(-1).mean()), float(saturated.any(-1).mean())
-    if missing > 0:
-        text = f"pair {pair}: {100 * missing:.3g} % of the pixels have no number and are left out"
-        found.append(CaptureDiagnostic("not_finite", pair, missing, missing == 1, text))
-    if clipped > 0:
-        text = f"pair {pair}: {100 * clipped:.3g} % of the pixels are saturated and their channels left out"
-        found.append(CaptureDiagnostic("saturated", pair, clipped, False, text))
-    part, swapped = darker / max(usable, 1), darker > brighter
-    if part > _BRIGHTER_ROOM_PART:
-        advice = (
-            "left out, were the pictures exchanged?"
-            if swapped
-            else "did head or exposure change between them?"
-        )
-        text = (
-            f"pair {pair}: {100 * part:.3g} % of the pixels are brighter in the room's light than "
-            f"with the flash: {advice}"
-        )
-        found.append(CaptureDiagnostic("room_brighter_than_flash", pair, part, swapped, text))
-    return found
 
 
 def picture_values(picture: NDArray[Any], name: str, saturation: float) -> FloatArray:

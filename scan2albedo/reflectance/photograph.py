@@ -25,7 +25,7 @@ from scan2albedo.reflectance.environment_shading import (
     light_response,
     unit_vectors,
 )
-from scan2albedo.reflectance.olat import linear_values, picture_values
+from scan2albedo.reflectance.olat import OlatOptions, linear_values, picture_values
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS
 from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
 from scan2albedo.reflectance.vertex_visibility import (
@@ -44,7 +44,6 @@ def light_transfer(
     toward_camera: ArrayLike,
     *,
     directions: int = 1024,
-    offset_mm: float = RAY_OFFSET_MM,
 ) -> LightResponse:
     """Return how vertices respond to light when the surface casts shadows on itself.
 
@@ -63,16 +62,12 @@ def light_transfer(
 
     Parameters
     ----------
-    vertices : (V, 3) array_like of float
-        Millimetres.
-    faces : (F, 3) array_like of int
-        Of everything that casts shadows; vertices beyond the face's own may be appended with normals 0.
+    vertices, faces : (V, 3) array_like of float, (F, 3) array_like of int
+        Millimetres, of everything that casts shadows.
     normals, toward_camera : (V, 3) array_like of float
         Unit vectors n and v. A vertex whose normal is 0 receives nothing.
     directions : int
         Of the sums, a Fibonacci spiral over the sphere; 64 to 100,000.
-    offset_mm : float
-        Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`.
 
     Notes
     -----
@@ -80,15 +75,6 @@ def light_transfer(
     of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the highlights, most of it beyond
     order 8; without shadows they are 16 to 25 % (tools/bench_reflectance_model.py). Light that the surface
     reflects onto itself is left out. Cost: V directions / 2 rays, 10 V directions 81 operations.
-
-    Examples
-    --------
-    >>> floor, wall = [[-9, 0, 9], [9, 0, 9], [0, 0, -9]], [[-99, -1, 0], [99, -1, 0], [0, 200, 0]]
-    >>> vertices, faces = np.array([*floor, *wall, [0, 0, 0.1]]), [[0, 1, 6], [1, 2, 6], [2, 0, 6], [3, 4, 5]]
-    >>> up = np.tile([0.0, 1.0, 0.0], (7, 1))
-    >>> white = np.sqrt(4 * np.pi) * light_transfer(vertices, faces, up, up).diffuse[6, 0]
-    >>> print(white.round(1))  # at its foot a wall hides half of what the floor sees
-    0.5
     """
     xyz, index = checked_mesh(vertices, faces)
     n, v = normalized(checked_normals(xyz, index, normals)), np.asarray(toward_camera, np.float64)
@@ -101,7 +87,7 @@ def light_transfer(
     v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
     toward = distant_directions(directions)
     weighted = harmonics(toward, ORDER) * (4 * np.pi / directions)
-    visible = ShadowMap(RayCaster(xyz, index), xyz, n, offset_mm).table(toward).visibility
+    visible = ShadowMap(RayCaster(xyz, index), xyz, n, RAY_OFFSET_MM).table(toward).visibility
     diffuse = diffuse_response(n)
     specular = np.zeros((len(xyz), len(EXPONENTS), weighted.shape[1]))
 
@@ -210,18 +196,17 @@ def observe_photograph(
     *,
     normals: ArrayLike | None = None,
     mask: ArrayLike | None = None,
-    gamma: float = 1.2,
-    saturation: float = 0.98,
+    gamma: float = OlatOptions.gamma,
+    saturation: float = OlatOptions.saturation,
 ) -> ImageObservation:
-    """Look up a face's vertices in a photograph, where the camera sees them well; with their transfer.
+    """Return a face's vertices in a photograph, where the camera sees them well, with their transfer.
 
     A vertex counts when nothing hides it, it is not seen at too flat an angle nor within 1.5 pixels of an
     edge in depth, and the four pixels around it are skin, finite and not saturated in any channel. Their
-    light, value^gamma, is interpolated. Cost: three rays and a half a vertex and camera, and
-    `light_transfer`: 3,700 vertices take about a second. Raises `ReflectanceError` when no vertex counts
-    (names the step at which the last ones were lost), the image is black there, holds numbers of another
-    type, or the camera or the mesh cannot be used; `ValueError` when shapes disagree, or gamma or saturation
-    are out of range.
+    light, value^gamma, is interpolated. The observation is in the frame of the mesh; 3,700 vertices take
+    about a second. Raises `ReflectanceError` when no vertex counts (names the step at which the last ones
+    were lost), the image is black there, holds numbers of another type, or the camera or the mesh cannot be
+    used; `ValueError` when shapes disagree, or gamma or saturation are out of range.
 
     Parameters
     ----------
@@ -229,23 +214,14 @@ def observe_photograph(
         Displayed values: floats, white = 1, or integers of 8 or 16 bits; NaN where there is nothing.
     camera : (3, 4) array_like of float
         Projection matrix: pixels (column, row), centres at integers, from points in mm.
-    vertices : (V, 3) array_like of float
-        Millimetres.
-    faces : (F, 3) array_like of int
-        Of all that hides vertices or casts shadows.
+    vertices, faces : (V, 3) array_like of float, (F, 3) array_like of int
+        Millimetres, of all that hides vertices or casts shadows.
     normals : (V, 3) array_like of float, optional
         Unit; those of the mesh when omitted. A vertex whose normal is 0 is never seen.
     mask : (H, W) array_like of bool, optional
         True on skin; all pixels when omitted.
-    gamma : float
-        Light is value^gamma; 1 for pictures that are linear already.
-    saturation : float
-        Values from here on are clipped, or may be; inf for pictures that cannot clip.
-
-    Returns
-    -------
-    ImageObservation
-        In the frame of the mesh, with its transfer.
+    gamma, saturation : float
+        See `OlatOptions`.
     """
     if not 0 < gamma < math.inf or not saturation > 0:
         raise ValueError(f"gamma is {gamma} and saturation {saturation}, expected > 0 and gamma finite")

@@ -18,21 +18,10 @@ from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflecta
 RESULT_FILE = "reflectance.npz"
 """In the folder that the command `fit` writes."""
 _ARRAYS = {"vertices": "f", "faces": "iu", "known": "b", "diffuse_linear": "f", "weights": "f"}
-_OF_A_FIT = {
-    "std": "f",
-    "low": "f",
-    "high": "f",
-    "pair_count": "iu",
-    "condition": "f",
-    "activation": "f",
-    "identifiability": "f",
-    "identified": "b",
-    "impossible": "b",
-    "misfit": "f",
-    "tilt": "f",
-    "normal_sigma_degrees": "f",
-    "light_gain": "f",
-}
+_OF_A_FIT = (
+    *("std", "low", "high", "pair_count", "condition", "activation", "identifiability", "identified"),
+    *("impossible", "misfit", "tilt", "normal_sigma_degrees", "light_gain"),
+)
 """Further arrays in a fit's file; NaN where a vertex is not known."""
 
 
@@ -96,10 +85,7 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
 
     Parameters
     ----------
-    path : path
-    mesh : MeshReflectance
-    fit : ReflectanceFit, optional
-        Whose figures go into the file.
+    path, mesh, fit : path, MeshReflectance, ReflectanceFit
     """
     one = mesh.reflectance
     header = MeshReflectanceHeader(exponents=EXPONENTS, vertices=len(mesh.vertices), faces=len(mesh.faces))
@@ -124,10 +110,9 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
         path,
         MeshReflectanceHeader,
         _ARRAYS,
-        optional={"std": _OF_A_FIT["std"], "seen": "b"},
+        optional={"std": "f", "seen": "b"},
         what="reflectance",
-        advice="give a file that write_reflectance wrote, or a fit's folder (data_schemas/mesh_reflectance."
-        "schema.json)",
+        advice="give a file that write_reflectance wrote, or a fit's folder",
         error=ReflectanceError,
     )
     check_exponents(header.exponents, f"reflectance {path}")

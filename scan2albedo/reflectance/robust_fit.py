@@ -17,14 +17,12 @@ from scan2albedo.reflectance.vertex_reflectance import BLOCK
 _WIDTH, TILT_FREEDOM = 2.4, 4.0
 """Residual over sigma from which the loss departs from squares, wider for vertices that fit worse; degrees of
 freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
-_ITERATIONS, _TOLERANCE, _MOST_DAMPING = 100, 0.02, 1e6
-"""Most reweightings; a vertex is done when no number moves by more than this part of its deviation, or steps
-of its tilts are of no use with this damping."""
-_SIGMA_VERTICES, _SIGMA_ROUNDS = 1000, 30
-"""Vertices, evenly chosen, that the deviation of the normals is found from, and most rounds of it."""
-_LEAST_SIGMA, _BROAD_SIGMA, _MOST_SIGMA = np.radians([0.02, 10.0, 20.0])
-"""Bounds of that deviation, and the one that is assumed while tilts are found for it."""
-_KINDS = {"cauchy": kernels.CAUCHY, "charbonnier": kernels.CHARBONNIER, "squares": kernels.NONE}
+_TOLERANCE = 0.02
+"""A vertex is done when no number moves by more than this part of its deviation."""
+_LEAST_SIGMA = np.radians(0.02)
+"""Of the normals."""
+_POWERS = {"cauchy": 1.0, "charbonnier": 0.5, "squares": 0.0}
+"""Of the robust weight, see `vertex_kernels.reweigh`."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +31,7 @@ class ReflectanceFitOptions:
 
     loss: str = "cauchy"
     """One of "cauchy", "charbonnier", "squares". Of a picture's residual, its three channels together:
-    outliers, such as a shadow that the mesh does not cast, get little weight or none."""
+    outliers get little weight or none."""
     light_gains: bool = False
     """Estimate the strength of each flash in each channel, too; their mean is 1."""
     least_pairs: int = 1
@@ -45,8 +43,8 @@ class ReflectanceFitOptions:
     and the mesh, 0 takes normals as right. Samples without slopes have no normals to tilt."""
 
     def __post_init__(self) -> None:
-        if self.loss not in _KINDS:
-            raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(_KINDS)}")
+        if self.loss not in _POWERS:
+            raise ValueError(f"loss is {self.loss!r}, expected one of {', '.join(_POWERS)}")
         sigma = self.normal_sigma_degrees
         if sigma != "auto" and not (isinstance(sigma, int | float) and 0 <= sigma <= 45):
             raise ValueError(f'normal_sigma_degrees is {sigma!r}, expected "auto" or a number in [0, 45]')
@@ -108,7 +106,7 @@ class RobustFit:
 
     def __init__(self, data: Observations, loss: str) -> None:
         pictures, count = data.observed.shape[:2]
-        self.data, self.loss_kind = data, _KINDS[loss]
+        self.data, self.power = data, _POWERS[loss]
         self.tilting = data.slopes is not None and data.tilt_sigma is not None
         self.lobes = data.lobes.copy() if self.tilting else data.lobes
         self.weight, self.estimate = np.ones((pictures, count)), np.zeros((count, 6))
@@ -121,7 +119,7 @@ class RobustFit:
         Converged vertices are left out of further steps. The step in which the budget ends is the last.
         """
         data, size = self.data, len(rows)
-        iterating = self.loss_kind != kernels.NONE or self.tilting
+        iterating = self.power > 0 or self.tilting
         observations = max(int((data.precision[:, rows] > 0).sum()), 1)
 
         def solve(block: slice) -> None:
@@ -137,7 +135,7 @@ class RobustFit:
             meter.count()
             self.residual = float(self.loss[rows].sum() / observations)
             meter.record(self.residual)
-            if settled or not len(moving) or self.iterations == _ITERATIONS or meter.exhausted:
+            if settled or not len(moving) or self.iterations == 100 or meter.exhausted:
                 break
             moving = moving[self._improve(moving)]
             self.iterations += 1
@@ -187,13 +185,13 @@ class RobustFit:
         if self.tilting:
             worse = self.loss[rows] > loss * (1 + 1e-12)
             self.damping[rows] = np.where(
-                worse, np.maximum(10 * self.damping[rows], 0.1), 0.1 * self.damping[rows]
+                worse, np.maximum(10 * self.damping[rows], 0.1), self.damping[rows] / 10
             )
             back = rows[worse]
             self.estimate[back], self.tilt[back] = before[worse], tilt[worse]
             turn_lobes(data.lobes, data.slopes, self.tilt, back, self.lobes)
             self._reweigh(back)
-            moved |= worse & (self.damping[rows] < _MOST_DAMPING)
+            moved |= worse & (self.damping[rows] < 1e6)  # with more, steps are of no use
         return moved
 
     def _equations(self, part: IntArray) -> FloatArray:
@@ -209,7 +207,7 @@ class RobustFit:
         return np.asarray((TILT_FREEDOM + 2) / (TILT_FREEDOM * self.data.tilt_sigma**2 + square))
 
     def _tilt_equations(self, part: IntArray) -> FloatArray:
-        equations = np.empty((len(part), tilt_kernels.TILT_EQUATIONS))
+        equations = np.empty((len(part), 17))
         data, seen = self.data, (self.lobes, self.data.slopes, self.weight, self.estimate, self.tilt)
         tilt_kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
         return equations
@@ -221,7 +219,7 @@ class RobustFit:
             data = self.data
             seen = data.observed, data.precision, self.lobes, self.estimate, data.mean, data.prior
             filled = self.scale, self.weight, self.loss, self.misfit
-            kernels.reweigh(*seen, rows[block], self.loss_kind, _WIDTH, *filled)
+            kernels.reweigh(*seen, rows[block], self.power, _WIDTH, *filled)
 
         each_block(work, blocks(len(rows), BLOCK))
         if self.tilting:
@@ -239,7 +237,7 @@ def normal_sigma(
 ) -> FloatArray:
     """Return the standard deviation (V,) of the normals along each tangent, radians.
 
-    Tilts t of some vertices, with variances C, are found under a broad prior. The deviation follows
+    Tilts t of a thousand vertices, with variances C, are found under a broad prior. The deviation follows
     s^2 = a + b spread^2, a and b >= 0, with the `spread` (V,) of the triangles' normals around each vertex
     (radians; none is a alone), by maximum likelihood: scoring of t.t / 2 - C, with weights of Student's t.
     """
@@ -249,20 +247,20 @@ def normal_sigma(
     count = data.observed.shape[1]
     if not isinstance(given, str):
         return np.full(count, np.radians(given))
-    few = rows[:: max(1, len(rows) // _SIGMA_VERTICES)]
-    part = replace(data.of_vertices(few), tilt_sigma=np.full(len(few), _BROAD_SIGMA))
+    few = rows[:: max(1, len(rows) // 1000)]
+    part = replace(data.of_vertices(few), tilt_sigma=np.full(len(few), np.radians(10)))
     fitted = RobustFit(part, options.loss).fit(np.arange(len(few)), meter.untraced())
     meter.count()
     wide = np.zeros(count) if spread is None else np.minimum(spread, 1.0) ** 2
     terms = np.stack([np.ones(len(few)), wide[few]], 1)
     misfit = fitted.misfit[:, 0] / np.maximum(fitted.misfit[:, 1] - 8, 1.0)
     noise = fitted.tilt_variance * np.fmax(misfit, 1.0)
-    square, found = (fitted.tilt**2).sum(1), np.array([np.radians(1.0) ** 2, 0.0])
-    for _ in range(_SIGMA_ROUNDS):
+    square, found = (fitted.tilt**2).sum(1), np.array([np.radians(1) ** 2, 0.0])
+    for _ in range(30):
         total = np.maximum(terms @ found, _LEAST_SIGMA**2) + noise
         robust = (TILT_FREEDOM + 2) / (TILT_FREEDOM + square / total)
         before, found = found, nnls(terms / total[:, None], (robust * square / 2 - noise) / total)[0]
-        if np.abs(found - before).max() < 1e-3 * max(before.max(), 1e-12):
+        if np.abs(found - before).max() <= 1e-3 * before.max():
             break
     variance = np.stack([np.ones(count), wide], 1) @ found
-    return np.sqrt(np.clip(variance, _LEAST_SIGMA**2, _MOST_SIGMA**2))
+    return np.sqrt(np.maximum(variance, _LEAST_SIGMA**2))

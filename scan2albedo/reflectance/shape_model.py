@@ -17,13 +17,9 @@ from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficien
 
 LANDMARKS = 68
 """In iBUG-68 order."""
-_KINDS = {
-    "mean": "f",
-    "identity_basis": "f",
-    "expression_basis": "f",
-    "faces": "iu",
-    "landmark_vertices": "iu",
-}
+_KINDS = dict.fromkeys(("mean", "identity_basis", "expression_basis"), "f") | dict.fromkeys(
+    ("faces", "landmark_vertices"), "iu"
+)
 """Of the arrays in a file."""
 
 
@@ -58,8 +54,6 @@ class MorphableShapeModel(LinearModel):
     >>> model = MorphableShapeModel.from_samples(people, None, [[0, 1, 2]], np.arange(68))
     >>> model.identity_components, model.expression_components
     (4, 0)
-    >>> model.shape(np.zeros(4), []).shape
-    (100, 3)
     """
 
     identity_components: int
@@ -99,10 +93,10 @@ class MorphableShapeModel(LinearModel):
     ) -> MorphableShapeModel:
         """Learn a model from shapes of one topology, rigidly aligned to each other.
 
-        The directions are those of `principal_directions`: of the neutral faces' deviations from their mean,
-        and of the expressions' offsets, where an offset and its opposite count as equally likely, so that no
-        expression is the mean one. Cost: (K^2 + 4 E^2) V. Raises `ReflectanceError` when there is no face,
-        topologies differ, or numbers are not finite; `ValueError` when a number of components is negative.
+        The directions are the principal ones of the neutral faces' deviations from their mean, and of the
+        expressions' offsets, where an offset and its opposite count as equally likely. Raises
+        `ReflectanceError` when there is no face, topologies differ, or numbers are not finite; `ValueError`
+        when a number of components is negative.
 
         Parameters
         ----------
@@ -110,8 +104,7 @@ class MorphableShapeModel(LinearModel):
             Millimetres; one or more. One gives a model without directions of identity.
         expression_offsets : (E, V, 3) array_like of float, optional
             Expressive minus neutral face of the same person.
-        faces : (F, 3) array_like of int
-        landmark_vertices : (68,) array_like of int
+        faces, landmark_vertices : (F, 3), (68,) array_like of int
         identity_components, expression_components : int
             Most directions to keep; there are at most K - 1 and E.
         """
@@ -123,10 +116,8 @@ class MorphableShapeModel(LinearModel):
         if len(neutral) == 0:
             raise ReflectanceError("there is no face to learn shapes from; give one or more")
         count, mean = neutral.shape[1], neutral.mean(0)
-        identity = principal_directions(
-            neutral - mean, identity_components, size=float(np.sum(neutral**2))
-        ).of(neutral - mean)
-        expression = np.zeros((0, count, 3))
+        off, expression = neutral - mean, np.zeros((0, count, 3))
+        identity, _ = principal_directions(off, identity_components, size=float(np.sum(neutral**2)))
         if expression_offsets is not None:
             offsets = _checked_stack(expression_offsets, "expression_offsets")
             if offsets.shape[1] != count:
@@ -136,12 +127,11 @@ class MorphableShapeModel(LinearModel):
                 )
             both = np.concatenate([offsets, -offsets])
             if len(both):
-                expression = principal_directions(
-                    both, expression_components, size=float(np.sum(both**2))
-                ).of(both)
+                weights, _ = principal_directions(both, expression_components, size=float(np.sum(both**2)))
+                expression = np.tensordot(weights, both, 1)
         return cls(
             mean,
-            np.concatenate([identity, expression]),
+            np.concatenate([np.tensordot(identity, off, 1), expression]),
             len(identity),
             np.asarray(faces, np.int64),
             np.asarray(landmark_vertices, np.int64),
@@ -158,26 +148,19 @@ class MorphableShapeModel(LinearModel):
             advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
             error=ReflectanceError,
         )
-        parts = [np.atleast_1d(arrays[name]).astype(np.float64) for name in tuple(_KINDS)[:3]]
-        found = tuple(len(part) for part in parts)
+        mean, *bases = (np.atleast_1d(arrays[name]).astype(np.float64) for name in tuple(_KINDS)[:3])
+        found = tuple(len(part) for part in (mean, *bases))
         expected = header.vertices, header.identity_components, header.expression_components
         if found != expected:
             raise ReflectanceError(
                 f"shape model {path}: its header says (vertices, identity, expression) = {expected}, the "
                 f"arrays hold {found}; write the file again"
             )
-        for name, part in zip(_KINDS, parts, strict=False):
-            shape = (*part.shape[: part.ndim - 2], header.vertices, 3)
-            if part.shape != shape or part.ndim != (2 if name == "mean" else 3):
-                raise ReflectanceError(f"{path}: {name} is {part.shape}, expected {shape}; write it again")
+        indices = arrays["faces"], arrays["landmark_vertices"]
         try:
-            return cls(
-                parts[0],
-                np.concatenate(parts[1:]),
-                header.identity_components,
-                arrays["faces"],
-                arrays["landmark_vertices"],
-            )
+            for name, basis in zip(("identity_basis", "expression_basis"), bases, strict=True):
+                LinearModel(mean, basis).check(f"shape model: {name}", (header.vertices, 3))
+            return cls(mean, np.concatenate(bases), header.identity_components, *indices)
         except ReflectanceError as error:
             raise ReflectanceError(f"{path}: {error}; write the file again") from error
 

@@ -13,9 +13,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-TILT_EQUATIONS = 17
-"""Numbers of `add_tilt_equations` a vertex."""
-
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_tilt_equations(  # type: ignore[no-untyped-def]

@@ -43,40 +43,37 @@ class ReflectanceFit:
     high: FloatArray
     """`low`, `high`: (V, 6): 95 % intervals, >= 0; they hold the estimate."""
     pair_count: IntArray
-    """(V,): pictures used; 0 for unseen vertices."""
     condition: FloatArray
-    """(V,): condition number of the observations' matrix, without the prior; inf where it is singular."""
+    """`pair_count`, `condition`: (V,): pictures used; condition number of their matrix, without prior."""
     activation: FloatArray
     """(V, 3): largest value over the pictures of each lobe over its peak, max(0, n.h)^s; 0 where unseen."""
     identifiability: FloatArray
     """(V, 6): posterior over prior standard deviation: 1 where pictures add nothing."""
     identified: BoolArray
-    """(V, 6): identifiability is small enough; False where not known, or where an albedo is impossible."""
     impossible: BoolArray
-    """(V,): an albedo is above `most_albedo`: what the fit assumes does not hold there."""
+    """`identified`: (V, 6): identifiability is small enough, and no albedo `impossible`: (V,) above
+    `most_albedo`."""
     misfit: FloatArray
     """(V,): root of the mean squared residual over sigma, robust; 1 is as the noise says. NaN also where
     there are not more observations than unknowns."""
     tilt: FloatArray
-    """(V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles."""
     normal_sigma_degrees: FloatArray
-    """(V,): deviation of the normals along each tangent that the fit assumed."""
+    """`tilt`: (V, 2): of the normals along the tangents of `lobe_slopes`, tangents of the angles;
+    `normal_sigma_degrees`: (V,): their deviation that the fit assumed."""
     light_gain: FloatArray
     """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
     level: float
     """Unit of the prior: the median albedo without highlights."""
     bounded_albedos: int
-    """Vertices where an albedo is held at 0."""
+    """Vertices with an albedo of 0."""
     settled: BoolArray
     """(V,): known and done when the fit ended."""
     converged: bool
-    """All known vertices and the gains are; False when the budget or the iterations ended the fit first."""
+    """All known vertices and the gains are; False when the budget or the `iterations` ended the fit first."""
     iterations: int
-    """Reweightings."""
     residual: float
-    """Robust loss per observation; 1/2 is pure noise."""
     trace: Trace
-    """Of the loss per observation."""
+    """`residual`, `trace`: robust loss per observation; 1/2 is pure noise."""
 
     @property
     def parameters(self) -> FloatArray:
@@ -104,34 +101,28 @@ def fit_reflectance(
 
         sum rho((y_jk - c_k D_j - w.S_j) / sigma_jk) + prior(c, w),   c, w >= 0,
 
-    (Han, Wang, Xu, supplement), rho robust, the channels of a picture together; the prior is Gaussian. For
-    given robust weights c is eliminated and the eight sets of weights at 0 are tried; where an albedo would
-    be negative, all 64 sets. Raises `ReflectanceError` when there are no pictures, or no vertex is seen in
-    enough of them.
+    (Han, Wang, Xu, supplement), rho robust, the channels of a picture together; the prior is Gaussian. Raises
+    `ReflectanceError` when there are no pictures, or no vertex is seen in enough of them.
 
     Parameters
     ----------
     samples : VertexSamples
         J pictures of V vertices.
     options : ReflectanceFitOptions
-    budget : Budget or float, optional
-        Evaluations are passes over all vertices still moving.
-    on_progress : callable, optional
-        Called with every row of the trace.
+    budget, on_progress : optional
+        Evaluations are passes over all vertices still moving; called with every row of the trace.
 
     Notes
     -----
-    Strength of the flashes times reflectance is one number: albedos are in units of that strength, and
-    pictures twice as bright give twice the reflectance, for the prior follows the albedos' level.
+    Albedos are in units of the flashes' strength; the prior follows their level.
 
-    Intervals come from the Gaussian posterior before the bounds, cut at 0; where a number is not identified
-    they are the prior's. They account for noise, the prior and, where samples have slopes, wrong normals: two
-    tilts of each normal are found with the six numbers, their prior Student's t. They widen with the misfit,
-    and by 1 / max n.l where no flash stands above the vertex. With normals off by 0, 1 and 3 degrees 97 % of
-    them hold the truth, at 1 % noise in 90 pictures; on a head rendered by other code 95-96 %, and 90 % with
-    light between parts of the face (``python tools/bench_reflectance.py --heads``).
-
-    Cost: 0.2 microseconds for a vertex in a picture and reweighting, or less; with slopes twice that.
+    Intervals come from the Gaussian posterior before the bounds, cut at 0. They account for noise, the prior
+    and, where samples have slopes, wrong normals: two tilts of each normal are found with the six numbers,
+    their prior Student's t. They widen with the misfit, and by 1 / max n.l where no flash stands above the
+    vertex. With normals off by 0, 1 and 3 degrees 97 % of them hold the truth, at 1 % noise in 90 pictures;
+    on a head rendered by other code 95-96 %, and 90 % with light between parts of the face
+    (``python tools/bench_reflectance.py --heads``). Cost: 0.2 microseconds or less for a vertex in a picture
+    and reweighting; with slopes twice that.
 
     Examples
     --------
@@ -240,14 +231,11 @@ def _condition(normal: FloatArray) -> FloatArray:
     for k in range(3):
         matrix[:, k, k] = normal[:, k, 0]
         matrix[:, k, 3:] = matrix[:, 3:, k] = normal[:, k, 1:4]
-    lobes = normal[:, :, 4:10].sum(1)
     row, column = np.triu_indices(3)
-    matrix[:, 3 + row, 3 + column] = lobes
-    matrix[:, 3 + column, 3 + row] = lobes
-    values = np.linalg.eigvalsh(matrix)
-    smallest = values[:, 0]
-    singular = smallest <= 64 * np.finfo(float).eps * values[:, -1]
-    return np.sqrt(np.where(singular, np.inf, values[:, -1] / np.where(singular, 1.0, smallest)))
+    matrix[:, 3 + row, 3 + column] = matrix[:, 3 + column, 3 + row] = normal[:, :, 4:10].sum(1)
+    smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, -1]].T
+    singular = smallest <= 64 * np.finfo(float).eps * largest
+    return np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
 
 
 def divided_by_gain(data: Observations, light: IntArray, gain: FloatArray) -> Observations:
@@ -300,10 +288,6 @@ class RelightingError:
     """Of displayed values, radiance^(1 / 1.2) with the 99th percentile of the observed as white."""
     noise_part: float
     """The part of `relative_rmse` that the observations' own sigma explains."""
-    of_picture: FloatArray
-    """(J,): relative RMSE of each picture; NaN where it was not left out or shows no known vertex."""
-    observations: int
-    """Their number."""
     fit: ReflectanceFit
     """Of the other pictures."""
 
@@ -326,16 +310,6 @@ def relighting_error(
         At least one, and not all.
     options : ReflectanceFitOptions
         With light gains, a flash that lit none of the others has gain 1.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> lobes = rng.random((8, 20, 4))
-    >>> observed = 0.4 * lobes[..., :1] + 0.1 * lobes[..., 1:].sum(-1, keepdims=True) * np.ones(3)
-    >>> every = np.ones(observed.shape, bool)
-    >>> samples = VertexSamples(observed, np.full(observed.shape, 1e-6), every, lobes, np.arange(8))
-    >>> bool(relighting_error(samples, np.arange(8) < 2).relative_rmse < 1e-4)
-    True
     """
     left_out = np.asarray(held_out)
     if left_out.dtype != np.bool_ or left_out.shape != samples.light.shape:
@@ -356,11 +330,6 @@ def relighting_error(
     seen = unseen.valid & fit.reflectance.known[:, None]
     if not seen.any():
         raise ReflectanceError("the pictures held out show no vertex that the others do: hold out others")
-    of_picture = np.full(len(left_out), np.nan)
-    of_picture[left_out] = [
-        _relative(unseen.observed_linear[j][seen[j]], predicted[j][seen[j]]) if seen[j].any() else np.nan
-        for j in range(len(seen))
-    ]
     observed, made = unseen.observed_linear[seen], predicted[seen]
     if not observed.any():
         raise ReflectanceError(
@@ -369,16 +338,10 @@ def relighting_error(
     white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
     displayed = [np.clip(linear / white, 0, 1) ** (1 / OlatOptions.gamma) for linear in (observed, made)]
     off = float(np.mean((displayed[0] - displayed[1]) ** 2))
+    power = float(np.mean(observed**2))
     return RelightingError(
-        _relative(observed, made),
+        float(np.sqrt(np.mean((observed - made) ** 2) / power)),
         float(-10 * np.log10(max(off, np.finfo(float).tiny))),
-        float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / np.mean(observed**2))),
-        of_picture,
-        int(seen.sum()),
+        float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / power)),
         fit,
     )
-
-
-def _relative(observed: FloatArray, predicted: FloatArray) -> float:
-    power = max(float(np.mean(observed**2)), np.finfo(float).tiny)
-    return float(np.sqrt(np.mean((observed - predicted) ** 2) / power))

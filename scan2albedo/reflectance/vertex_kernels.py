@@ -14,8 +14,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-NONE, CHARBONNIER, CAUCHY = 0, 1, 2
-
 UNIT_MEDIAN = 0.888
 """Median of the root mean square of three standard normal numbers."""
 
@@ -213,14 +211,14 @@ def solve_free(normal, mean, prior, center, deviation):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def reweigh(  # type: ignore[no-untyped-def]
-    observed, precision, lobes, estimate, mean, prior, rows, kind, width, scale, weight, loss, misfit
+    observed, precision, lobes, estimate, mean, prior, rows, power, width, scale, weight, loss, misfit
 ):
     """Fill the robust weights of the vertices `rows` (N,), with the residuals of their `estimate` (V, 6).
 
     The m channels of a pair share a shadow, so they share a weight: with q the mean of their p r^2 and t =
-    `width` times the vertex's scale, the pair costs m f(q), f' = 1/2 weight; Cauchy 1 / (1 + q / t^2),
-    Charbonnier 1 / sqrt(1 + q / t^2). The scale, 1 where residuals are as sigma predicts, never grows from
-    call to call, so that the loss never does.
+    `width` times the vertex's scale, the pair costs m f(q), f' = 1/2 weight, weight 1 / (1 + q / t^2)^power:
+    `power` is 1 (Cauchy), 1/2 (Charbonnier) or 0 (squares). The scale, 1 where residuals are as sigma
+    predicts, never grows from call to call, so that the loss never does.
 
     Filled: `weight` (J, V); `scale` and `loss` (V,), half the robust squares plus the prior's part; `misfit`
     (V, 2), the weighted sum of p r^2 and the sum of the weights of these observations.
@@ -246,7 +244,7 @@ def reweigh(  # type: ignore[no-untyped-def]
             size[i, j] = channels
     for i in range(len(rows)):
         v = rows[i]
-        if kind != NONE:
+        if power > 0:
             seen = square[i][square[i] >= 0.0]
             if len(seen):
                 scale[v] = min(scale[v], max(1.0, np.sqrt(np.median(seen)) / UNIT_MEDIAN))
@@ -259,9 +257,9 @@ def reweigh(  # type: ignore[no-untyped-def]
             if q < 0.0:
                 continue
             t = q / threshold
-            if kind == CAUCHY:
+            if power == 1:
                 u, cost = 1.0 / (1.0 + t), 0.5 * threshold * np.log1p(t)
-            elif kind == CHARBONNIER:
+            elif power > 0:
                 u = 1.0 / np.sqrt(1.0 + t)
                 cost = threshold * t * u / (1.0 + u)
             else:

@@ -75,11 +75,6 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
 
     `strength`, 0 or more, and `exponent`, more than 0, are those of an albedo estimate's highlight. For
     exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm, for sharper ones by more.
-
-    Examples
-    --------
-    >>> lobe_weights_of_phong(0.2, 16).round(4).tolist()
-    [0.0, 0.0, 0.0241]
     """
     from scipy.optimize import nnls
 
@@ -103,8 +98,7 @@ def reflectance_from_albedo(
 ) -> VertexReflectance:
     """Return the reflectance of vertices with an albedo and weights of the lobes.
 
-    Raises `ReflectanceError` when shapes disagree, or a vertex said to be known has a negative number or
-    none.
+    Raises `ReflectanceError` when shapes disagree, or a known vertex has a negative number or none.
 
     Parameters
     ----------
@@ -114,11 +108,6 @@ def reflectance_from_albedo(
         Of the lobes with `EXPONENTS`, one set for all or one a vertex; see `lobe_weights_of_phong`.
     known : (V,) array_like of bool, optional
         Vertices to keep, those with a finite albedo when omitted.
-
-    Examples
-    --------
-    >>> reflectance_from_albedo([[0.5, 0.4, 0.3], [np.nan] * 3]).known.tolist()
-    [True, False]
     """
     albedo = np.asarray(albedo_linear, np.float64)
     if albedo.ndim != 2 or albedo.shape[1] != 3:

@@ -76,20 +76,12 @@ def rig_of_head_poses(
 
     Parameters
     ----------
-    rotations : (C, 3, 3) array_like of float
-        R, proper.
-    translations : (C, 3) array_like of float
-        t in mm.
+    rotations, translations : (C, 3, 3), (C, 3) array_like of float
+        R, proper, and t in mm.
     intrinsics : (3, 3) or (C, 3, 3) array_like of float
         Pixels from camera coordinates.
     view, flash : (J,) array_like of int
         Numbers of cameras.
-
-    Examples
-    --------
-    >>> rig = rig_of_head_poses([np.eye(3)], [[0.0, 0, 600]], np.diag([900.0, 900, 1]), view=[0], flash=[0])
-    >>> (0 - rig.light_positions).tolist()
-    [[0.0, 0.0, 600.0]]
     """
     turn, shift = np.asarray(rotations, np.float64), np.asarray(translations, np.float64)
     if turn.ndim != 3 or turn.shape[1:] != (3, 3) or shift.shape != turn.shape[:2]:
@@ -234,8 +226,8 @@ def sample_vertices(
 
     Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
     pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
-    vertices and cast shadows are found by rays against the mesh, cast once for each camera and each flash.
-    Vertices nearer than 1.5 pixels to an edge of the surface are left out. Raises `ValueError` when shapes
+    vertices and cast shadows are found by rays against the mesh. Vertices nearer than 1.5 pixels to an edge
+    of the surface are left out. Raises `ValueError` when shapes
     disagree, or the reference distance is not above 0 and finite; `ReflectanceError` when there are not as
     many cameras as pictures, or vertices or normals are not finite or not unit.
 
@@ -245,9 +237,8 @@ def sample_vertices(
         J pictures.
     rig : CaptureRig
         Their cameras and flashes, in the frame of the mesh.
-    vertices : (V, 3) array_like of float
+    vertices, faces : (V, 3) array_like of float, (F, 3) array_like of int
         Millimetres.
-    faces : (F, 3) array_like of int
     normals : (V, 3) array_like of float, optional
         Unit; those of the mesh when omitted. A vertex whose normal is 0 is never seen.
     reference_distance_mm : float, optional
@@ -285,7 +276,7 @@ def sample_vertices(
     angle = np.arccos(np.clip(np.einsum("fkc,fc->fk", normal[index], flat), -1, 1))
     weight = np.repeat(area, 3)
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
-    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), 1e-300))
+    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(
         observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread
     )

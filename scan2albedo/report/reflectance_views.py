@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.operators import filled_over_mesh
+from scan2albedo.geometry.pinhole import camera_centers
+from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
+from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.reflectance import MeshReflectance, ReflectanceFit, VertexReflectance
+from scan2albedo.reflectance.point_light_lobes import point_light_lobes
+from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM
 from scan2albedo.rendering.pictures import seen_samples
 from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel
-
-if TYPE_CHECKING:
-    from scan2albedo.reflectance import MeshReflectance, ReflectanceFit
-
 
 _SIZE = 360
 _BRIGHT = 0.8
 """Linear level at which the albedo's 99th percentile is shown: its scale is not known."""
 _MOST_ERROR = 0.2
 """Difference that is shown in the brightest colour, white = 1."""
-_MARGIN_PX = 8
 
 
 def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None) -> list[Panel]:
@@ -30,22 +31,16 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
 
     In the albedo's panel they, and those whose albedo the fit does not identify, are filled from around them.
     """
-    view, one = View.around(mesh.vertices), mesh.reflectance
-
-    def colored(title: str, color: FloatArray) -> Panel:
-        picture = render_mesh(
-            mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=_SIZE, shaded=False
-        )
-        return Panel(title, picture)
+    one = mesh.reflectance
 
     def heat(title: str, values: FloatArray, most: float) -> Panel:
-        return colored(title, heat_colors(values, 0.0, most))
+        return Panel(title, face_picture(mesh, heat_colors(values, 0.0, most)))
 
     weights = one.weights[one.known]
     most = max(float(np.percentile(weights, 95)) if weights.size else 0.0, 1e-9)
     drawn = one.known if fit is None else fit.drawn
     title = "albedo" if drawn.all() else "albedo, unknown vertices filled"
-    panels = [colored(title, albedo_colors(filled_albedo(mesh, drawn)))]
+    panels = [Panel(title, face_picture(mesh, albedo_colors(filled_albedo(mesh, drawn))))]
     lobes = {"broad lobe": 1, "middle lobe": 8, "narrow lobe": 64}
     for k, (name, exponent) in enumerate(lobes.items()):
         panels.append(heat(f"weight of the {name} ({exponent}), 0 to {most:.2g}", one.weights[:, k], most))
@@ -60,6 +55,14 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
     misfit = np.where(np.isfinite(fit.misfit), fit.misfit, np.nan)
     panels.append(heat("misfit over noise, 0 to 3", misfit, 3.0))
     return panels
+
+
+def face_picture(mesh: MeshReflectance, color: FloatArray) -> NDArray[np.uint8]:
+    """Return the mesh seen from +z in sRGB colours (V, 3), without shading."""
+    view = View.around(mesh.vertices)
+    return render_mesh(
+        mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=_SIZE, shaded=False
+    )
 
 
 def filled_albedo(mesh: MeshReflectance, drawn: BoolArray | None = None) -> FloatArray:
@@ -99,7 +102,7 @@ def relit_panels(
     for axis in (1, 0):
         there, last = np.flatnonzero(shown.any(axis)), shown.shape[1 - axis]
         low, high = (there[0], there[-1] + 1) if len(there) else (0, last)
-        window.append(slice(max(low - _MARGIN_PX, 0), min(high + _MARGIN_PX, last)))
+        window.append(slice(max(low - 8, 0), min(high + 8, last)))
     rows, columns = window
     compared = shown & valid.all(-1)
     level = float(np.percentile(photograph[compared], 99)) if compared.any() else 1.0
@@ -127,3 +130,45 @@ def draw_in_camera(
     colors = np.where(known[:, None], seen.interpolated(np.nan_to_num(color)), 0.0)
     made = seen.picture(np.column_stack([colors, known]))
     return made[..., :3], made[..., 3] > 0
+
+
+def relit_picture(
+    vertices: FloatArray,
+    faces: IntArray,
+    normals: FloatArray,
+    reflectance: VertexReflectance,
+    *,
+    camera: FloatArray,
+    shape: tuple[int, int],
+    light: FloatArray,
+    reference_distance_mm: float | None = None,
+) -> tuple[FloatArray, BoolArray]:
+    """Return radiance (H, W, 3) under a light of strength 1 at (3,), and where all of it is known (H, W).
+
+    The mesh's vertices (V, 3), mm, have unit `normals`, 0 where there is none; those whose reflectance is not
+    known are filled from those around them. Each pixel of `camera` (3, 4) is the mean of nine rays, shaded
+    and shadowed one by one. The back of the mesh is not seen.
+    """
+    center = camera_centers(camera[None])
+    across = face_cross_products(vertices, faces)
+    front = np.einsum("fc,fc->f", across, center - vertices[faces[:, 0]]) > 0
+    seen = seen_samples(vertices, faces[front], camera, shape, 3)
+    if len(seen.index) == 0 or not reflectance.known.any():
+        return np.zeros((*shape, 3)), np.zeros(shape, bool)
+    numbers = np.concatenate([reflectance.diffuse_linear, reflectance.weights], axis=1)
+    albedo, gloss = np.split(
+        seen.interpolated(filled_over_mesh(numbers, reflectance.known, faces)), [3], axis=1
+    )
+    point, normal = seen.interpolated(vertices), normalized(seen.interpolated(normals))
+    lobes = point_light_lobes(
+        point, normal, center, light[None], reference_distance_mm=reference_distance_mm
+    )[0]
+    # Lamps have their place around the origin, which is to lie inside the mesh.
+    middle = (vertices.min(0) + vertices.max(0)) / 2
+    curved, distance = seen.raised(vertices, normals, outward=True), float(np.linalg.norm(light - middle))
+    shadows = ShadowMap(RayCaster(vertices - middle, faces), curved - middle, normal, RAY_OFFSET_MM)
+    lit = (lobes[:, 0] > 0) & (shadows.visible((light - middle) / distance, distance) > 0)
+    radiance = lobes[:, :1] * albedo + (lobes[:, 1:] * gloss).sum(1)[:, None]
+    certain = seen.interpolated(reflectance.known.astype(np.float64)) > 1 - 1e-9
+    made = seen.picture(np.column_stack([radiance * lit[:, None], certain]))
+    return made[..., :3], made[..., 3] == 1

@@ -20,9 +20,6 @@ def samples():
 def test_noise_is_all_that_is_left(samples):
     error = relighting_error(samples, HELD_OUT)
     assert error.relative_rmse == pytest.approx(error.noise_part, rel=0.1)
-    assert error.observations == samples.valid[HELD_OUT].sum()
-    assert (np.isfinite(error.of_picture) == HELD_OUT).all()
-    assert np.nanmean(error.of_picture**2) > 0
     assert error.fit.pair_count.max() <= (~HELD_OUT).sum()
     assert 33 < error.psnr_db < 45
 

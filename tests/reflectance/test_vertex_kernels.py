@@ -7,14 +7,7 @@ from benchmarks.reflectance_captures import head_capture, of_pairs, samples_of
 from scipy.optimize import nnls
 
 from scan2albedo.reflectance import VertexSamples
-from scan2albedo.reflectance.vertex_kernels import (
-    CAUCHY,
-    CHARBONNIER,
-    NONE,
-    reweigh,
-    solve_bounded,
-    solve_free,
-)
+from scan2albedo.reflectance.vertex_kernels import reweigh, solve_bounded, solve_free
 
 
 def random_samples(seed, count=60, pairs=12, dark=0.0):
@@ -108,8 +101,8 @@ def test_observations_beyond_all_precision_keep_the_estimate_finite(column, sigm
     np.testing.assert_allclose(radiance, 0.5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("kind", [NONE, CHARBONNIER, CAUCHY])
-def test_weights_are_the_slope_of_the_loss(kind):
+@pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
+def test_weights_are_the_slope_of_the_loss(power):
     """Half the weight is the derivative of a pair's loss by the mean square of its residuals."""
     sizes = np.array([0.1, 1.0, 3.0, 20.0])
     losses, weights = [], []
@@ -124,7 +117,7 @@ def test_weights_are_the_slope_of_the_loss(kind):
             np.zeros(6),
             np.zeros(6),
             np.arange(1),
-            kind,
+            power,
             2.4,
             scale,
             weight,
@@ -137,7 +130,7 @@ def test_weights_are_the_slope_of_the_loss(kind):
     slope = (losses[1] - losses[0]) / 1e-4
     assert slope == pytest.approx(3 * 0.5 * weights[0].sum(), rel=1e-3)
     assert (np.diff(weights[0]) <= 0).all()
-    assert (weights[0][-1] == 1) == (kind == NONE)
+    assert (weights[0][-1] == 1) == (power == 0)
 
 
 def test_sums_that_overflow_give_no_number():

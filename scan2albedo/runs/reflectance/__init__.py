@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field
 
+from scan2albedo.core import Trace
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import Figures, Record
-from scan2albedo.io.run_folder import OwnFiles, RunFolder
+from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 
 MODEL_FILE, MEAN_FILE, SHAPE_FILE = "reflectance_model.npz", "mean.npz", "shape_model.npz"
 
@@ -41,14 +42,36 @@ FILES = OwnFiles(
 )
 
 
-def results_in(out: Path, inputs: Sequence[str | Path]) -> RunFolder[ReflectanceRecord]:
-    """Return the folder of a command's results.
+@contextmanager
+def publishing(
+    out: Path,
+    command: str,
+    inputs: Sequence[str | Path],
+    options: dict[str, Any],
+    figures: dict[str, Any],
+    notes: Sequence[str] = (),
+) -> Iterator[Staging[ReflectanceRecord]]:
+    """Give the folder of a command's results; its record is written last.
 
     Raises `ReflectanceError` when `out` is one of the `inputs`, whose record it would replace.
     """
     if any(Path(path).resolve() == out.resolve() for path in inputs):
         raise ReflectanceError(f"{out} is where the command reads from; write to another folder")
-    return RunFolder(out, FILES)
+    with RunFolder(out, FILES).publishing() as results:
+        yield results
+        results.write_record(
+            command=command,
+            inputs=tuple(map(str, inputs)),
+            options=options,
+            metrics=figures,
+            notes=tuple(notes),
+        )
+
+
+def write_trace(results: Staging[ReflectanceRecord], trace: Trace) -> None:
+    """Write a trace as a table and as a figure."""
+    trace.to_csv(results.folder / "trace.csv")
+    results.figure("error_vs_time.png", trace.plot())
 
 
 @contextmanager

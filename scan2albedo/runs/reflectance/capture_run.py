@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -22,6 +21,7 @@ from scan2albedo.reflectance import (
     CaptureFiles,
     MeshReflectance,
     OlatImages,
+    PhotographFiles,
     ReflectanceFit,
     ReflectanceFitOptions,
     RelightingError,
@@ -32,7 +32,6 @@ from scan2albedo.reflectance import (
     write_reflectance,
 )
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
-from scan2albedo.reflectance.relit_picture import relit_picture
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import (
@@ -40,12 +39,10 @@ from scan2albedo.report.reflectance_views import (
     filled_albedo,
     reflectance_panels,
     relit_panels,
+    relit_picture,
 )
-from scan2albedo.runs.reflectance import naming, results_in
+from scan2albedo.runs.reflectance import naming, publishing, write_trace
 
-HELD_OUT_EVERY, _LEAST_FOR_HELD_OUT = 10, 5
-"""One pair of the first number is left out of the fit that is tested on it; no pair where there are fewer."""
-_SHOWN_PAIRS, _COLUMNS_OF_SHEET = 4, 11
 _DOUBTFUL_SIGMA_DEGREES, _DOUBTFUL_MISFIT, _DOUBTFUL_HELD_OUT = 2.0, 1.25, 1.5
 """Medians of the normals' deviation and of the misfit above which a note says so, and then the held-out error
 over noise's part of it, which too few pictures raise as well."""
@@ -74,17 +71,25 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
         "valid_share": float(olat.valid.all(-1).mean()),
         "pairs_left_out": [d.pair for d in olat.diagnostics if d.left_out],
     }
-    with results_in(out, (capture.path,)).publishing() as results:
+    notes = (*_notes_of_file(capture), *_notes_of_pairs(capture, olat))
+    with publishing(
+        out, "olat", (capture.path,), {"gamma": capture.content.gamma}, figures, notes
+    ) as results:
         for number, linear in enumerate(olat.linear):
             write_exr(results.folder / f"olat_{number:03d}.exr", linear)
-        write_png(results.folder / "olat.png", _sheet(olat, lights=len(set(capture.rig.light.tolist()))))
-        results.write_record(
-            command="olat",
-            inputs=(str(capture.path),),
-            options={"gamma": capture.content.gamma},
-            metrics=figures,
-            notes=(*_notes_of_file(capture), *_notes_of_pairs(capture, olat)),
-        )
+        # A sheet of all pictures in rows, small, as bright as their brightest percentile allows.
+        step = max(1, -(-max(olat.linear.shape[1:3]) // 128))
+        small = np.clip(olat.linear[:, ::step, ::step], 0, None)
+        level = max(float(np.percentile(small, 99.7)), np.finfo(float).tiny)
+        small = np.where(olat.saturated[:, ::step, ::step], np.float32(level), small)
+        lights = len(set(capture.rig.light.tolist()))
+        columns = lights if len(small) % lights == 0 else min(11, len(small))
+        rows = -(-len(small) // columns)
+        padded = np.zeros((rows * columns, *small.shape[1:]), np.float32)
+        padded[: len(small)] = np.minimum(small / level, 1)
+        grid = padded.reshape(rows, columns, *small.shape[1:]).transpose(0, 2, 1, 3, 4)
+        sheet = grid.reshape(rows * small.shape[1], columns * small.shape[2], 3)
+        write_png(results.folder / "olat.png", encode_srgb_bytes(sheet))
     return figures
 
 
@@ -92,7 +97,7 @@ def fit_capture(
     capture: CaptureFiles,
     *,
     options: ReflectanceFitOptions = ReflectanceFitOptions(),
-    held_out_every: int = HELD_OUT_EVERY,
+    held_out_every: int = 10,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FittedCapture:
@@ -116,9 +121,9 @@ def fit_capture(
         samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
         fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
     notes, error = _notes_of_file(capture), None
-    # One of `held_out_every` pairs that can be used; none where too few would remain.
+    # One of `held_out_every` pairs that can be used; none where fewer than four would remain.
     usable, held_out = np.flatnonzero(samples.valid.any((1, 2))), np.zeros(len(samples.light), bool)
-    if held_out_every > 0 and len(usable) >= _LEAST_FOR_HELD_OUT:
+    if held_out_every > 0 and len(usable) >= 5:
         step = min(held_out_every, len(usable))
         held_out[usable[step // 2 :: step]] = True
     if held_out.any():
@@ -160,10 +165,10 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
             "psnr_db": done.error.psnr_db,
         }
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
-    with results_in(out, (capture.path,)).publishing() as results:
+    notes = (*done.notes, *_notes_of_pairs(capture, done.olat))
+    with publishing(out, "fit", (capture.path,), options, figures, notes) as results:
         write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
-        fit.trace.to_csv(results.folder / "trace.csv")
-        results.figure("error_vs_time.png", fit.trace.plot())
+        write_trace(results, fit.trace)
         results.figure("overview.png", overview_figure(title, reflectance_panels(mesh, fit), 5))
         if done.error is not None:
             relit = (
@@ -171,18 +176,11 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
                 f"vertices, {done.error.psnr_db:.1f} dB"
             )
             chosen, panels, names = np.flatnonzero(done.held_out), [], capture.pair_names()
-            shown = np.linspace(0, len(chosen) - 1, min(_SHOWN_PAIRS, len(chosen))).astype(int)
+            shown = np.linspace(0, len(chosen) - 1, min(4, len(chosen))).astype(int)
             for j in chosen[shown]:
                 panels += relit_panels(names[j], *relit_pair(done, j), done.olat.valid[j])
             results.figure("relit.png", overview_figure(relit, panels, 6))
         write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
-        results.write_record(
-            command="fit",
-            inputs=(str(capture.path),),
-            options=options,
-            metrics=figures,
-            notes=(*done.notes, *_notes_of_pairs(capture, done.olat)),
-        )
     return figures
 
 
@@ -226,7 +224,7 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
 def _notes_of_file(capture: CaptureFiles) -> tuple[str, ...]:
     """Return the caveats of a file without gamma, and of a mesh that is not of a head's size in its unit."""
     content = capture.content
-    notes = () if capture.gamma_given else (gamma_note(capture.path, content.gamma),)
+    notes = gamma_notes(capture)
     unit, (low, high) = content.unit, PLAUSIBLE_EXTENT_MM
     components = vertex_components(len(capture.vertices), capture.faces)
     extent_mm = largest_extent(capture.vertices, components)
@@ -242,11 +240,13 @@ def _notes_of_file(capture: CaptureFiles) -> tuple[str, ...]:
     )
 
 
-def gamma_note(path: Path, gamma: float) -> str:
+def gamma_notes(files: CaptureFiles | PhotographFiles) -> tuple[str, ...]:
     """Return the caveat of a file that gives no gamma."""
+    if files.gamma_given:
+        return ()
     return (
-        f"{path.name} gives no gamma: light is taken as value^{gamma:g}; say "
-        '"gamma": 1 for linear pictures, about 2.2 for ordinary sRGB pictures'
+        f"{files.path.name} gives no gamma: light is taken as value^{files.content.gamma:g}; say "
+        '"gamma": 1 for linear pictures, about 2.2 for ordinary sRGB pictures',
     )
 
 
@@ -286,17 +286,3 @@ def _notes_of_pairs(capture: CaptureFiles, olat: OlatImages) -> tuple[str, ...]:
         for one in olat.diagnostics
         if one.name != "saturated" or one.part > 0.05
     )
-
-
-def _sheet(olat: OlatImages, *, lights: int) -> NDArray[np.uint8]:
-    """Return all pictures in rows, small, as bright as their brightest percentile allows."""
-    step = max(1, -(-max(olat.linear.shape[1:3]) // 128))
-    small = np.clip(olat.linear[:, ::step, ::step], 0, None)
-    level = max(float(np.percentile(small, 99.7)), 1e-12)
-    small = np.where(olat.saturated[:, ::step, ::step], np.float32(level), small)
-    columns = lights if len(small) % lights == 0 else min(_COLUMNS_OF_SHEET, len(small))
-    rows = -(-len(small) // columns)
-    padded = np.zeros((rows * columns, *small.shape[1:]), np.float32)
-    padded[: len(small)] = np.minimum(small / level, 1)
-    grid = padded.reshape(rows, columns, *small.shape[1:]).transpose(0, 2, 1, 3, 4)
-    return encode_srgb_bytes(grid.reshape(rows * small.shape[1], columns * small.shape[2], 3))

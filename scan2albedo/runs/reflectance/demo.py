@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
-from scan2albedo.io.records import Record
+from scan2albedo.io.records import Record, write_record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.reflectance import (
     OlatOptions,
@@ -28,83 +27,44 @@ from scan2albedo.reflectance import (
     read_capture,
     read_photograph,
     write_capture,
-    write_photograph,
 )
 from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, write_olat
-from scan2albedo.runs.reflectance.image_run import (
-    fit_photograph,
-    tune_model,
-    write_fitted_photograph,
-    write_tuned_model,
-)
+from scan2albedo.runs.reflectance.image_run import fit_photograph, tune_model, write_fitted_photograph
 from scan2albedo.runs.reflectance.model_run import (
     build_model,
     read_model_folder,
     write_model_folder,
     write_samples,
 )
-from scan2albedo.synthetic import (
-    FacePhotograph,
-    FlashCapture,
-    Portrait,
-    face_photograph,
-    flash_capture,
-)
+from scan2albedo.synthetic import FacePhotograph, FlashCapture, Portrait, face_photograph, flash_capture
 
 _PORTRAIT = Portrait(picture_size=192)
 """People have no hair: its shadows on the brow are not the mesh's, and a model would learn them as skin."""
-_LEAST_PAIRS, _NEW_PEOPLE = 3, 1000
-"""Pairs that the command `fit` asks for; first seed of people that the model was not learned from."""
-_ALTERNATIONS, _RIDGE = 30, 1e-9
-"""Of the nearest face, found by turns of scale and coefficients; the ridge only keeps the solution unique."""
 CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE = "capture.json", "photograph.json", "landmark_vertices.json"
 _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
 
 
-@dataclass(frozen=True)
-class ReflectanceDemoReport:
-    """Errors against the truth; of albedos as relative RMSE, of those of photographs at the best scale."""
-
-    people: int
-    diffuse_error: tuple[float, ...]
-    diffuse_median_error: tuple[float, ...]
-    held_out_error: tuple[float, ...]
-    """Of each person's fit to flash pictures, over known vertices; the median of the relative differences
-    instead; of predicted pictures that were left out of the fit."""
-    mesh_known_error: float
-    landmarks_error: float
-    mean_face_error: float
-    nearest_error: float
-    """Of a new person's albedo from one photograph, the mesh being known; from landmarks alone; of the
-    model's mean in its place; of the model's face whose albedo is nearest at some scale."""
-    shape_error_mm: float
-    mean_shape_error_mm: float
-    """Of the shape from landmarks, mean over vertices after rigid alignment; of the mean shape instead."""
-    tuning_before: float
-    tuning_after: float
-    accepted_steps: int
-
-    def lines(self) -> list[str]:
-        """Return the report as text."""
-        diffuse, median, relit = (
-            100 * float(np.mean(values))
-            for values in (self.diffuse_error, self.diffuse_median_error, self.held_out_error)
-        )
-        return [
-            f"error against the ground truth, {self.people} people with 35 pairs of pictures each:",
-            f"  albedo of vertices        relative RMSE {diffuse:.1f} %, median {median:.1f} %",
-            f"  pictures left out         relative RMSE {relit:.1f} %",
-            "a person whom the model does not know, from one photograph in unknown light:",
-            f"  albedo, mesh known        relative RMSE {100 * self.mesh_known_error:.1f} %",
-            f"  albedo, from landmarks    relative RMSE {100 * self.landmarks_error:.1f} %",
-            f"  the model's mean instead  relative RMSE {100 * self.mean_face_error:.1f} %",
-            f"  the model's nearest face  relative RMSE {100 * self.nearest_error:.1f} %",
-            f"  shape from landmarks      {self.shape_error_mm:.2f} mm mean, of the mean shape "
-            f"{self.mean_shape_error_mm:.2f} mm",
-            f"fine-tuning: {self.accepted_steps} changes accepted, held-out objective "
-            f"{self.tuning_before:.4g} -> {self.tuning_after:.4g}",
-        ]
+def report_lines(figures: dict[str, Any]) -> list[str]:
+    """Return the figures of `run_reflectance_demo` as text."""
+    percent = {
+        name: 100 * float(np.mean(value)) for name, value in figures.items() if name.endswith("_error")
+    }
+    return [
+        f"error against the ground truth, {figures['people']} people with 35 pairs of pictures each:",
+        f"  albedo of vertices        relative RMSE {percent['diffuse_error']:.1f} %, median "
+        f"{percent['diffuse_median_error']:.1f} %",
+        f"  pictures left out         relative RMSE {percent['held_out_error']:.1f} %",
+        "a person whom the model does not know, from one photograph in unknown light:",
+        f"  albedo, mesh known        relative RMSE {percent['mesh_known_error']:.1f} %",
+        f"  albedo, from landmarks    relative RMSE {percent['landmarks_error']:.1f} %",
+        f"  the model's mean instead  relative RMSE {percent['mean_face_error']:.1f} %",
+        f"  the model's nearest face  relative RMSE {percent['nearest_error']:.1f} %",
+        f"  shape from landmarks      {figures['shape_error_mm']:.2f} mm mean, of the mean shape "
+        f"{figures['mean_shape_error_mm']:.2f} mm",
+        f"fine-tuning: {figures['accepted_steps']} changes accepted, held-out objective "
+        f"{figures['tuning_before']:.4g} -> {figures['tuning_after']:.4g}",
+    ]
 
 
 def run_reflectance_demo(
@@ -115,12 +75,13 @@ def run_reflectance_demo(
     seed: int = 0,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
-) -> ReflectanceDemoReport:
+) -> dict[str, Any]:
     """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.
 
     Everything goes through files, as with real pictures: ``captures``, ``fits``, ``model``, ``samples``,
     ``photographs``, ``fit_image`` and ``tuned`` in `out`. The model is learned from 2 or more `people`;
-    `photographs`, 2 or more, are of others, half of them held out from fine-tuning.
+    `photographs`, 2 or more, are of others, half of them held out from fine-tuning. Errors of albedos are
+    relative RMSE, of those of photographs at the best scale; shapes are aligned rigidly.
     """
     fits, errors = [], []
     for number in range(people):
@@ -129,10 +90,10 @@ def run_reflectance_demo(
         file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
         if number == 0:
             write_olat(read_capture(file), out / "olat")
-        options = ReflectanceFitOptions(least_pairs=_LEAST_PAIRS)
+        options = ReflectanceFitOptions(least_pairs=3)
         done = fit_capture(read_capture(file), options=options, on_progress=on_progress)
         fits.append(out / "fits" / f"person_{number:02d}")
-        write_fit(done, fits[-1], {"least_pairs": _LEAST_PAIRS})
+        write_fit(done, fits[-1], {"least_pairs": options.least_pairs})
         assert done.error is not None
         found, known = done.fit.reflectance.diffuse_linear, done.fit.reflectance.known
         albedo = capture.diffuse_linear[known]
@@ -144,7 +105,8 @@ def run_reflectance_demo(
     write_samples(out / "model", out / "samples", count=6, seed=seed)
     models = read_model_folder(out / "model")
     say("fitting a photograph of another person")
-    taken, fitted = _photograph(seed + _NEW_PEOPLE, 0), []
+    others = seed + 1000  # seeds of people that the model was not learned from
+    taken, fitted = _photograph(others, 0), []
     for name in ("mesh", "landmarks"):
         file = write_synthetic_photograph(taken, out / "photographs" / name, mesh=name == "mesh")
         fitted.append(fit_photograph(read_photograph(file), models, on_progress=on_progress))
@@ -153,18 +115,18 @@ def run_reflectance_demo(
     say("fine-tuning")
     files = [
         write_synthetic_photograph(
-            _photograph(seed + _NEW_PEOPLE + 1 + number, number + 1), out / "photographs" / f"{number:02d}"
+            _photograph(others + 1 + number, number + 1), out / "photographs" / f"{number:02d}"
         )
         for number in range(photographs)
     ]
-    tuned = tune_model(models, files[::2], files[1::2], on_progress=on_progress)
-    write_tuned_model(tuned, out / "tuned", {})
+    tuned = tune_model(models, files[::2], files[1::2], out / "tuned", {}, on_progress=on_progress)
     truth, shape, seen = taken.diffuse_linear, taken.vertices, np.asarray(with_mesh.observation.seen)
     used, nearest = seen & models.model.known, models.mean.reflectance
-    for _ in range(_ALTERNATIONS):
+    # The nearest face, by turns of scale and coefficients; the ridge only keeps the solution unique.
+    for _ in range(30):
         a, b = nearest.diffuse_linear[used], truth[used]
         scaled = VertexReflectance(truth * (np.sum(a * b) / np.sum(b * b)), np.zeros_like(truth), seen)
-        nearest = models.model.project(scaled, prior=_RIDGE).nearest.reflectance
+        nearest = models.model.project(scaled, prior=np.finfo(float).eps).nearest.reflectance
 
     def scaled_error(found: VertexReflectance) -> float:
         """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
@@ -174,21 +136,21 @@ def run_reflectance_demo(
         aligned = transform_points(procrustes(found, shape[seen]), found)
         return float(np.linalg.norm(aligned - shape[seen], axis=1).mean())
 
-    return ReflectanceDemoReport(
-        people=people,
-        diffuse_error=tuple(one[0] for one in errors),
-        diffuse_median_error=tuple(one[1] for one in errors),
-        held_out_error=tuple(one[2] for one in errors),
-        mesh_known_error=scaled_error(with_mesh.face.reflectance),
-        landmarks_error=scaled_error(marked.face.reflectance),
-        mean_face_error=scaled_error(models.mean.reflectance),
-        nearest_error=scaled_error(nearest),
-        mean_shape_error_mm=shape_error_mm(models.mean.vertices[seen]),
-        shape_error_mm=shape_error_mm(marked.vertices[seen]),
-        tuning_before=tuned.tuning.held_out_before,
-        tuning_after=tuned.tuning.held_out_after,
-        accepted_steps=len(tuned.tuning.accepted_steps),
-    )
+    return {
+        "people": people,
+        "diffuse_error": [one[0] for one in errors],
+        "diffuse_median_error": [one[1] for one in errors],
+        "held_out_error": [one[2] for one in errors],
+        "mesh_known_error": scaled_error(with_mesh.face.reflectance),
+        "landmarks_error": scaled_error(marked.face.reflectance),
+        "mean_face_error": scaled_error(models.mean.reflectance),
+        "nearest_error": scaled_error(nearest),
+        "shape_error_mm": shape_error_mm(marked.vertices[seen]),
+        "mean_shape_error_mm": shape_error_mm(models.mean.vertices[seen]),
+        "tuning_before": tuned["held_out_before"],
+        "tuning_after": tuned["held_out_after"],
+        "accepted_steps": len(tuned["accepted_steps"]),
+    }
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
@@ -230,21 +192,16 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             if light == 0:
                 write_png(staging.folder / room, capture.room[j])
                 write_png(staging.folder / f"skin_{view:02d}.png", _white_where(capture.skin[j]))
-            pairs.append(
-                PairEntry(
-                    camera=f"place_{view:02d}",
-                    flash=f"place_{light:02d}",
-                    flash_image=flash,
-                    room_image=room,
-                )
-            )
+            places = {"camera": f"place_{view:02d}", "flash": f"place_{light:02d}"}
+            pairs.append(PairEntry(**places, flash_image=flash, room_image=room))
         poses = [
-            {
-                "name": f"place_{k:02d}",
-                "rotation": rotation.tolist(),
-                "translation": translation.tolist(),
-                "mask": f"skin_{k:02d}.png" if k <= capture.view.max() else None,
-            }
+            PoseEntry(
+                name=f"place_{k:02d}",
+                rotation=rotation.tolist(),
+                translation=translation.tolist(),
+                intrinsics=None,
+                mask=f"skin_{k:02d}.png" if k <= capture.view.max() else None,
+            )
             for k, (rotation, translation) in enumerate(
                 zip(capture.head_rotations, capture.head_translations, strict=True)
             )
@@ -257,7 +214,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             falloff_distance=options.distance_mm,
             flash_strength=capture.exposure,
             intrinsics=capture.intrinsics.tolist(),
-            poses=tuple(PoseEntry.model_validate(pose) for pose in poses),
+            poses=tuple(poses),
             pictures=tuple(pairs),
         )
         write_capture(staging.folder / CAPTURE_FILE, content)
@@ -289,7 +246,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
                 "landmarks": landmarks,
             }
         )
-        write_photograph(staging.folder / PHOTOGRAPH_FILE, content)
+        write_record(staging.folder / PHOTOGRAPH_FILE, content, indent=1)
         staging.write_record()
     return folder / PHOTOGRAPH_FILE
 

@@ -17,7 +17,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
     FaceFit,
-    FineTuning,
     GeometryFit,
     ImageFit,
     ImageObservation,
@@ -36,12 +35,9 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
-from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, naming, results_in
-from scan2albedo.runs.reflectance.capture_run import gamma_note, write_colored_mesh
+from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, naming, publishing, write_trace
+from scan2albedo.runs.reflectance.capture_run import gamma_notes, write_colored_mesh
 from scan2albedo.runs.reflectance.model_run import FaceModels
-
-_ONE_HELD_OUT_OF = 3
-"""Photographs, when none is given to be held out."""
 
 
 @dataclass(frozen=True)
@@ -65,44 +61,22 @@ class FittedPhotograph:
 
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
-        notes = list(notes_of_file(self.photograph))
+        notes = gamma_notes(self.photograph)
         for name, part in {"shape": self.geometry, "reflectance and light": self.fit}.items():
             if part is not None and not part.converged:
-                notes.append(f"the fit of {name} stopped before it had converged")
+                notes += (f"the fit of {name} stopped before it had converged",)
         if self.face.badly_explained:
-            notes.append(
+            notes += (
                 "light and model explain the photograph badly: relative RMSE "
                 f"{100 * self.fit.relative_rmse:.1f} %; the reflectance is that of the model's mean face, "
-                "scaled; do not trust the light, and check mesh, landmarks, gamma and mask"
+                "scaled; do not trust the light, and check mesh, landmarks, gamma and mask",
             )
         elif not self.face.beats_mean:
-            notes.append(
+            notes += (
                 "the reflectance is that of the model's mean face, scaled: nothing found in this photograph "
-                "predicts parts of it that were left out any better"
+                "predicts parts of it that were left out any better",
             )
-        return tuple(notes)
-
-    def metrics(self) -> dict[str, Any]:
-        """Return the figures for `reflectance.json`."""
-        face, fit, geometry = self.face, self.fit, self.geometry
-        figures: dict[str, Any] = {
-            "vertices": len(self.vertices),
-            "seen_vertices": int(np.asarray(self.observation.seen).sum()),
-            "beats_mean": face.beats_mean,
-            "badly_explained": face.badly_explained,
-            "details": face.details is not None,
-            "plan": [vars(step) for step in face.plan],
-            "relative_rmse": face.relative_rmse,
-            "coefficients": fit.face.coefficients,
-            "light_harmonics": fit.light,
-        }
-        names = ("objective", "converged", "iterations", "light_coefficients", "scale_rgb")
-        figures |= {name: getattr(fit, name) for name in names}
-        if geometry is not None:
-            shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
-            colors = ("photometric_rmse_before", "photometric_rmse_after")
-            figures["geometry"] = {name: getattr(geometry, name) for name in (*shape, *colors)}
-        return figures
+        return notes
 
 
 def fit_photograph(
@@ -206,42 +180,41 @@ def write_fitted_photograph(
     done: FittedPhotograph, models: FaceModels, out: Path, options: dict[str, Any]
 ) -> dict[str, Any]:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
-    figures = done.metrics()
+    face, fit, geometry = done.face, done.fit, done.geometry
     seen = np.asarray(done.observation.seen)
-    mesh = MeshReflectance(done.vertices, done.faces, done.face.reflectance, seen=seen)
-    upright = MeshReflectance(models.mean.vertices, done.faces, done.face.reflectance)
+    figures: dict[str, Any] = {
+        "vertices": len(done.vertices),
+        "seen_vertices": int(seen.sum()),
+        "beats_mean": face.beats_mean,
+        "badly_explained": face.badly_explained,
+        "details": face.details is not None,
+        "plan": [vars(step) for step in face.plan],
+        "relative_rmse": face.relative_rmse,
+        "coefficients": fit.face.coefficients,
+        "light_harmonics": fit.light,
+    }
+    names = ("objective", "converged", "iterations", "light_coefficients", "scale_rgb")
+    figures |= {name: getattr(fit, name) for name in names}
+    if geometry is not None:
+        shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
+        colors = ("photometric_rmse_before", "photometric_rmse_after")
+        figures["geometry"] = {name: getattr(geometry, name) for name in (*shape, *colors)}
+    mesh = MeshReflectance(done.vertices, done.faces, face.reflectance, seen=seen)
+    upright = MeshReflectance(models.mean.vertices, done.faces, face.reflectance)
     inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
-    with results_in(out, inputs).publishing() as results:
+    with publishing(out, "fit-image", inputs, options, figures, done.notes()) as results:
         write_reflectance(results.folder / "reflectance.npz", mesh)
         write_colored_mesh(results.folder / "face.ply", mesh)
-        done.trace.to_csv(results.folder / "trace.csv")
-        results.figure("error_vs_time.png", done.trace.plot())
+        write_trace(results, done.trace)
         linear = _linear(done.photograph)
         made, shown = draw_in_camera(
-            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, done.face.radiance_linear
+            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, face.radiance_linear
         )
-        valid = np.isfinite(linear)
-        panels = relit_panels("face", np.nan_to_num(linear), made, shown, valid)
-        title = (
-            f"relative RMSE {100 * done.face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices"
-        )
-        title += "\n" + ("; ".join(step.reason for step in done.face.plan if step.ran) or "the mean face")
+        panels = relit_panels("face", np.nan_to_num(linear), made, shown, np.isfinite(linear))
+        title = f"relative RMSE {100 * face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices\n"
+        title += "; ".join(step.reason for step in face.plan if step.ran) or "the mean face"
         results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
-        results.write_record(
-            command="fit-image",
-            inputs=tuple(map(str, inputs)),
-            options=options,
-            metrics=figures,
-            notes=done.notes(),
-        )
     return figures
-
-
-def notes_of_file(photograph: PhotographFiles) -> tuple[str, ...]:
-    """Return the caveats of what a photograph file does not say."""
-    if photograph.gamma_given:
-        return ()
-    return (gamma_note(photograph.path, photograph.content.gamma),)
 
 
 def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
@@ -264,43 +237,35 @@ def _linear(photograph: PhotographFiles) -> FloatArray:
     return np.where(values < content.saturation, linear_values(values, content.gamma), np.nan)
 
 
-@dataclass(frozen=True)
-class TunedModel:
-    """A model after fine-tuning with photographs."""
-
-    models: FaceModels
-    tuning: FineTuning
-    photographs: tuple[Path, ...]
-    held_out: tuple[Path, ...]
-    notes: tuple[str, ...] = ()
-    """Caveats of the photograph files."""
-
-
 def tune_model(
     models: FaceModels,
     photographs: Sequence[Path],
-    held_out: Sequence[Path] = (),
+    held_out: Sequence[Path],
+    out: Path,
+    options: dict[str, Any],
     *,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
-) -> TunedModel:
-    """Fine-tune a model with photograph files, and test it on others: `held_out`, or one of three when empty.
+) -> dict[str, Any]:
+    """Fine-tune a model with photograph files, test it on others, and write the model's folder anew.
 
-    `say` gets a line for each photograph. Raises `ReflectanceError` when there are too few, or one cannot be
-    used.
+    Others are `held_out`, or one of three photographs when empty. `say` gets a line for each photograph.
+    Returns figures as in `reflectance.json`. Raises `ReflectanceError` when there are too few, or one cannot
+    be used.
     """
+    assert models.folder is not None  # models that are tuned come from files
     tuned_with, tested_on = list(photographs), list(held_out)
     both = {path.resolve() for path in tuned_with} & {path.resolve() for path in tested_on}
     if both:
         raise ReflectanceError(f"{min(both)} is held out and tuned with; give it once")
     if not tested_on:
-        tested_on = tuned_with[_ONE_HELD_OUT_OF - 1 :: _ONE_HELD_OUT_OF]
+        tested_on = tuned_with[2::3]
         tuned_with = [path for path in tuned_with if path not in tested_on]
     if not tuned_with or not tested_on:
         raise ReflectanceError(
             f"{len(tuned_with)} photographs to tune with and {len(tested_on)} held out; give one or more of "
-            f"each, or {_ONE_HELD_OUT_OF} or more in all"
+            "each, or 3 or more in all"
         )
     lighting = LightingModel.default()
     notes: list[str] = []
@@ -308,7 +273,7 @@ def tune_model(
     def observed(path: Path) -> ImageObservation:
         say(f"reading {path}")
         photograph = read_photograph(path)
-        notes.extend(notes_of_file(photograph))
+        notes.extend(gamma_notes(photograph))
         with naming(f"photograph {photograph.path}"):
             vertices, _, _ = shaped_vertices(photograph, models, lighting)
             return observe(photograph, vertices, models.mean.faces)
@@ -323,39 +288,22 @@ def tune_model(
         budget=budget,
         on_progress=on_progress,
     )
-    mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
-    better = replace(
-        models, model=tuning.model, mean=MeshReflectance(models.mean.vertices, models.mean.faces, mean)
-    )
-    return TunedModel(better, tuning, tuple(tuned_with), tuple(tested_on), tuple(notes))
-
-
-def write_tuned_model(done: TunedModel, out: Path, options: dict[str, Any]) -> dict[str, Any]:
-    """Write the model's folder anew; return figures as in `reflectance.json`."""
-    models, tuning = done.models, done.tuning
-    assert models.folder is not None  # models that are tuned come from files
+    if not tuning.converged:
+        notes.append("budget or rounds ended while changes still helped")
     figures = {
-        "photographs": [str(path) for path in done.photographs],
-        "held_out": [str(path) for path in done.held_out],
+        "photographs": [str(path) for path in tuned_with],
+        "held_out": [str(path) for path in tested_on],
         "accepted_steps": tuning.accepted_steps,
         "held_out_before": tuning.held_out_before,
         "held_out_after": tuning.held_out_after,
         "converged": tuning.converged,
     }
-    inputs = models.folder, *done.photographs, *done.held_out
-    with results_in(out, inputs).publishing() as results:
-        models.model.save(results.folder / MODEL_FILE)
-        write_reflectance(results.folder / MEAN_FILE, models.mean)
+    mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
+    inputs = (models.folder, *tuned_with, *tested_on)
+    with publishing(out, "finetune", inputs, options, figures, notes) as results:
+        tuning.model.save(results.folder / MODEL_FILE)
+        write_reflectance(results.folder / MEAN_FILE, replace(models.mean, reflectance=mean))
         if models.shape is not None:
             shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
-        tuning.trace.to_csv(results.folder / "trace.csv")
-        results.figure("error_vs_time.png", tuning.trace.plot())
-        ended = () if tuning.converged else ("budget or rounds ended while changes still helped",)
-        results.write_record(
-            command="finetune",
-            inputs=tuple(map(str, inputs)),
-            options=options,
-            metrics=figures,
-            notes=(*done.notes, *ended),
-        )
+        write_trace(results, tuning.trace)
     return figures

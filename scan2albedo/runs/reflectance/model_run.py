@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
@@ -28,18 +28,16 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.morphable_model import held_out_components, reliability
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
 from scan2albedo.reflectance.shape_model import LANDMARKS
-from scan2albedo.rendering.views import View, render_mesh
 from scan2albedo.report.overview import Panel, overview_figure
-from scan2albedo.report.reflectance_views import albedo_colors, albedo_white
-from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, results_in
+from scan2albedo.report.reflectance_views import albedo_colors, albedo_white, face_picture
+from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, publishing
 from scan2albedo.templates import AnnotatedFaceModel
 
-_RESULT_FILE = "result.json"
 DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
 _LEVELS = 1
 """Refinements of the default face model's surface for synthetic people."""
-_SHOWN_DIRECTIONS, _SIZE = 4, 300
-"""Directions in the sheet of a model, and pixels of a face's picture."""
+_SHOWN_DIRECTIONS = 4
+"""In the sheet of a model."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +64,14 @@ def read_sample(path: Path) -> MeshReflectance:
     """
     if (path / RESULT_FILE).is_file():
         return read_reflectance(path)
-    if path.is_dir() and (path / _RESULT_FILE).is_file():
+    if path.is_dir() and (path / "result.json").is_file():
         from scan2albedo.applications import reflectance_of_processed
 
         face = reflectance_of_processed(path)
         return MeshReflectance(face.mesh.vertices, face.mesh.faces, face.reflectance)
     if path.is_dir():
         raise ReflectanceError(
-            f"{path} holds neither {RESULT_FILE} nor {_RESULT_FILE}: give the folder of a fit or of a "
+            f"{path} holds neither {RESULT_FILE} nor result.json: give the folder of a fit or of a "
             "processed scan, or a reflectance's .npz file"
         )
     return read_reflectance(path)
@@ -221,7 +219,7 @@ def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) ->
         "explained": model.explained,
         "deviation": model.deviation,
     }
-    with results_in(out, built.sources).publishing() as results:
+    with publishing(out, "build", built.sources, options, figures) as results:
         model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, built.mean)
         if built.shape is not None:
@@ -230,10 +228,13 @@ def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) ->
         if shown := min(_SHOWN_DIRECTIONS, model.components):
             part = 100 * model.explained[:shown].sum()
             title += f"; the first {shown} hold {part:.0f} % of the variance"
-        results.figure("model.png", overview_figure(title, model_panels(built), 5))
-        results.write_record(
-            command="build", inputs=tuple(map(str, built.sources)), options=options, metrics=figures
-        )
+        white = albedo_white(built.mean.reflectance.diffuse_linear)
+        panels = [_panel("mean", built.mean, white)]
+        for number, side in itertools.product(range(shown), (-2, 2)):
+            changed = model.reconstruct(side * np.eye(model.components)[number]).reflectance
+            name = f"direction {number + 1}, {side:+d} deviations"
+            panels.append(_panel(name, replace(built.mean, reflectance=changed), white))
+        results.figure("model.png", overview_figure(title, panels, 5))
     return figures
 
 
@@ -262,44 +263,22 @@ def read_model_folder(path: Path) -> FaceModels:
 def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> dict[str, Any]:
     """Write reflectances drawn from the model in a folder, each a file, and a sheet; return the figures."""
     models = read_model_folder(folder)
-    model, mean = models.model, models.mean
-    drawn = [model.sample(np.random.default_rng([seed, number]), scale=scale) for number in range(count)]
+    drawn = [models.model.sample(np.random.default_rng([seed, k]), scale=scale) for k in range(count)]
     figures = {
         "samples": count,
         "coefficients": [one.coefficients for one in drawn],
         "clipped_share": [one.clipped_share for one in drawn],
     }
-    with results_in(out, (folder,)).publishing() as results:
-        white = albedo_white(mean.reflectance.diffuse_linear)
-        panels = []
+    options = {"count": count, "seed": seed, "scale": scale}
+    with publishing(out, "sample", (folder,), options, figures) as results:
+        white, panels = albedo_white(models.mean.reflectance.diffuse_linear), []
         for number, one in enumerate(drawn):
-            mesh = MeshReflectance(mean.vertices, mean.faces, one.reflectance)
+            mesh = replace(models.mean, reflectance=one.reflectance)
             write_reflectance(results.folder / f"sample_{number:03d}.npz", mesh)
-            panels.append(Panel(f"sample {number}", _face(mesh, white)))
+            panels.append(_panel(f"sample {number}", mesh, white))
         results.figure("samples.png", overview_figure(f"{count} samples of {folder.name}", panels, 6))
-        options = {"count": count, "seed": seed, "scale": scale}
-        results.write_record(command="sample", inputs=(str(folder),), options=options, metrics=figures)
     return figures
 
 
-def model_panels(built: FaceModels) -> list[Panel]:
-    """Return panels of the mean, and of the first directions two deviations to each side."""
-    model, mean = built.model, built.mean
-    white = albedo_white(mean.reflectance.diffuse_linear)
-    panels = [Panel("mean", _face(mean, white))]
-    for number in range(min(_SHOWN_DIRECTIONS, model.components)):
-        for side in (-2.0, 2.0):
-            coefficients = np.zeros(model.components)
-            coefficients[number] = side
-            changed = model.reconstruct(coefficients).reflectance
-            name = f"direction {number + 1}, {side:+.0f} deviations"
-            panels.append(Panel(name, _face(MeshReflectance(mean.vertices, mean.faces, changed), white)))
-    return panels
-
-
-def _face(mesh: MeshReflectance, white: float) -> NDArray[np.uint8]:
-    colors = albedo_colors(mesh.reflectance.diffuse_linear, white=white)
-    view = View.around(mesh.vertices)
-    return render_mesh(
-        mesh.vertices, mesh.faces, vertex_color_srgb=colors, view=view, size=_SIZE, shaded=False
-    )
+def _panel(name: str, mesh: MeshReflectance, white: float) -> Panel:
+    return Panel(name, face_picture(mesh, albedo_colors(mesh.reflectance.diffuse_linear, white=white)))

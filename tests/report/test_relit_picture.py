@@ -5,7 +5,7 @@ import trimesh
 
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.reflectance import VertexReflectance
-from scan2albedo.reflectance.relit_picture import relit_picture
+from scan2albedo.report.reflectance_views import relit_picture
 
 SHAPE = (61, 61)
 CAMERA = look_at([0, 0, 500], [0, 0, 0], focal_px=250, shape=SHAPE)
