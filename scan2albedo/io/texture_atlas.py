@@ -18,8 +18,6 @@ Image = NDArray[np.float32]
 GUTTER = 2
 """Texels repeated around each tile, so that interpolation at its edge meets its own colour."""
 
-_SOLID_SIZE = 4
-
 
 @dataclass(frozen=True)
 class PackedTexture:
@@ -102,7 +100,7 @@ def _tiles(
     tile[plain] = len(tiles) + color_of_face
     for index in colors:
         color = mesh.materials[index].base_color_linear if index >= 0 else Material("").base_color_linear
-        tiles.append(np.full((_SOLID_SIZE, _SOLID_SIZE, 3), color, np.float32))
+        tiles.append(np.full((2 * GUTTER, 2 * GUTTER, 3), color, np.float32))
         names.append(mesh.materials[index].name if index >= 0 else "no material")
     return tiles, names, tile, uv, tuple(notes)
 
@@ -146,12 +144,11 @@ def _lay_out(tiles: list[Image]) -> tuple[Image, IntArray]:
             left, top, shelf = 0, top + shelf, 0
         boxes[i] = (left + GUTTER, top + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
         left, shelf = left + sizes[i][0], max(shelf, sizes[i][1])
-    pixels = (top + shelf) * int((boxes[:, 0] + boxes[:, 2]).max() + GUTTER)
-    advice = "save its textures as one picture"
-    limits.require_at_most(
-        "the texture of the scan's materials", "pixels", pixels, limits.ATLAS_PIXELS, advice
-    )
-    atlas = np.zeros((top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, 3), np.float32)
+    height, width = top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER
+    most = limits.PIXELS * 5 // 4  # gutters and sizes leave gaps
+    what, advice = "the texture of the scan's materials", "save its textures as one picture"
+    limits.require_at_most(what, "pixels", height * width, most, advice)
+    atlas = np.zeros((height, width, 3), np.float32)
     for tile, (x, y, w, h) in zip(tiles, boxes, strict=True):
         area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
         area[:] = np.pad(tile, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), mode="edge")
