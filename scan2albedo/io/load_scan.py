@@ -99,10 +99,18 @@ def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None
 
     A note says how many there are. Raises ScanError when they cannot be read.
     """
-    from scan2albedo.io.placed_landmarks import landmarks_for
+    from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
+    from scan2albedo.io.landmark_files import landmarks_file, read_landmarks
 
-    placed = landmarks_for(landmarks, path, scan.mm_per_unit)
-    if placed is None:
+    if not isinstance(landmarks, str | Path):
+        placed = PlacedLandmarks.of(landmarks, scan.mm_per_unit)
+    elif landmarks_option(landmarks) == AUTO:
+        raise ScanError(
+            f"landmarks is {landmarks!r}, which is an option of `process`: here, give a file or points"
+        )
+    elif (file := landmarks_file(landmarks, path)) is not None:
+        placed = read_landmarks(file, scan.mm_per_unit)
+    else:
         return replace(scan, notes=(*scan.notes, f"no landmarks of this scan in the folder {landmarks}"))
     note = f"{int(placed.placed.sum())} landmarks given"
     return replace(scan, landmarks=placed, notes=(*scan.notes, note))
