@@ -47,13 +47,16 @@ def checked_seed(seed: int) -> int:
 ProgressCallback = Callable[[TraceRow], None]
 
 
+GRACE_S = 0.3
+
+
 def grace(seconds: float) -> float:
     """Return the seconds by which a budget of `seconds` may be overrun to bring an answer to its end.
 
     >>> grace(1.0), grace(10.0)
     (0.3, 2.0)
     """
-    return max(seconds / 5, 0.3)
+    return max(seconds / 5, GRACE_S)
 
 
 @dataclass

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -24,22 +23,6 @@ from scan2albedo.io.scan_folder import ScanFolder
 if TYPE_CHECKING:
     import trimesh
 
-PARSER_ERRORS = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    NameError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    struct.error,
-)
-"""What trimesh's parser was seen to raise, or may raise, on damaged files."""
-
 
 def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     """Read a GLB or glTF file: scene transforms applied, all meshes joined, base colours as materials.
@@ -51,7 +34,7 @@ def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     """
     try:
         return _read_parts(GltfFile.read(path, folder))
-    except PARSER_ERRORS as error:
+    except limits.DAMAGE as error:
         kind, cause = path.suffix[1:].upper(), " ".join(f"{type(error).__name__}: {error}".split())
         raise ScanError(
             f"{path.name}: cannot be read as {kind} ({cause}); "

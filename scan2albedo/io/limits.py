@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import json
 import stat
+import struct
+import tokenize
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +42,26 @@ NODES = 1 << 12
 GROWTH = 16
 """Arrays and EXR pictures of more bytes than that are read from files that are large themselves: masks shrink
 more, measured numbers less. What a file of zeros declares may be a thousand times its size."""
+
+DAMAGE = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NameError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What parsers, NumPy's and trimesh's among them, raise of bytes that are not what was written."""
 
 
 def require_at_most(name: str, what: str, count: float, limit: int, advice: str) -> None:

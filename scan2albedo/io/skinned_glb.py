@@ -86,7 +86,15 @@ def write_skinned_glb(
     if shares.min() < 0 or shares[:, ~there].any() or np.abs(shares.sum(1) - 1).max() > 1e-6:
         raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
     known = np.flatnonzero(there)
-    above = _known_parents(parent, set(known.tolist()))
+    above: dict[int, int] = {}  # the nearest joint above each that is known too
+    for joint in known.tolist():
+        above[joint], climb = -1, int(parent[joint])
+        for _ in parent:
+            if above[joint] < 0 and climb in known:
+                above[joint] = climb
+            climb = int(parent[climb]) if climb >= 0 else -1
+        if climb >= 0:
+            raise ValueError(f"parents go round in a circle from joint {joint}")
     order, kept, cut = _largest(shares[:, known], influences)
     file = GlbFile()
     kind, attributes = "u1" if order.max() < 256 else "u2", dict[str, tuple[NDArray[Any], str]]()
@@ -116,27 +124,6 @@ def write_skinned_glb(
     written = np.zeros(shares.shape)
     np.add.at(written, (np.arange(len(shares))[:, None], known[order]), kept)
     return SkinWritten(written / written.sum(1, keepdims=True), cut)
-
-
-def _known_parents(parents: IntArray, known: set[int]) -> dict[int, int]:
-    """Return the nearest joint above each known one that is known too, -1 for none."""
-    result = {}
-    for joint in known:
-        above = int(parents[joint])
-        for _ in parents:
-            if above < 0 or (above in known and above != joint):
-                break
-            above = int(parents[above])
-        else:
-            raise ValueError(f"parents go round in a circle from joint {joint}")
-        result[joint] = above
-    for joint in known:
-        climb = result[joint]
-        for _ in result:
-            climb = result[climb] if climb >= 0 else -1
-        if climb >= 0:
-            raise ValueError(f"parents go round in a circle from joint {joint}")
-    return result
 
 
 def _largest(weights: FloatArray, influences: int | None) -> tuple[IntArray, NDArray[np.float32], float]:
