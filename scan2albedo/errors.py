@@ -20,20 +20,22 @@ def printable(text: str) -> str:
     >>> print(printable("skin\\x1b[2J\\n"))
     skin\\x1b[2J\\x0a
     """
-    return _UNPRINTABLE.sub(lambda found: _escaped(ord(found[0])), text)
 
+    def escaped(found: re.Match[str]) -> str:
+        code = ord(found[0])
+        if 0xDC80 <= code <= 0xDCFF:  # as Python holds a byte of a file's name that it cannot decode
+            code -= 0xDC00
+        return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
-def _escaped(code: int) -> str:
-    if 0xDC80 <= code <= 0xDCFF:  # as Python holds a byte of a file's name that it cannot decode
-        code -= 0xDC00
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+    return _UNPRINTABLE.sub(escaped, text)
 
 
 class Scan2AlbedoError(Exception):
     """Base of every error that scan2albedo raises about its input or its work; its text is `printable`."""
 
     def __init__(self, *arguments: object) -> None:
-        super().__init__(*(_on_one_line(text) if isinstance(text, str) else text for text in arguments))
+        lines = re.compile(r"\s*[\r\n]+\s*")
+        super().__init__(*(printable(lines.sub(" ", a)) if isinstance(a, str) else a for a in arguments))
 
 
 class ScanError(Scan2AlbedoError):
@@ -120,21 +122,10 @@ class MissingDependencyError(Scan2AlbedoError):
 
 @contextmanager
 def needs_extra(extra: str) -> Iterator[None]:
-    """Turn a library that cannot be imported in the block into an error that names the extra to install.
+    """Turn an ImportError of the block into a MissingDependencyError that names the extra to install.
 
-    Parameters
-    ----------
-    extra : str
-        Of `project.optional-dependencies` in pyproject.toml: "batch", "cluster", "landmarks", "recognition"
-        or "report".
+    `extra` is one of `project.optional-dependencies` in pyproject.toml.
 
-    Raises
-    ------
-    MissingDependencyError
-        When an import in the block fails.
-
-    Examples
-    --------
     >>> with needs_extra("report"):
     ...     import a_missing_library
     Traceback (most recent call last):
@@ -150,13 +141,7 @@ def needs_extra(extra: str) -> Iterator[None]:
 
 
 def import_open3d() -> ModuleType:
-    """Return open3d, whose import takes seconds.
-
-    Raises
-    ------
-    MissingDependencyError
-        When it or a system library that it needs is missing.
-    """
+    """Return open3d, whose import takes seconds; MissingDependencyError without it or what it needs."""
     try:
         import open3d
     except (ImportError, OSError) as error:
@@ -169,13 +154,7 @@ def import_open3d() -> ModuleType:
 
 @contextmanager
 def memory_errors_named(name: str) -> Iterator[None]:
-    """Turn a MemoryError, a RecursionError or an OverflowError of the block into one that names its scan.
-
-    Raises
-    ------
-    TooLargeError
-        When one of them leaves the block.
-    """
+    """Turn a MemoryError, RecursionError or OverflowError into a TooLargeError that names its scan."""
     try:
         yield
     except MemoryError as error:
@@ -193,7 +172,3 @@ def memory_errors_named(name: str) -> Iterator[None]:
 def one_line(error: BaseException | str) -> str:
     """Return a message, or that of an error, on one line and printable."""
     return printable(" ".join(str(error).split()))
-
-
-def _on_one_line(text: str) -> str:
-    return printable(re.sub(r"\s*[\r\n]+\s*", " ", text))

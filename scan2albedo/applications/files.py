@@ -197,14 +197,14 @@ def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
     import trimesh
 
     from scan2albedo.io.glb import METRES_PER_MM
-    from scan2albedo.io.gltf import PARSER_ERRORS
+    from scan2albedo.io.limits import DAMAGE
 
     file = _present(folder, "fitted.glb")
     try:
         mesh: Any = trimesh.load(file, process=False, force="mesh")
         vertices = np.asarray(mesh.vertices, np.float64) / METRES_PER_MM
         faces, uv = np.asarray(mesh.faces, np.int64), np.asarray(mesh.visual.uv, np.float64)
-    except PARSER_ERRORS as error:
+    except DAMAGE as error:
         raise ApplicationError(
             f"{file}: cannot be read as a textured GLB ({error}); process the scan again"
         ) from error

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io import limits
-from scan2albedo.io.image_headers import picture_size
+from scan2albedo.io.image_headers import declared_pixels
 from scan2albedo.io.images import SUPPORTED_IMAGES
 from scan2albedo.io.input_hash import files_of_scan
 
@@ -65,9 +65,9 @@ def job_limit(
                 pixels = None
                 if file.suffix.lower() in SUPPORTED_IMAGES:
                     with file.open("rb") as opened:
-                        pixels = picture_size(opened.read(MB))  # metadata may stand before the size
-                if pixels is not None and 0 < pixels.pixels <= limits.PIXELS:
-                    total += pixels.pixels * _PIXEL_BYTES
+                        pixels = declared_pixels(opened.read(MB))  # metadata may stand before the size
+                if pixels is not None and 0 < pixels <= limits.PIXELS:
+                    total += pixels * _PIXEL_BYTES
                 else:
                     total += file.stat().st_size * _MESH_BYTES_PER_BYTE
         largest = max(largest, total)

@@ -23,9 +23,8 @@ class Budget:
     def __post_init__(self) -> None:
         if self.seconds is not None and not (isinstance(self.seconds, Real) and self.seconds > 0):
             raise ValueError(f"Budget.seconds must be a number > 0, got {self.seconds!r}")
-        if self.evaluations is not None and not (
-            isinstance(self.evaluations, Integral) and self.evaluations >= 1
-        ):
+        count = self.evaluations
+        if count is not None and not (isinstance(count, Integral) and count >= 1):
             raise ValueError(f"Budget.evaluations must be a whole number >= 1, got {self.evaluations!r}")
 
     @classmethod
@@ -35,9 +34,7 @@ class Budget:
         >>> Budget.of(2.5)
         Budget(seconds=2.5, evaluations=None)
         """
-        if isinstance(value, Budget):
-            return value
-        return cls(seconds=value)
+        return value if isinstance(value, Budget) else cls(seconds=value)
 
 
 def checked_seed(seed: int) -> int:
@@ -49,17 +46,17 @@ def checked_seed(seed: int) -> int:
 
 ProgressCallback = Callable[[TraceRow], None]
 
-GRACE_SHARE, GRACE_S = 0.2, 0.3
-"""A budget in seconds may be overrun by this part of it, or these seconds, to bring an answer to its end."""
+
+GRACE_S = 0.3
 
 
 def grace(seconds: float) -> float:
-    """Return the seconds by which a budget of `seconds` may be overrun.
+    """Return the seconds by which a budget of `seconds` may be overrun to bring an answer to its end.
 
     >>> grace(1.0), grace(10.0)
     (0.3, 2.0)
     """
-    return max(GRACE_SHARE * seconds, GRACE_S)
+    return max(seconds / 5, GRACE_S)
 
 
 @dataclass

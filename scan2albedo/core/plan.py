@@ -40,23 +40,12 @@ class PlanStep:
 
     @classmethod
     def doubt(cls, stage: str, reason: str, evidence: str = "") -> PlanStep:
-        """Return a row about something in the stage's result that a person should check.
-
-        Parameters
-        ----------
-        stage, reason, evidence : str
-            As in the row.
-        """
+        """Return a row about something in the stage's result that a person should check."""
         return cls(stage, False, reason, evidence, "doubt")
 
     @classmethod
     def wrong(cls, stage: str, reason: str, evidence: str = "") -> PlanStep:
-        """Return a row about a fault of the stage's input or result; see `doubt`.
-
-        Parameters
-        ----------
-        stage, reason, evidence : str
-        """
+        """Return a row about a fault of the stage's input or result."""
         return cls(stage, False, reason, evidence, "wrong")
 
     @property
@@ -91,9 +80,7 @@ class Plan:
 
     def of_stage(self, stage: str) -> Plan:
         """Return the steps of one stage: those named `stage` or below it ("albedo", "albedo.shadows")."""
-        return Plan(
-            tuple(step for step in self.steps if step.stage == stage or step.stage.startswith(stage + "."))
-        )
+        return Plan(tuple(step for step in self.steps if f"{step.stage}.".startswith(f"{stage}.")))
 
     def ran(self, stage: str) -> bool:
         """Return whether any step named `stage` or below it was carried out."""

@@ -9,9 +9,6 @@ from pathlib import Path
 from scan2albedo.errors import Scan2AlbedoError, ScanError
 from scan2albedo.io.limits import TABLE_BYTES, read_bytes
 
-_DELIMITERS = ",;\t"
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
-
 
 def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError]) -> str:
     """Return the text of a UTF-8 file, with or without a byte order mark.
@@ -20,11 +17,9 @@ def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoErro
     """
     try:
         data = read_bytes(file, TABLE_BYTES, "split it")
-    except OSError as cause:
-        raise error(f"{what} cannot be read ({cause.strerror or cause}); {advice}") from cause
-    except ScanError as cause:
-        raise error(f"{what} cannot be read ({cause}); {advice}") from cause
-    if data.startswith(_UTF16):
+    except (OSError, ScanError) as cause:
+        raise error(f"{what} cannot be read ({getattr(cause, 'strerror', '') or cause}); {advice}") from cause
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise error(f"{what} is UTF-16 text; save it as CSV in UTF-8")
     try:
         text = data.decode("utf-8-sig")
@@ -42,7 +37,7 @@ def table_rows(text: str, file: Path, error: type[Scan2AlbedoError]) -> list[tup
     The header shows whether commas, semicolons or tabs separate cells. Raises `error` for unbalanced quotes.
     """
     first = next((line for line in text.splitlines() if line.strip()), "")
-    reader = csv.reader(StringIO(text, newline=""), delimiter=max(_DELIMITERS, key=first.count), strict=True)
+    reader = csv.reader(StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True)
     try:
         return [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except csv.Error as cause:

@@ -17,14 +17,8 @@ FORMAT_VERSION = 1
 
 _NAME_IN_FILE = {
     "position": "position_mm",
-    "normal": "normal",
-    "mask": "mask",
-    "region": "region",
-    "texture_linear": "texture_linear",
-    "texture_valid": "texture_valid",
-    "specular_scale": "specular_scale",
-    "inpaint": "inpaint",
-    "skin": "skin",
+    **{name: name for name in ["normal", "mask", "region", "texture_linear", "texture_valid"]},
+    **{name: name for name in ["specular_scale", "inpaint", "skin"]},
 }
 _EXR_CHANNELS = {"position": "XYZ", "normal": "XYZ", "texture_linear": "RGB"}
 _KINDS = {
@@ -76,16 +70,8 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 def read_geometry_image(path: str | Path) -> GeometryImage:
     """Return the geometry image that `write_geometry_image` or `write_geometry_image_exr` wrote.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ends in .npz or .exr.
-
-    Raises
-    ------
-    GeometryImageError
-        When the file is missing, damaged, of another extension, or lacks position, normal or mask; the
-        message names it.
+    Raises GeometryImageError, naming the file, when it is missing, damaged, of another extension than .npz
+    and .exr, or lacks position, normal or mask.
     """
     file = Path(path)
     extension = file.suffix.lower()

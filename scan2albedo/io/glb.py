@@ -18,10 +18,7 @@ from scan2albedo.io.images import encode_image
 
 METRES_PER_MM = 1e-3
 
-_VERTEX_DATA, _INDICES = 34962, 34963
-"""What a buffer view is for, in the standard's numbers."""
 _COMPONENT = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
-_GREY = (200 / 255,) * 3
 
 
 class GlbFile:
@@ -70,16 +67,17 @@ class GlbFile:
 
         `normals` (V, 3) are given where the mesh was split, so that light has no seams.
         """
+        of_vertices, of_indices = 34962, 34963  # what a view is for, in the standard's numbers
         places = vertices_mm * METRES_PER_MM
         normals = vertex_normals(places, faces) if normals is None else normals.copy()
         normals[~normals.any(1)] = (0.0, 0.0, 1.0)
         stored = {
-            "POSITION": self.add_array(places.astype("f4"), "VEC3", _VERTEX_DATA, bounds=True),
-            "NORMAL": self.add_array(normals.astype("f4"), "VEC3", _VERTEX_DATA),
+            "POSITION": self.add_array(places.astype("f4"), "VEC3", of_vertices, bounds=True),
+            "NORMAL": self.add_array(normals.astype("f4"), "VEC3", of_vertices),
         }
         for key, (array, kind) in (attributes or {}).items():
-            stored[key] = self.add_array(array, kind, _VERTEX_DATA)
-        indices = self.add_array(faces.astype("u4").ravel(), "SCALAR", _INDICES)
+            stored[key] = self.add_array(array, kind, of_vertices)
+        indices = self.add_array(faces.astype("u4").ravel(), "SCALAR", of_indices)
         primitive = {"attributes": stored, "indices": indices, "material": material}
         self.meshes.append({"name": name, "primitives": [primitive]})
         return len(self.meshes) - 1
@@ -140,8 +138,8 @@ def write_glb(
         from_top = np.asarray(uv, np.float64) * (1, -1) + (0, 1)
         attributes["TEXCOORD_0"] = (from_top.astype("f4"), "VEC2")
     mesh = file.add_mesh("face", points, triangles, attributes=attributes)
-    color = (*_GREY, 1.0) if texture_srgb is None else (1.0, 1.0, 1.0, 1.0)
-    material = plain_material("albedo", color, 0.9, double_sided=False)
+    grey = 200 / 255 if texture_srgb is None else 1.0
+    material = plain_material("albedo", (grey, grey, grey, 1.0), double_sided=False)
     if texture_srgb is not None:
         view = file.add_bytes(encode_image(np.asarray(texture_srgb, np.uint8), ".png"))
         textures = {"images": [{"bufferView": view, "mimeType": "image/png"}], "textures": [{"source": 0}]}
@@ -190,7 +188,7 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
 
 
 def plain_material(
-    name: str, color: Sequence[float], roughness: float, *, double_sided: bool = True
+    name: str, color: Sequence[float], roughness: float = 0.9, *, double_sided: bool = True
 ) -> dict[str, Any]:
     """Return the entry of a material of one colour (red, green, blue, opacity), which is not a metal."""
     surface = {"baseColorFactor": list(color), "metallicFactor": 0.0, "roughnessFactor": roughness}

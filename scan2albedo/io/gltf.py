@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import logging
-import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,34 +16,15 @@ from scan2albedo.errors import ScanError
 from scan2albedo.io import limits
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.gltf_file import MARK, GltfFile
-from scan2albedo.io.gltf_limits import require_readable
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.repair import require_valid_indices
+from scan2albedo.io.scan_folder import ScanFolder
 
 if TYPE_CHECKING:
     import trimesh
 
 
-_BLOCK = 1 << 16
-"""Vertices whose transforms are blended at once."""
-PARSER_ERRORS = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    NameError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    struct.error,
-)
-"""What trimesh's parser was seen to raise, or may raise, on damaged files."""
-
-
-def read_gltf(path: Path, textures: Path | None = None) -> ParsedMesh:
+def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     """Read a GLB or glTF file: scene transforms applied, all meshes joined, base colours as materials.
 
     Skinned meshes come as their joints hold them in the file, without animation.
@@ -52,8 +33,8 @@ def read_gltf(path: Path, textures: Path | None = None) -> ParsedMesh:
     3.9.2). Raises ScanError when the file is damaged; the message names it.
     """
     try:
-        return _read_parts(path, textures)
-    except PARSER_ERRORS as error:
+        return _read_parts(GltfFile.read(path, folder))
+    except limits.DAMAGE as error:
         kind, cause = path.suffix[1:].upper(), " ".join(f"{type(error).__name__}: {error}".split())
         raise ScanError(
             f"{path.name}: cannot be read as {kind} ({cause}); "
@@ -61,14 +42,30 @@ def read_gltf(path: Path, textures: Path | None = None) -> ParsedMesh:
         ) from error
 
 
-def _read_parts(path: Path, textures: Path | None) -> ParsedMesh:
+def files_of_gltf(path: Path, folder: ScanFolder) -> list[str]:
+    """Return the names of the buffers and pictures of a glTF file."""
+    try:
+        tree = GltfFile.read(path, folder).tree
+        uris = [entry.get("uri", "") for entry in (*tree.get("buffers", ()), *tree.get("images", ()))]
+    except (ValueError, AttributeError, TypeError, RecursionError):
+        return []  # load_scan says what is wrong with the file
+    return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
+
+
+def _read_parts(file: GltfFile) -> ParsedMesh:
     import trimesh
 
-    file = GltfFile.read(path, textures)
-    require_readable(path.name, file.tree, file.picture)
-    file = file.with_float_coordinates()
-    skinned = bool(file.tree.get("skins"))
-    scene = _load_scene(file, file.with_marked_skins() if skinned else file.data)
+    file.require_readable()
+    # trimesh only warns of a compression that it cannot decode, and goes on with zeros.
+    warned = _Warnings()
+    logging.getLogger("trimesh").addHandler(warned)
+    try:
+        stream, kind = io.BytesIO(file.for_trimesh()), "glb" if file.binary else "gltf"
+        scene = trimesh.load_scene(stream, file_type=kind, resolver=file, process=False)  # type: ignore[arg-type]
+    finally:
+        logging.getLogger("trimesh").removeHandler(warned)
+    if warned.messages:
+        raise ScanError(f"{file.path.name}: {warned.messages[0]}; export it again without compression")
     # trimesh drops base colour textures that it cannot read without a word.
     textured = {
         declared.get("name", "material")
@@ -82,34 +79,15 @@ def _read_parts(path: Path, textures: Path | None) -> ParsedMesh:
         transform, geometry = scene.graph[node]
         mesh = scene.geometry[geometry]
         if isinstance(mesh, trimesh.Trimesh):
-            part = _part(mesh, materials, pictures, path.name)
-            by_joints = _skinning_transforms(file, scene, node, mesh) if skinned else None
-            parts.append(_placed(part, np.asarray(transform, np.float64) if by_joints is None else by_joints))
+            by_joints = _skinning_transforms(file, scene, node, mesh) if file.tree.get("skins") else None
+            moved = np.asarray(transform, np.float64) if by_joints is None else by_joints
+            parts.append(_part(mesh, moved, materials, pictures, file.path.name))
     lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
     notes = (
         f"the texture of {name} is missing, damaged or of an unknown kind: went on without it"
         for name in lost
     )
     return _joined(parts, tuple(materials.values()), tuple(dict.fromkeys(notes)))
-
-
-def _load_scene(file: GltfFile, data: bytes) -> trimesh.Scene:
-    """Load the bytes of a file through trimesh; its warnings become errors.
-
-    It only warns of a compression that it cannot decode, and goes on with zeros.
-    """
-    import trimesh
-
-    warned = _Warnings()
-    logging.getLogger("trimesh").addHandler(warned)
-    try:
-        kind = "glb" if file.binary else "gltf"
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=file, process=False)  # type: ignore[arg-type]
-    finally:
-        logging.getLogger("trimesh").removeHandler(warned)
-    if warned.messages:
-        raise ScanError(f"{file.path.name}: {warned.messages[0]}; export it again without compression")
-    return scene
 
 
 class _Warnings(logging.Handler):
@@ -125,30 +103,35 @@ class _Warnings(logging.Handler):
 
 def _part(
     mesh: trimesh.Trimesh,
+    transform: FloatArray,
     materials: dict[int, Material],
     pictures: dict[int, NDArray[np.float32]],
     name: str,
 ) -> ParsedMesh:
-    """Return one mesh with the index of its material, which is added to `materials` when it is new.
+    """Return one mesh, moved by a transform, (4, 4) or one a vertex (V, 4, 4), and its material's index.
 
-    So are its pictures to `pictures`: materials that share one decode it once.
+    A new material is added to `materials` and its pictures to `pictures`: materials that share one decode it
+    once. Faces that are mirrored are turned to face out again.
     """
     visual: Any = mesh.visual
     source = getattr(visual, "material", None)
     if id(source) not in materials:
         limits.require_at_most(name, "materials", 1 + len(materials), limits.MATERIALS, "join its materials")
         materials[id(source)] = _material(source, pictures, name)
-    faces = np.asarray(mesh.faces, np.int64)
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
-    require_valid_indices(faces, len(mesh.vertices), name)
+    require_valid_indices(faces, len(vertices), name)
+    linear, shift = transform[..., :3, :3], transform[..., :3, 3]
+    if np.median(np.linalg.det(linear)) < 0:
+        faces = faces[:, ::-1]
     uv = getattr(visual, "uv", None)
     # A mesh without material and colours has no attributes either.
     others = getattr(visual, "vertex_attributes", {})
     colors = visual.vertex_colors if visual.kind == "vertex" else others.get("color")
     return ParsedMesh(
-        vertices=np.asarray(mesh.vertices, np.float64),
+        vertices=(linear @ vertices[:, :, None])[:, :, 0] + shift,
         faces=faces,
-        uv=None if uv is None or len(uv) != len(mesh.vertices) else np.asarray(uv, np.float64)[faces],
+        uv=None if uv is None or len(uv) != len(vertices) else np.asarray(uv, np.float64)[faces],
         material=np.full(len(faces), list(materials).index(id(source))),
         vertex_color_linear=None if colors is None else _scaled(np.asarray(colors)),
     )
@@ -177,20 +160,6 @@ def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
     """Return (N, 3) in [0, 1] from integers of the full range or floats, without decoding."""
     top = np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1.0
     return (colors[:, :3] / top).astype(np.float32)
-
-
-def _placed(part: ParsedMesh, transform: FloatArray) -> ParsedMesh:
-    """Apply a transform, (4, 4) or one a vertex (V, 4, 4); mirrored faces are turned to face out again."""
-    linear, shift = transform[..., :3, :3], transform[..., :3, 3]
-    flipped = np.median(np.linalg.det(linear)) < 0
-    order = slice(None, None, -1) if flipped else slice(None)
-    return ParsedMesh(
-        vertices=(linear @ part.vertices[:, :, None])[:, :, 0] + shift,
-        faces=part.faces[:, order],
-        uv=None if part.uv is None else part.uv[:, order],
-        material=part.material,
-        vertex_color_linear=part.vertex_color_linear,
-    )
 
 
 def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tuple[str, ...]) -> ParsedMesh:
@@ -225,7 +194,7 @@ def _skinning_transforms(
     """Return the transforms (V, 4, 4) of a mesh's vertices by their joints; None for a mesh without a skin.
 
     v' = sum over k of w_k J_k B_k v, and the transform of the mesh's own node `frame` is ignored (glTF 2.0,
-    3.7.3.2 and 3.7.3.3). The scene is that of `with_marked_skins`.
+    3.7.3.2 and 3.7.3.3). The scene is that of `GltfFile.for_trimesh`.
     """
     attributes = {name: np.asarray(values) for name, values in mesh.vertex_attributes.items()}
     skin = file.tree["nodes"][int(frame.partition("_")[0])].get("skin")
@@ -239,8 +208,8 @@ def _skinning_transforms(
         raise ValueError("a vertex of a skinned mesh has no weights")
     places = np.array([scene.graph[str(joint)][0] for joint in file.tree["skins"][skin]["joints"]])
     transforms = places @ file.inverse_binds(skin)
-    blended = np.empty((len(joints), 4, 4))
-    for start in range(0, len(joints), _BLOCK):
-        rows = slice(start, start + _BLOCK)
+    blended, block = np.empty((len(joints), 4, 4)), 1 << 16  # to spare memory
+    for start in range(0, len(joints), block):
+        rows = slice(start, start + block)
         blended[rows] = np.einsum("vj,vjab->vab", weights[rows] / total[rows], transforms[joints[rows]])
     return blended

@@ -4,24 +4,29 @@ from __future__ import annotations
 
 import base64
 import json
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.errors import MissingDependencyError, ScanError
 from scan2albedo.io import limits
 from scan2albedo.io.glb import glb_bytes
+from scan2albedo.io.image_headers import picture_pixels
 from scan2albedo.io.scan_folder import ScanFolder
 
 MARK = "_"
 """Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
-_COORDINATES = {5121: "u1", 5123: "<u2"}
-"""Types of texture coordinates that are parts of the largest number (glTF 2.0, 3.7.2.1)."""
-_JSON_START = 20
-"""Of a GLB's text: behind the file's header and the first chunk's."""
+_DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5124: "<i4", 5125: "<u4", 5126: "<f4"}
+_COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_DRACO = "KHR_draco_mesh_compression"
+_NOT_DECODED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 @dataclass
@@ -29,25 +34,28 @@ class GltfFile:
     """A file: its bytes, the JSON `tree` in it, and the bytes `rest` that follow that in a GLB."""
 
     path: Path
+    folder: ScanFolder
     data: bytes
     tree: dict[str, Any]
-    rest: bytes
-    binary: bool
-    folder: ScanFolder
+    rest: bytes = b""
+    binary: bool = False
     bytes_referred: int = 0
 
     @classmethod
-    def read(cls, path: Path, textures: Path | None = None) -> GltfFile:
+    def read(cls, path: Path, folder: ScanFolder) -> GltfFile:
         """Read a GLB or glTF file."""
-        folder = ScanFolder(path.parent, textures)
         data = limits.read_bytes(path, advice="decimate it")
         if data[:4] != b"glTF":
-            return cls(path, data, limits.parse_json(path.name, data), b"", False, folder)
-        end = _JSON_START + int.from_bytes(data[12:16], "little")
-        return cls(path, data, limits.parse_json(path.name, data[_JSON_START:end]), data[end:], True, folder)
+            return cls(path, folder, data, limits.parse_json(path.name, data))
+        start = 20  # behind the headers of the file and of its first chunk
+        end = start + int.from_bytes(data[12:16], "little")
+        return cls(path, folder, data, limits.parse_json(path.name, data[start:end]), data[end:], binary=True)
 
-    def referred(self, uri: str) -> bytes:
-        """Return the content of a file that the scan may refer to; raises FileNotFoundError for any other."""
+    def __getitem__(self, uri: str) -> bytes:
+        """Return the content of a file that the scan may refer to, as trimesh asks for it.
+
+        Raises FileNotFoundError for any other.
+        """
         name = unquote(uri)
         file = self.folder.find(name)
         if file is None:
@@ -58,69 +66,129 @@ class GltfFile:
         limits.require_at_most(place, "bytes", self.bytes_referred, 4 * limits.FILE_BYTES, "decimate it")
         return content
 
-    def __getitem__(self, uri: str) -> bytes:
-        """Return the content of a file, as trimesh asks for it."""
-        return self.referred(uri)
+    def require_readable(self) -> None:
+        """Raise TooLargeError for a file that declares more than is read, ScanError for unknown compression.
 
-    def picture(self, number: int) -> bytes | None:
-        """Return the content of a picture, None when it is missing."""
-        entry = self.tree["images"][number]
-        if "bufferView" in entry:
-            view = self.tree["bufferViews"][entry["bufferView"]]
-            start = view.get("byteOffset", 0)
-            return self._buffer(view["buffer"])[start : start + view["byteLength"]]
-        try:
-            return self._content(entry["uri"])
-        except (KeyError, OSError, ValueError):
-            return None
-
-    def with_marked_skins(self) -> bytes:
-        """Return the file's bytes with nodes named by number and skin attributes marked for trimesh."""
-        tree = json.loads(json.dumps(self.tree))
-        for number, node in enumerate(tree.get("nodes", [])):
-            node["name"] = str(number)
-        for mesh in tree.get("meshes", []):
+        Arrays, pictures and the scene are judged before they are made. Raises MissingDependencyError when the
+        library that decodes the file's compression is not installed; LookupError, TypeError or ValueError for
+        a damaged tree.
+        """
+        tree, name = self.tree, self.path.name
+        used, required = tree.get("extensionsUsed", ()), tree.get("extensionsRequired", ())
+        advice = f"export {name} again without compression"
+        for extension in _NOT_DECODED:
+            if extension in required:
+                raise ScanError(
+                    f"{name}: is compressed with {extension}, which is not decoded here; {advice}"
+                )
+        if _DRACO in (*used, *required) and find_spec("DracoPy") is None:
+            raise MissingDependencyError(
+                f"{name}: is compressed with Draco; install what reads it with: "
+                f"pip install 'scan2albedo[draco]', or {advice}"
+            )
+        total = 0
+        for accessor in tree.get("accessors", ()):
+            if accessor["count"] < 0:
+                raise ValueError(f"an accessor has {accessor['count']} elements")
+            dtype = np.dtype(_DTYPES[accessor["componentType"]])
+            total += dtype.itemsize * _COMPONENTS[accessor["type"]] * accessor["count"]
+        limits.require_at_most(name, "bytes of arrays", total, limits.FILE_BYTES, "decimate it")
+        # Vertices, triangles and primitives of all meshes, in the file and as often as its scene shows them.
+        meshes = []
+        for mesh in tree.get("meshes", ()):
+            vertices = triangles = 0
             for primitive in mesh["primitives"]:
-                primitive["attributes"] = {
-                    MARK + name if name.startswith(("JOINTS_", "WEIGHTS_")) else name: accessor
-                    for name, accessor in primitive["attributes"].items()
-                }
+                corners = count = tree["accessors"][primitive["attributes"]["POSITION"]]["count"]
+                if "indices" in primitive:
+                    corners = tree["accessors"][primitive["indices"]]["count"]
+                vertices += count
+                triangles += corners if primitive.get("mode") == 5 else corners // 3  # 5 is a strip
+            meshes.append((vertices, triangles, len(mesh["primitives"])))
+        most = {"vertices": limits.VERTICES, "triangles": limits.TRIANGLES, "primitives": limits.NODES}
+        shown = [meshes[node["mesh"]] for node in self._nodes() if "mesh" in node]
+        for sizes in (meshes, shown):
+            totals = [sum(column) for column in zip(*sizes, strict=True)] or [0, 0, 0]
+            for (what, limit), count in zip(most.items(), totals, strict=True):
+                limits.require_at_most(
+                    name, f"{what} of all its meshes", count, limit, "decimate or join them"
+                )
+        # Every picture by its header, and all base colours together.
+        colors = set()
+        for material in tree.get("materials", ()):
+            texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {}).get("index")
+            entry = {} if texture is None else tree["textures"][texture]
+            webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
+            colors.add(webp.get("source", entry.get("source")))
+        # Pictures of this extension are converted in floats of 64 bits, several at a time.
+        copies, total = 8 if "KHR_materials_pbrSpecularGlossiness" in used else 1, 0
+        for number, entry in enumerate(tree.get("images", ())):
+            try:
+                if "bufferView" in entry:
+                    view = tree["bufferViews"][entry["bufferView"]]
+                    start = view.get("byteOffset", 0)
+                    data = self._buffer(view["buffer"])[start : start + view["byteLength"]]
+                else:
+                    data = self._content(entry["uri"])
+            except (KeyError, OSError, ValueError):
+                if "bufferView" in entry:
+                    raise
+                continue  # it is missing
+            pixels = picture_pixels(data, f"{number} of {name}")
+            if pixels is not None and (number in colors or copies > 1):
+                total += copies * pixels
+        what, advice = f"the textures of {name}", "save its textures with fewer pixels"
+        limits.require_at_most(what, "pixels", total, limits.PIXELS, advice)
+
+    def _nodes(self) -> Iterator[dict[str, Any]]:
+        """Yield the nodes of the scene, each as often as it is reached; a circle has too many."""
+        tree, nodes = self.tree, self.tree.get("nodes", [])
+        scenes = tree.get("scenes")
+        left = list(range(len(nodes)) if scenes is None else scenes[tree.get("scene", 0)].get("nodes", []))
+        advice, reached = "export the scan alone, without its scene", 0
+        limits.require_at_most(self.path.name, "nodes", len(nodes), limits.NODES, advice)
+        while left:
+            limits.require_at_most(
+                self.path.name, "nodes in its scene", reached + len(left), limits.NODES, advice
+            )
+            node = nodes[left.pop()]
+            reached += 1
+            yield node
+            left += node.get("children", ())
+
+    def for_trimesh(self) -> bytes:
+        """Return the file's bytes with what trimesh leaves out or misreads changed.
+
+        Texture coordinates of 8 or 16 bits, which it does not scale, become floats, also in `tree`. In a file
+        with skins, nodes are named by number and skin attributes marked.
+        """
+        tree, changed = json.loads(json.dumps(self.tree)), False
+        meshes, accessors = tree.get("meshes", ()), tree.get("accessors", ())
+        every = [primitive for mesh in meshes for primitive in mesh["primitives"]]
+        for number in {primitive["attributes"].get("TEXCOORD_0") for primitive in every} - {None}:
+            entry = accessors[number]
+            if "bufferView" in entry and _DTYPES[entry["componentType"]] in ("u1", "<u2"):
+                stored = self._array(self.tree["accessors"][number])
+                data = (stored / float(np.iinfo(stored.dtype).max)).astype("<f4").tobytes()
+                uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+                tree["bufferViews"].append({"buffer": len(tree["buffers"]), "byteLength": len(data)})
+                tree["buffers"].append({"byteLength": len(data), "uri": uri})
+                place = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": 5126}
+                accessors[number] = {**place, "count": entry["count"], "type": "VEC2"}
+                changed = True
+        self.tree = tree
+        if tree.get("skins"):
+            tree, changed = json.loads(json.dumps(tree)), True
+            for number, node in enumerate(tree.get("nodes", [])):
+                node["name"] = str(number)
+            for mesh in tree.get("meshes", []):
+                for primitive in mesh["primitives"]:
+                    primitive["attributes"] = {
+                        MARK + name if name.startswith(("JOINTS_", "WEIGHTS_")) else name: accessor
+                        for name, accessor in primitive["attributes"].items()
+                    }
+        if not changed:
+            return self.data
         return glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
-
-    def with_float_coordinates(self) -> GltfFile:
-        """Return the file with texture coordinates of 8 or 16 bits as floats: trimesh does not scale them."""
-        used = {
-            primitive["attributes"].get("TEXCOORD_0")
-            for mesh in self.tree.get("meshes", ())
-            for primitive in mesh["primitives"]
-        }
-        accessors = self.tree.get("accessors", ())
-        stored = [i for i in used - {None} if "bufferView" in accessors[i]]
-        short = [i for i in stored if accessors[i]["componentType"] in _COORDINATES]
-        if not short:
-            return self
-        tree = json.loads(json.dumps(self.tree))
-        for number in short:
-            data = self._coordinates(self.tree["accessors"][number]).astype("<f4").tobytes()
-            uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-            view = {"buffer": len(tree["buffers"]), "byteLength": len(data)}
-            tree["buffers"].append({"byteLength": len(data), "uri": uri})
-            count = tree["accessors"][number]["count"]
-            place = {"bufferView": len(tree["bufferViews"]), "componentType": 5126}
-            tree["accessors"][number] = {**place, "count": count, "type": "VEC2"}
-            tree["bufferViews"].append(view)
-        whole = glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
-        return replace(self, tree=tree, data=whole)
-
-    def _coordinates(self, accessor: dict[str, Any]) -> FloatArray:
-        """Return (N, 2) normalised texture coordinates."""
-        kind = np.dtype(_COORDINATES[accessor["componentType"]])
-        view = self.tree["bufferViews"][accessor["bufferView"]]
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        stride = view.get("byteStride", 2 * kind.itemsize)
-        shape, steps = (accessor["count"], 2), (stride, kind.itemsize)
-        stored = np.ndarray(shape, kind, self._buffer(view["buffer"]), start, steps)
-        return stored / float(np.iinfo(kind).max)
 
     def inverse_binds(self, skin: int) -> FloatArray:
         """Return (J, 4, 4) inverse bind matrices of a skin; identities where it has none."""
@@ -131,19 +199,23 @@ class GltfFile:
         accessor = self.tree["accessors"][entry["inverseBindMatrices"]]
         if accessor["componentType"] != 5126 or accessor["type"] != "MAT4" or "bufferView" not in accessor:
             raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
+        stored = self._array(accessor)[:count].reshape(count, 4, 4)
+        return stored.transpose(0, 2, 1).astype(np.float64)
+
+    def _array(self, accessor: dict[str, Any]) -> NDArray[Any]:
+        """Return (count, components) what an accessor of a buffer view holds."""
+        dtype, width = np.dtype(_DTYPES[accessor["componentType"]]), _COMPONENTS[accessor["type"]]
         view = self.tree["bufferViews"][accessor["bufferView"]]
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        stored = np.frombuffer(self._buffer(view["buffer"]), "<f4", 16 * count, start)
-        return stored.reshape(count, 4, 4).transpose(0, 2, 1).astype(np.float64)
+        steps = (view.get("byteStride", width * dtype.itemsize), dtype.itemsize)
+        return np.ndarray((accessor["count"], width), dtype, self._buffer(view["buffer"]), start, steps)
 
     def _buffer(self, number: int) -> bytes:
         uri = self.tree["buffers"][number].get("uri")
-        if uri is None:
-            return self.rest[8:]  # behind the second chunk's header
-        return self._content(uri)
+        return self.rest[8:] if uri is None else self._content(uri)  # behind the second chunk's header
 
     def _content(self, uri: str) -> bytes:
         if uri.startswith("data:"):
             head, _, body = uri.partition(",")
             return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
-        return self.referred(uri)
+        return self[uri]

@@ -4,50 +4,68 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator
+import warnings
+from importlib import import_module
+from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
 
 from scan2albedo.io import limits
 
 _RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
-_FRAME_HEADERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-"""Markers of JPEG files that are followed by the size."""
-_WIDTH, _HEIGHT, _BITS, _SAMPLES = 256, 257, 258, 277
-"""Tags of TIFF files."""
-_TIFF_TYPES = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 
-class PictureSize(NamedTuple):
-    """Pixels of a picture, and bytes that its samples take."""
+def picture_pixels(data: bytes, place: str | Path) -> int | None:
+    """Return how many pixels a picture has, see `declared_pixels`; TooLargeError for too many."""
+    pixels = declared_pixels(data)
+    limits.require_at_most(
+        f"image {place}", "pixels", pixels or 0, limits.PIXELS, "save it with fewer pixels"
+    )
+    return pixels
 
-    pixels: int
-    bytes: int
 
+def declared_pixels(data: bytes) -> int | None:
+    """Return how many pixels the header of a PNG, JPEG, TIFF, BMP, WebP or Radiance picture declares.
 
-def picture_size(data: bytes) -> PictureSize | None:
-    """Return what the header of a PNG, JPEG, TIFF, BMP, WebP or Radiance picture declares.
-
-    None when it is none of these, or damaged. `data` may be the picture's beginning. EXR files have a header
-    a part and are judged in `images.read_exr_channels`.
+    Pixels that take more bytes than three 32-bit floats count as several. None when it is none of these, or
+    damaged. `data` may be the picture's beginning. EXR files have a header a part and are judged in
+    `images.read_exr_channels`.
     """
-    for magic, read in _READERS:
-        if data.startswith(magic):
-            try:
-                return read(data)
-            except (struct.error, LookupError):
-                return None
-    return None
+    readers = {b"\x89PNG\r\n\x1a\n": "Png", b"\xff\xd8": "Jpeg", b"BM": "Bmp"}
+    pillows = next((reader for magic, reader in readers.items() if data.startswith(magic)), None)
+    try:
+        if pillows is not None:
+            # Not `Image.open`, which refuses large pictures by a limit of its own.
+            plugin = import_module(f"PIL.{pillows}ImagePlugin")
+            width, height = getattr(plugin, f"{pillows}ImageFile")(BytesIO(data)).size
+        elif data.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
+            # Pillow reads tags also of kinds of TIFF whose pixels it cannot decode.
+            from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-
-def require_small_picture(data: bytes, place: str | Path) -> PictureSize | None:
-    """Return the size of a picture; raises TooLargeError when it has more pixels, or bytes, than are read."""
-    size = picture_size(data)
-    if size is not None:
-        name, advice = f"image {place}", "save it with fewer pixels"
-        limits.require_at_most(name, "pixels", size.pixels, limits.PIXELS, advice)
-        limits.require_at_most(name, "bytes of pixels", size.bytes, limits.PICTURE_BYTES, advice)
-    return size
+            big = b"+" in data[2:4]
+            head = b"II+\0" + data[4:16] if big else b"II*\0" + data[4:8]
+            tags = ImageFileDirectory_v2(head, data[:2])
+            stream = BytesIO(data)
+            stream.seek(tags.next)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of other tags
+                tags.load(stream)
+            bits = tags.get(258, 1)
+            pixel_bytes = (max(bits) if isinstance(bits, tuple) else bits) // 8 * tags.get(277, 1)
+            width, height = tags[256] * max(-(-pixel_bytes // 12), 1), tags[257]
+        elif data.startswith(b"#?") and (size := _RADIANCE.match(data)) is not None:
+            width, height = int(size[1]), int(size[2])
+        elif data[8:16] == b"WEBPVP8X":  # Pillow makes room for a WebP picture when it opens one
+            width, height = (1 + int.from_bytes(data[i : i + 3], "little") for i in (24, 27))
+        elif data[8:16] == b"WEBPVP8L":
+            packed = struct.unpack_from("<I", data, 21)[0]
+            width, height = 1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)
+        elif data[8:16] == b"WEBPVP8 ":
+            width, height = (side & 0x3FFF for side in struct.unpack_from("<HH", data, 26))
+        else:
+            return None
+    except (OSError, SyntaxError, ValueError, TypeError, LookupError, OverflowError, struct.error):
+        return None
+    return int(width * height)
 
 
 def is_cut_png(data: bytes) -> bool:
@@ -58,91 +76,3 @@ def is_cut_png(data: bytes) -> bool:
     while place + 8 <= len(data) and data[place + 4 : place + 8] != b"IEND":
         place += 12 + int(struct.unpack_from(">I", data, place)[0])
     return place > len(data)
-
-
-def _of_png(data: bytes) -> PictureSize:
-    width, height, bits = struct.unpack_from(">IIB", data, 16)
-    return PictureSize(width * height, 4 * width * height * max(bits // 8, 1))
-
-
-def _of_bmp(data: bytes) -> PictureSize:
-    if struct.unpack_from("<I", data, 14)[0] == 12:
-        width, height = struct.unpack_from("<HH", data, 18)
-    else:
-        width, height = struct.unpack_from("<ii", data, 18)
-    return PictureSize(abs(width * height), 4 * abs(width * height))
-
-
-def _of_jpeg(data: bytes) -> PictureSize | None:
-    place = 2
-    while (place := data.find(b"\xff", place)) >= 0:
-        marker = data[place + 1]
-        if marker in _FRAME_HEADERS:
-            height, width = struct.unpack_from(">HH", data, place + 5)
-            return PictureSize(width * height, 3 * width * height)
-        # A marker without a length: fill bytes, stuffed zeros, restarts, begin and end of the picture.
-        alone = marker in (0x00, 0x01, 0xFF) or 0xD0 <= marker <= 0xD9
-        place += 1 if marker == 0xFF else 2 if alone else 2 + struct.unpack_from(">H", data, place + 2)[0]
-    return None
-
-
-def _of_webp(data: bytes) -> PictureSize | None:
-    kind = data[12:16]
-    if data[8:12] != b"WEBP":
-        return None
-    if kind == b"VP8X":
-        width, height = (1 + int.from_bytes(data[i : i + 3], "little") for i in (24, 27))
-    elif kind == b"VP8L":
-        packed = struct.unpack_from("<I", data, 21)[0]
-        width, height = 1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)
-    elif kind == b"VP8 ":
-        width, height = (side & 0x3FFF for side in struct.unpack_from("<HH", data, 26))
-    else:
-        return None
-    return PictureSize(width * height, 4 * width * height)
-
-
-def _of_radiance(data: bytes) -> PictureSize | None:
-    size = _RADIANCE.match(data)
-    if size is None:
-        return None
-    pixels = int(size[1]) * int(size[2])
-    return PictureSize(pixels, 12 * pixels)
-
-
-def _of_tiff(data: bytes) -> PictureSize:
-    tags = dict(_tiff_tags(data))
-    pixels = tags[_WIDTH] * tags[_HEIGHT]
-    return PictureSize(pixels, pixels * max(tags.get(_BITS, 1) // 8, 1) * tags.get(_SAMPLES, 1))
-
-
-def _tiff_tags(data: bytes) -> Iterator[tuple[int, int]]:
-    """Yield (tag, first value) of the first directory of a TIFF or BigTIFF file."""
-    order = "<" if data[:2] == b"II" else ">"
-    big = struct.unpack_from(order + "H", data, 2)[0] == 43
-    word, size, head = ("Q", 20, 12) if big else ("I", 12, 8)
-    (place,) = struct.unpack_from(order + word, data, 8 if big else 4)
-    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, place)
-    place += 8 if big else 2
-    for entry in range(place, place + size * min(count, 1 << 12), size):
-        tag, kind = struct.unpack_from(order + "HH", data, entry)
-        letter = _TIFF_TYPES.get(kind)
-        if letter is None or tag not in (_WIDTH, _HEIGHT, _BITS, _SAMPLES):
-            continue
-        (values,) = struct.unpack_from(order + word, data, entry + 4)
-        inline = values * struct.calcsize(letter) <= size - head
-        value = entry + head if inline else struct.unpack_from(order + word, data, entry + head)[0]
-        yield tag, struct.unpack_from(order + letter, data, value)[0]
-
-
-_READERS: tuple[tuple[bytes, Callable[[bytes], PictureSize | None]], ...] = (
-    (b"\x89PNG\r\n\x1a\n", _of_png),
-    (b"\xff\xd8", _of_jpeg),
-    (b"BM", _of_bmp),
-    (b"RIFF", _of_webp),
-    (b"II*\0", _of_tiff),
-    (b"MM\0*", _of_tiff),
-    (b"II+\0", _of_tiff),
-    (b"MM\0+", _of_tiff),
-    (b"#?", _of_radiance),
-)

@@ -17,7 +17,7 @@ from scan2albedo.errors import OutputError, ScanError, needs_extra
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
-from scan2albedo.io.image_headers import is_cut_png, require_small_picture
+from scan2albedo.io.image_headers import is_cut_png, picture_pixels
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
@@ -59,7 +59,7 @@ def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16
             return np.stack([channels[c] for c in wanted], axis=-1)
         data = limits.read_bytes(file)
         # Nothing is decoded whose size is not known before.
-        known = require_small_picture(data, file) is not None and not is_cut_png(data)
+        known = picture_pixels(data, file) is not None and not is_cut_png(data)
         pixels = _decoded(data) if known else None
     except (OSError, ValueError) as error:
         raise ScanError(f"image {file} cannot be read: {getattr(error, 'strerror', '') or error}") from error
@@ -132,7 +132,7 @@ def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
                 low, high = (np.asarray(corner, np.int64) for corner in part.header["dataWindow"])
                 width, height = np.maximum(high - low + 1, 0).tolist()
                 samples += width * height * len(part.header["channels"])
-        most = max(limits.PICTURE_BYTES, limits.GROWTH * Path(path).stat().st_size)
+        most = max(12 * limits.PIXELS, limits.GROWTH * Path(path).stat().st_size)
         advice = "save it with fewer pixels"
         limits.require_at_most(f"image {path}", "bytes of pixels", 4 * samples, most, advice)
         with OpenEXR.File(str(path), separate_channels=True) as file:
@@ -219,7 +219,19 @@ def encode_image(image: ArrayLike, extension: str) -> bytes:
     elif array.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image has samples of {array.dtype}, expected uint8, uint16, bool or floats")
     if array.dtype == np.uint16 and extension == ".png":
-        return _png_of_16_bits(array)
+        # Pillow has no mode for such samples with colours: rows without filters.
+        height, width = array.shape[:2]
+        rows = np.ascontiguousarray(array.reshape(height, -1), ">u2").view(np.uint8)
+        color_type = {1: 0, 3: 2, 4: 6}[array.size // (height * width)]
+        chunks = {
+            b"IHDR": struct.pack(">IIBBBBB", width, height, 16, color_type, 0, 0, 0),
+            b"IDAT": zlib.compress(np.insert(rows, 0, 0, axis=1).tobytes(), 1),
+            b"IEND": b"",
+        }
+        return b"\x89PNG\r\n\x1a\n" + b"".join(
+            struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+            for name, data in chunks.items()
+        )
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}.get(extension, "PNG")
     if array.dtype == np.uint16 or 0 in array.shape:
         raise ValueError(f"an image of shape {array.shape} and {array.dtype} cannot be stored as {extension}")
@@ -228,24 +240,10 @@ def encode_image(image: ArrayLike, extension: str) -> bytes:
         "JPEG": {"quality": 95},
         "TIFF": {"compression": "tiff_lzw"},
     }
-    data = BytesIO()
+    file = BytesIO()
     stored = array[..., :3] if kind == "JPEG" and array.ndim == 3 else array
-    Image.fromarray(np.ascontiguousarray(stored)).save(data, kind, **options[kind])
-    return data.getvalue()
-
-
-def _png_of_16_bits(array: NDArray[np.uint16]) -> bytes:
-    """Return a PNG of samples that Pillow has no mode for, its rows without filters."""
-    height, width = array.shape[:2]
-    rows = np.ascontiguousarray(array.reshape(height, -1), ">u2").view(np.uint8)
-    color_type = {1: 0, 3: 2, 4: 6}[array.size // (height * width)]
-    head = struct.pack(">IIBBBBB", width, height, 16, color_type, 0, 0, 0)
-    pixels = zlib.compress(np.insert(rows, 0, 0, axis=1).tobytes(), 1)
-    chunks = ((b"IHDR", head), (b"IDAT", pixels), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
-        for name, data in chunks
-    )
+    Image.fromarray(np.ascontiguousarray(stored)).save(file, kind, **options[kind])
+    return file.getvalue()
 
 
 def _check_rgb(image: NDArray[np.generic]) -> None:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import re
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import unquote
 
 from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
-from scan2albedo.io.images import SUPPORTED_IMAGES
-from scan2albedo.io.limits import parse_json
-from scan2albedo.io.mtl import MaterialText, decoded, parse_mtl
+from scan2albedo.io.load_scan import READERS
 from scan2albedo.io.scan_folder import ScanFolder
 
 if TYPE_CHECKING:
@@ -53,46 +50,11 @@ def file_sha256(path: Path) -> str:
 
 def files_of_scan(path: Path, textures: str | Path | None = None) -> tuple[Path, ...]:
     """Return the scan file and the existing files it refers to: material libraries, textures, buffers."""
-    referred = {".obj": _of_obj, ".ply": _of_ply, ".gltf": _of_gltf}.get(path.suffix.lower())
+    reader = READERS.get(path.suffix.lower())
     folder = ScanFolder(path.parent, None if textures is None else Path(textures))
-    # A pipe or a device may never end.
-    try:
-        names = referred(path, folder) if referred and path.is_file() else []
-    except TooLargeError:
-        names = []  # load_scan says so
+    names: list[str] = []
+    if reader is not None and reader.files and path.is_file():  # a pipe or a device may never end
+        with suppress(TooLargeError):  # load_scan says so
+            names = reader.function(reader.files)(path, folder)
     found = [folder.find(name) for name in names]
     return (path, *dict.fromkeys(file for file in found if file is not None))
-
-
-def _of_obj(path: Path, folder: ScanFolder) -> list[str]:
-    names: list[str] = []
-    materials: dict[str, MaterialText] = {}
-    for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", limits.read_bytes(path), re.MULTILINE):
-        for library in folder.library_names(decoded(match).strip()):
-            names.append(library)
-            file = folder.find(library)
-            data = b"" if file is None else limits.read_bytes(file, limits.LIBRARY_BYTES)
-            materials |= parse_mtl(decoded(data))
-    textures = [m.texture_file for m in materials.values() if m.texture_file is not None]
-    if all(folder.find(name) is None for name in textures):
-        names += [path.stem + extension for extension in SUPPORTED_IMAGES]  # load_scan takes one of these
-    return names + textures
-
-
-def _of_ply(path: Path, folder: ScanFolder) -> list[str]:
-    with path.open("rb") as file:
-        header = file.read(1 << 16).split(b"end_header", maxsplit=1)[0].decode("latin-1")
-    names = re.findall(r"^comment\s+TextureFile\s+(.+?)\s*$", header, re.MULTILINE | re.IGNORECASE)
-    if all(folder.find(name) is None for name in names):
-        names += [path.stem + extension for extension in SUPPORTED_IMAGES]  # load_scan takes one of these
-    return names
-
-
-def _of_gltf(path: Path, folder: ScanFolder) -> list[str]:
-    try:
-        tree = parse_json(path.name, limits.read_bytes(path))
-        entries = [*tree.get("buffers", ()), *tree.get("images", ())]
-        uris = [entry.get("uri", "") for entry in entries]
-    except (ValueError, AttributeError, TypeError, RecursionError):
-        return []  # load_scan says what is wrong with the file
-    return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]

@@ -8,6 +8,10 @@ from __future__ import annotations
 
 import json
 import stat
+import struct
+import tokenize
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -17,41 +21,47 @@ FILE_BYTES = 1 << 29
 """Of a scan, a picture, or a binary buffer that a scan refers to."""
 TEXT_LINES = 1 << 24
 """Of a mesh written as text."""
-SLOW_TEXT_BYTES = 1 << 27
-"""Of text STL files with several solids, or damage; their reader makes strings of all words."""
 VERTICES = 1 << 23
-TRIANGLES = 1 << 23
+"""Of all instances together."""
+TRIANGLES = VERTICES
 """Of all instances together, and of what polygons are cut into."""
-PROPERTIES = 1 << 10
-"""Of an element of a PLY file."""
-TABLE_CELLS = 1 << 26
-"""Rows times properties of a binary PLY element whose lists differ in length."""
 PIXELS = 1 << 26
-"""Of a picture, and of all pictures of a scan together: 8192 x 8192."""
-ATLAS_PIXELS = PIXELS * 5 // 4
-"""Of all textures laid side by side: their gutters and sizes leave gaps."""
-PICTURE_BYTES = 3 << 28
-"""Of a picture's samples: three 32-bit floats for each of `PIXELS`."""
+"""Of a picture, and of all pictures of a scan together: 8192 x 8192, each of at most three 32-bit floats."""
 LIBRARY_BYTES = 1 << 24
 """Of the MTL files of a scan together, where a material takes some 200 bytes."""
 TABLE_BYTES = 1 << 26
 """Of a list or table that a person wrote: a million paths."""
 NAME_BYTES = 1 << 12
 """Of the name of a material or file, with its options: paths are shorter."""
-NAME_LINES = 1 << 21
-"""Lines of an OBJ file that name a material."""
+VALUES = 1 << 22
+"""Of the JSON of a glTF file, and lines of an OBJ file that name a material: each becomes a Python object."""
 MATERIALS = 1 << 10
-"""Of a scan, which are laid side by side in one texture."""
+"""Of a scan, which are laid side by side in one texture; also the properties of an element of a PLY file."""
 NODES = 1 << 12
 """Of a glTF scene, each counted as often as it is reached; also of the parts that all its meshes have."""
-NODE_DEPTH = 1 << 8
-JSON_VALUES = 1 << 22
-"""Of the JSON of a glTF file."""
-ARRAY_BYTES = 3 << 29
-"""Of the arrays of an NPZ file together: a geometry image of 4096 x 4096 texels has 1.3 GB."""
 GROWTH = 16
 """Arrays and EXR pictures of more bytes than that are read from files that are large themselves: masks shrink
 more, measured numbers less. What a file of zeros declares may be a thousand times its size."""
+
+DAMAGE = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NameError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+"""What parsers, NumPy's and trimesh's among them, raise of bytes that are not what was written."""
 
 
 def require_at_most(name: str, what: str, count: float, limit: int, advice: str) -> None:
@@ -72,7 +82,7 @@ def parse_json(name: str, text: bytes) -> Any:
     Text inside quotes counts too, but no more than its commas and brackets: base64 has none.
     """
     values = 1 + text.count(b",") + text.count(b"[") + text.count(b"{")
-    require_at_most(name, "JSON values", values, JSON_VALUES, "decimate or simplify the scene")
+    require_at_most(name, "JSON values", values, VALUES, "decimate or simplify the scene")
     return json.loads(text.decode("utf-8", "replace"))
 
 

@@ -8,11 +8,12 @@ from dataclasses import replace
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scan2albedo.core.arguments import linear_doubt, require_type
 from scan2albedo.errors import ScanError, memory_errors_named
 from scan2albedo.io import limits
+from scan2albedo.io.scan_folder import ScanFolder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,17 +22,33 @@ if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.io.parsed_mesh import ParsedMesh
 
-# Modules of readers are imported when a file of their kind is read.
-_READERS = {
-    ".obj": ("obj", "read_obj"),
-    ".ply": ("ply", "read_ply"),
-    ".glb": ("gltf", "read_gltf"),
-    ".gltf": ("gltf", "read_gltf"),
-    ".stl": ("stl_off", "read_stl"),
-    ".off": ("stl_off", "read_off"),
+
+class Reader(NamedTuple):
+    """The functions of a kind of file, in a module that is imported when such a file is read.
+
+    `read` is called with the path and a `ScanFolder` and returns a `ParsedMesh`; `files`, where there are
+    such, with the same for the names of the files that the scan refers to.
+    """
+
+    module: str
+    read: str
+    files: str = ""
+
+    def function(self, name: str) -> Callable[[Path, ScanFolder], Any]:
+        """Return one of the two."""
+        found: Callable[[Path, ScanFolder], Any] = getattr(import_module(self.module), name)
+        return found
+
+
+READERS = {
+    ".obj": Reader("scan2albedo.io.obj", "read_obj", "files_of_obj"),
+    ".ply": Reader("scan2albedo.io.ply", "read_ply", "files_of_ply"),
+    ".glb": Reader("scan2albedo.io.gltf", "read_gltf"),
+    ".gltf": Reader("scan2albedo.io.gltf", "read_gltf", "files_of_gltf"),
+    ".stl": Reader("scan2albedo.io.stl_off", "read_stl"),
+    ".off": Reader("scan2albedo.io.stl_off", "read_off"),
 }
-_TEXTURED = (".obj", ".ply", ".glb", ".gltf")
-SUPPORTED_SCANS = tuple(_READERS)
+SUPPORTED_SCANS = tuple(READERS)
 
 
 def load_scan(
@@ -82,10 +99,18 @@ def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None
 
     A note says how many there are. Raises ScanError when they cannot be read.
     """
-    from scan2albedo.io.placed_landmarks import landmarks_for
+    from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
+    from scan2albedo.io.landmark_files import landmarks_file, read_landmarks
 
-    placed = landmarks_for(landmarks, path, scan.mm_per_unit)
-    if placed is None:
+    if not isinstance(landmarks, str | Path):
+        placed = PlacedLandmarks.of(landmarks, scan.mm_per_unit)
+    elif landmarks_option(landmarks) == AUTO:
+        raise ScanError(
+            f"landmarks is {landmarks!r}, which is an option of `process`: here, give a file or points"
+        )
+    elif (file := landmarks_file(landmarks, path)) is not None:
+        placed = read_landmarks(file, scan.mm_per_unit)
+    else:
         return replace(scan, notes=(*scan.notes, f"no landmarks of this scan in the folder {landmarks}"))
     note = f"{int(placed.placed.sum())} landmarks given"
     return replace(scan, landmarks=placed, notes=(*scan.notes, note))
@@ -104,50 +129,43 @@ def load_scan_with(
     millimetres, note).
     """
     require_type(path, (str, PathLike), "load_scan: path", "give the path of a scan's file")
-    with memory_errors_named(Path(path).name):
-        parsed = read_mesh_file(Path(path), None if textures is None else Path(textures))
-        return _loaded(parsed, Path(path), decide_unit, name)
+    file = Path(path)
+    with memory_errors_named(file.name):
+        parsed = read_mesh_file(file, None if textures is None else Path(textures))
+        from scan2albedo.core.raw_scan import RawScan, scan_name
+        from scan2albedo.geometry.mesh import vertex_components
+        from scan2albedo.io.repair import repair, require_usable
+        from scan2albedo.io.texture_atlas import pack_texture
+        from scan2albedo.io.units import largest_extent, rounding_note
 
-
-def _loaded(
-    parsed: ParsedMesh,
-    file: Path,
-    decide_unit: Callable[[ParsedMesh, NDArray[np.int64]], tuple[float, str]],
-    name: str | None,
-) -> RawScan:
-    from scan2albedo.core.raw_scan import RawScan, scan_name
-    from scan2albedo.geometry.mesh import vertex_components
-    from scan2albedo.io.repair import repair, require_usable
-    from scan2albedo.io.texture_atlas import pack_texture
-    from scan2albedo.io.units import largest_extent, rounding_note
-
-    require_usable(parsed, file.name)
-    mesh = repair(parsed)
-    if len(mesh.faces) == 0:
-        raise ScanError(f"{file.name}: every face has zero area; the scan holds no surface: export it again")
-    components = vertex_components(len(mesh.vertices), mesh.faces)
-    factor, unit_note = decide_unit(mesh, components)
-    rounding = rounding_note(mesh.vertices, largest_extent(mesh.vertices, components), factor, file.name)
-    packed = pack_texture(mesh)
-    notes = [unit_note, rounding, *mesh.notes, *packed.notes]
-    if (count := int(components.max()) + 1) > 1:
-        notes.append(f"{count} loose components, all kept")
-    colors = {"texture": packed.texture_linear, "vertex colours": mesh.vertex_color_linear}
-    notes += [linear_doubt(what, values) for what, values in colors.items() if values is not None]
-    notes = [note for note in notes if note]
-    if packed.texture_linear is None and mesh.vertex_color_linear is None:
-        notes.append("no texture or vertex colours: geometry only")
-    return RawScan(
-        vertices=mesh.vertices * factor,
-        faces=mesh.faces,
-        uv=packed.uv,
-        texture_linear=packed.texture_linear,
-        vertex_color_linear=mesh.vertex_color_linear,
-        name=name or scan_name(file),
-        notes=tuple(notes),
-        mm_per_unit=factor,
-        texture_tiles=packed.tiles,
-    )
+        require_usable(parsed, file.name)
+        mesh = repair(parsed)
+        if len(mesh.faces) == 0:
+            raise ScanError(
+                f"{file.name}: every face has zero area; the scan holds no surface: export it again"
+            )
+        components = vertex_components(len(mesh.vertices), mesh.faces)
+        factor, unit_note = decide_unit(mesh, components)
+        rounding = rounding_note(mesh.vertices, largest_extent(mesh.vertices, components), factor, file.name)
+        packed = pack_texture(mesh)
+        notes = [unit_note, rounding, *mesh.notes, *packed.notes]
+        if (count := int(components.max()) + 1) > 1:
+            notes.append(f"{count} loose components, all kept")
+        colors = {"texture": packed.texture_linear, "vertex colours": mesh.vertex_color_linear}
+        notes += [linear_doubt(what, values) for what, values in colors.items() if values is not None]
+        if packed.texture_linear is None and mesh.vertex_color_linear is None:
+            notes.append("no texture or vertex colours: geometry only")
+        return RawScan(
+            vertices=mesh.vertices * factor,
+            faces=mesh.faces,
+            uv=packed.uv,
+            texture_linear=packed.texture_linear,
+            vertex_color_linear=mesh.vertex_color_linear,
+            name=name or scan_name(file),
+            notes=tuple(note for note in notes if note),
+            mm_per_unit=factor,
+            texture_tiles=packed.tiles,
+        )
 
 
 def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
@@ -170,10 +188,9 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
             pass
         if size == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
-        module, function = _READERS[extension]
+        reader = READERS[extension]
         with memory_errors_named(file.name):
-            read = getattr(import_module(f"scan2albedo.io.{module}"), function)
-            mesh: ParsedMesh = read(file, textures) if extension in _TEXTURED else read(file)
+            mesh: ParsedMesh = reader.function(reader.read)(file, ScanFolder(file.parent, textures))
     except (OSError, ValueError) as error:
         raise ScanError(
             f"{file}: cannot be read: {getattr(error, 'strerror', '') or error}; check the path"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import codecs
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.image_headers import require_small_picture
-from scan2albedo.io.images import SUPPORTED_IMAGES, read_image_linear
+from scan2albedo.io.image_headers import picture_pixels
+from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.parsed_mesh import Material
 from scan2albedo.io.scan_folder import ScanFolder
 
@@ -57,26 +58,17 @@ def parse_mtl(text: str) -> dict[str, MaterialText]:
             name = rest
             materials[name] = MaterialText(name)
         elif name is not None and keyword == "kd":
-            materials[name] = MaterialText(name, _color(rest), materials[name].texture_file)
+            try:
+                values = [min(max(float(token), 0.0), 1.0) for token in rest.split()[:3]]
+            except ValueError:
+                values = []
+            red, green, blue = {1: values * 3, 3: values}.get(len(values), MaterialText.diffuse_srgb)
+            materials[name] = replace(materials[name], diffuse_srgb=(red, green, blue))
         elif name is not None and keyword == "map_kd" and rest:
-            materials[name] = MaterialText(name, materials[name].diffuse_srgb, _file_name(rest))
+            while match := _OPTION.match(rest):
+                rest = rest[match.end() :]
+            materials[name] = replace(materials[name], texture_file=rest.strip().strip('"'))
     return materials
-
-
-def _color(text: str) -> tuple[float, float, float]:
-    try:
-        values = [min(max(float(token), 0.0), 1.0) for token in text.split()[:3]]
-    except ValueError:
-        return MaterialText.diffuse_srgb
-    if len(values) == 1:
-        values *= 3
-    return (values[0], values[1], values[2]) if len(values) == 3 else MaterialText.diffuse_srgb
-
-
-def _file_name(text: str) -> str:
-    while match := _OPTION.match(text):
-        text = text[match.end() :]
-    return text.strip().strip('"')
 
 
 @dataclass
@@ -85,51 +77,65 @@ class ScanPictures:
 
     folder: ScanFolder
     pixels: int = 0
-    read: dict[Path, NDArray[np.float32] | ScanError] = field(default_factory=dict)
+    read: dict[Path, NDArray[np.float32] | str] = field(default_factory=dict)
 
-    def material(self, text: MaterialText) -> tuple[Material, str | None]:
-        """Return a material with its texture read, and a note when the texture is missing or damaged.
+    def materials(self, texts: Iterable[MaterialText]) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+        """Return materials with their textures read, and notes on textures that are missing or damaged.
 
-        Raises TooLargeError when the picture, or all pictures together, have too many pixels.
+        Raises TooLargeError when a picture, or all pictures together, have too many pixels.
         """
-        red, green, blue = (float(c) for c in srgb_to_linear(text.diffuse_srgb))
-        plain = Material(text.name, None, (red, green, blue))
-        if text.texture_file is None:
-            return plain, None
-        file = self.folder.find(text.texture_file)
+        materials, notes = [], []
+        for text in texts:
+            red, green, blue = (float(c) for c in srgb_to_linear(text.diffuse_srgb))
+            picture = None if text.texture_file is None else self._picture(text.texture_file)
+            if isinstance(picture, str):
+                notes.append(f"{picture}: went on without it")
+                picture = None
+            materials.append(Material(text.name, picture, (red, green, blue)))
+        return tuple(materials), tuple(notes)
+
+    def _picture(self, name: str) -> NDArray[np.float32] | str:
+        """Return a picture, or why there is none."""
+        file = self.folder.find(name)
         if file is None:
-            missing = self.folder.why_missing(text.texture_file)
-            return plain, f"texture {text.texture_file} {missing}: went on without it"
+            return f"texture {name} {self.folder.why_missing(name)}"
         file = file.resolve()
         if file not in self.read:
             try:
-                size = require_small_picture(limits.read_bytes(file), file)
-                self._count(0 if size is None else size.pixels)
-                self.read[file] = pixels = read_image_linear(file)
-                if size is None:
-                    self._count(pixels.shape[0] * pixels.shape[1])
+                pixels = picture_pixels(limits.read_bytes(file), file)
+                if pixels is None:  # as of EXR files, which are judged when they are read
+                    self.read[file] = found = read_image_linear(file)
+                    pixels = found.shape[0] * found.shape[1]
+                self.pixels += pixels
+                place = f"the textures of the scan in {self.folder.path}"
+                advice = "save its textures with fewer pixels"
+                limits.require_at_most(place, "pixels", self.pixels, limits.PIXELS, advice)
+                if file not in self.read:
+                    self.read[file] = read_image_linear(file)
             except TooLargeError:
                 raise
             except OSError as error:
-                self.read[file] = ScanError(f"image {file.name} cannot be read: {error.strerror or error}")
+                self.read[file] = f"image {file.name} cannot be read: {error.strerror or error}"
             except ScanError as error:
-                self.read[file] = error
-        picture = self.read[file]
-        if isinstance(picture, ScanError):
-            return plain, f"{picture}: went on without it"
-        return Material(plain.name, picture, plain.base_color_linear), None
+                self.read[file] = str(error)
+        return self.read[file]
 
-    def named_like(self, scan: Path) -> Material | None:
-        """Return a material with the image that has the scan's own name, if there is one."""
-        for extension in SUPPORTED_IMAGES:
-            file = self.folder.find(scan.stem + extension)
-            if file is not None:
-                material, _ = self.material(MaterialText(file.name, texture_file=file.name))
-                return material if material.texture_linear is not None else None
-        return None
-
-    def _count(self, pixels: int) -> None:
-        self.pixels += pixels
-        advice = "save its textures with fewer pixels"
-        place = f"the textures of the scan in {self.folder.path}"
-        limits.require_at_most(place, "pixels", self.pixels, limits.PIXELS, advice)
+    def or_named_like(
+        self,
+        scan: Path,
+        uv: NDArray[np.float64] | None,
+        materials: tuple[Material, ...],
+        notes: tuple[str, ...],
+    ) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+        """Return materials and notes; where all textures are missing, the image with the scan's own name."""
+        lost = not materials or any(note.startswith("texture ") for note in notes)
+        if uv is None or not lost or any(m.texture_linear is not None for m in materials):
+            return materials, notes
+        for name in self.folder.or_named_like(scan, []):
+            if (file := self.folder.find(name)) is not None:
+                found, _ = self.materials([MaterialText(file.name, texture_file=file.name)])
+                if found[0].texture_linear is None:
+                    break
+                lacking = (note.partition(": went on without")[0] for note in notes)
+                return found, (*lacking, f"texture {found[0].name} was found by the scan's name")
+        return materials, notes

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import struct
 import sys
-import tokenize
 import zipfile
-import zlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,22 +20,6 @@ from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.records import Content, parse_record
 
 Arrays = dict[str, NDArray[Any]]
-
-_DAMAGE = (
-    ValueError,
-    KeyError,
-    EOFError,
-    TypeError,
-    SyntaxError,
-    RuntimeError,  # NotImplementedError is one
-    MemoryError,
-    OverflowError,
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    tokenize.TokenError,
-)
-"""What zip, NumPy's header and its parser raise of bytes that are not what was written."""
 
 
 def write_npz(
@@ -89,7 +70,8 @@ def read_npz(
                 # What arrays declare is looked at before any is read.
                 assert stored.zip is not None
                 entries = {entry.filename.removesuffix(".npy"): entry for entry in stored.zip.infolist()}
-                total, most = 0, max(limits.ARRAY_BYTES, limits.GROWTH * size)
+                # A geometry image of 4096 x 4096 texels has 1.3 GB.
+                total, most = 0, max(3 * limits.FILE_BYTES, limits.GROWTH * size)
                 for name in wanted:
                     with stored.zip.open(entries[name]) as member:
                         # NumPy reads headers of versions 2 and 3 alike.
@@ -104,7 +86,7 @@ def read_npz(
                 if total > most:
                     raise ValueError(f"its arrays have {total:,} bytes, more than the {most:,} that are read")
                 return {name: stored[name] for name in wanted}
-    except (OSError, ScanError, *_DAMAGE) as cause:
+    except (ScanError, *limits.DAMAGE) as cause:
         reason = one_line(cause)
         raise error(f"{what} {path} cannot be read ({reason}); {advice}") from cause
 

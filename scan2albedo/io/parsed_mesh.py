@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.errors import ScanError
+from scan2albedo.io import limits
 
 
 @dataclass(frozen=True)
@@ -41,32 +43,36 @@ class ParsedMesh:
     notes: tuple[str, ...] = ()
 
 
-class Fans(NamedTuple):
-    """Triangles of polygons whose corners are stored one after the other."""
+def fan_triangles(counts: IntArray) -> tuple[IntArray, IntArray]:
+    """Cut polygons of `counts` (P,) >= 3 corners, stored one after the other, into fans at their first ones.
 
-    corners: IntArray
-    """(T, 3) indices into the stored corners."""
-    polygon: IntArray
-    """(T,) polygon of each triangle."""
+    Returns the triangles (T, 3) as indices into the stored corners, and the polygon (T,) of each.
 
-
-def fan_triangles(counts: IntArray) -> Fans:
-    """Cut polygons of `counts` (P,) >= 3 corners into fans around their first corner.
-
-    >>> fan_triangles(np.array([3, 4])).corners.tolist()
+    >>> fan_triangles(np.array([3, 4]))[0].tolist()
     [[0, 1, 2], [3, 4, 5], [3, 5, 6]]
     """
     first = np.cumsum(counts) - counts
     if (counts == 3).all():
-        return Fans(first[:, None] + np.arange(3), np.arange(len(counts)))
+        return first[:, None] + np.arange(3), np.arange(len(counts))
     triangles = counts - 2
     polygon = np.repeat(np.arange(len(counts)), triangles)
     step = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
     start = first[polygon]
-    return Fans(np.stack([start, start + step + 1, start + step + 2], axis=1), polygon)
+    return np.stack([start, start + step + 1, start + step + 2], axis=1), polygon
+
+
+def require_few_triangles(name: str, counts: IntArray) -> None:
+    """Raise TooLargeError when polygons of `counts` (P,) corners give too many triangles."""
+    triangles = int(counts.sum()) - 2 * len(counts)
+    limits.require_at_most(name, "triangles", triangles, limits.TRIANGLES, "decimate it")
 
 
 def cut_note(counts: IntArray) -> tuple[str, ...]:
     """Return a note on how many polygons were cut, if any."""
     cut = int((counts > 3).sum())
     return (f"polygons cut into triangles: {cut}",) if cut else ()
+
+
+def damaged(path: Path, what: str, kind: str) -> ScanError:
+    """Return the error for a file that is not a whole one of its `kind`."""
+    return ScanError(f"{path.name}: {what}; the file is damaged, truncated or no {kind}: export it again")

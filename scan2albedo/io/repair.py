@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, IntArray
 from scan2albedo.core.raw_scan import LARGEST_COORDINATE
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours
@@ -15,8 +15,6 @@ from scan2albedo.io.parsed_mesh import ParsedMesh
 
 _AREA_FLOOR = 1e-12
 """A face whose doubled area is below this share of its squared longest edge has no usable normal."""
-
-_HASH_PRIMES = (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9)
 
 
 def require_usable(mesh: ParsedMesh, name: str) -> None:
@@ -64,7 +62,7 @@ def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
     hashes = np.zeros(len(rows), np.uint64)
     for column in range(rows.shape[1]):
         plain = np.ascontiguousarray(rows[:, column]) + rows.dtype.type(0)  # -0.0 becomes 0.0
-        hashes = (hashes ^ plain.view(np.uint64)) * np.uint64(_HASH_PRIMES[column])
+        hashes = (hashes ^ plain.view(np.uint64)) * np.uint64(0x9E3779B97F4A7C15)  # 2^64 / golden ratio
         hashes ^= hashes >> np.uint64(29)
     ordered = np.sort(hashes)
     repeated = ordered[1:][ordered[1:] == ordered[:-1]]
@@ -93,7 +91,28 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     first = first_equal_row(mesh.vertices)
     merged = int((used & (first != np.arange(len(first)))).sum())
     notes = (f"vertices merged at equal positions (seams): {merged}",) if merged else ()
-    mesh = _drop_faces(replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes))
+    mesh = replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes)
+    # Faces without a usable normal, in blocks to spare memory.
+    flat = np.empty(len(mesh.faces), bool)
+    for start in range(0, len(flat), 1 << 20):
+        corner = mesh.vertices[mesh.faces[start : start + (1 << 20)]]
+        one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        longest = np.max([np.einsum("fi,fi->f", edge, edge) for edge in (one, two, two - one)], axis=0)
+        cross = np.cross(one, two)
+        doubled = np.sqrt(np.einsum("fi,fi->f", cross, cross))
+        flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
+    keep = ~flat
+    repeats = first_equal_row(np.sort(mesh.faces[keep], axis=1)) != np.arange(int(keep.sum()))
+    keep[np.flatnonzero(keep)[repeats]] = False
+    if not keep.all():
+        dropped = (("zero-area", int(flat.sum())), ("duplicate", int(repeats.sum())))
+        mesh = replace(
+            mesh,
+            faces=mesh.faces[keep],
+            uv=None if mesh.uv is None else mesh.uv[keep],
+            material=None if mesh.material is None else mesh.material[keep],
+            notes=mesh.notes + tuple(f"{kind} faces dropped: {count}" for kind, count in dropped if count),
+        )
     turned = turned_against_neighbours(mesh.faces)
     if turned.any():
         note = f"faces reversed that were wound against their neighbours: {int(turned.sum())}"
@@ -106,13 +125,13 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     used = _used(mesh)
     if used.all():
         return mesh
-    color, dropped = mesh.vertex_color_linear, int((~used).sum()) - merged
+    color, unused = mesh.vertex_color_linear, int((~used).sum()) - merged
     return replace(
         mesh,
         vertices=mesh.vertices[used],
         faces=(np.cumsum(used) - 1)[mesh.faces],
         vertex_color_linear=None if color is None else color[used],
-        notes=mesh.notes + ((f"unreferenced vertices dropped: {dropped}",) if dropped > 0 else ()),
+        notes=mesh.notes + ((f"unreferenced vertices dropped: {unused}",) if unused > 0 else ()),
     )
 
 
@@ -120,35 +139,3 @@ def _used(mesh: ParsedMesh) -> BoolArray:
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.faces] = True
     return used
-
-
-def _drop_faces(mesh: ParsedMesh) -> ParsedMesh:
-    flat = _zero_area(mesh.vertices, mesh.faces)
-    keep = ~flat
-    repeats = first_equal_row(np.sort(mesh.faces[keep], axis=1)) != np.arange(int(keep.sum()))
-    keep[np.flatnonzero(keep)[repeats]] = False
-    if keep.all():
-        return mesh
-    dropped = (("zero-area", int(flat.sum())), ("duplicate", int(repeats.sum())))
-    notes = tuple(f"{kind} faces dropped: {count}" for kind, count in dropped if count)
-    return replace(
-        mesh,
-        faces=mesh.faces[keep],
-        uv=None if mesh.uv is None else mesh.uv[keep],
-        material=None if mesh.material is None else mesh.material[keep],
-        notes=mesh.notes + notes,
-    )
-
-
-def _zero_area(vertices: FloatArray, faces: IntArray) -> BoolArray:
-    """Return (F,) True for faces without a usable normal, in blocks to spare memory."""
-    flat = np.empty(len(faces), bool)
-    for start in range(0, len(faces), 1 << 20):
-        corner = vertices[faces[start : start + (1 << 20)]]
-        first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-        squared = [np.einsum("fi,fi->f", edge, edge) for edge in (first, second, second - first)]
-        longest = np.maximum(np.maximum(squared[0], squared[1]), squared[2])
-        cross = np.cross(first, second)
-        doubled = np.sqrt(np.einsum("fi,fi->f", cross, cross))
-        flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
-    return flat

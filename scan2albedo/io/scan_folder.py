@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from scan2albedo.errors import ScanError
+from scan2albedo.io.images import SUPPORTED_IMAGES
 
 _CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
 """Of file names in OBJ and MTL files that are no UTF-8; the file that exists decides which it is."""
@@ -35,7 +36,11 @@ class ScanFolder:
         MTL files often hold absolute or Windows paths of another machine, and names in another case, code
         page or Unicode form.
         """
-        for spelling in _spellings(name):
+        spellings = [name]
+        if any("\udc80" <= letter <= "\udcff" for letter in name):  # not UTF-8
+            data = name.encode("utf-8", "surrogateescape")
+            spellings += [data.decode(page, "replace") for page in _CODE_PAGES]
+        for spelling in spellings:
             relative = Path(spelling.replace("\\", "/"))
             try:
                 found = next(self._found(relative), None)
@@ -48,6 +53,11 @@ class ScanFolder:
     def library_names(self, words: str) -> list[str]:
         """Return the files of a `mtllib` line: one name with spaces if there is such a file, else several."""
         return [words] if not words or self.find(words) else words.split()
+
+    def or_named_like(self, scan: Path, textures: list[str]) -> list[str]:
+        """Return names of textures, where none exists also those that an image of the scan may have."""
+        lost = all(self.find(name) is None for name in textures)
+        return textures + ([scan.stem + extension for extension in SUPPORTED_IMAGES] if lost else [])
 
     def why_missing(self, name: str) -> str:
         """Return why `find` returns None, as the end of a sentence."""
@@ -73,15 +83,6 @@ class ScanFolder:
         homes = (self.path, self.textures)
         real = path.resolve()
         return any(home is not None and real.is_relative_to(home.resolve()) for home in homes)
-
-
-def _spellings(name: str) -> list[str]:
-    """Return a name as it stands; one that is no UTF-8 also as other code pages read it."""
-    names = [name]
-    if any("\udc80" <= letter <= "\udcff" for letter in name):
-        data = name.encode("utf-8", "surrogateescape")
-        names += [data.decode(page, "replace") for page in _CODE_PAGES]
-    return names
 
 
 def _folded(name: str) -> str:

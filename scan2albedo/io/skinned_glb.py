@@ -13,10 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.io.glb import METRES_PER_MM, GlbFile, plain_material
 
-_A_SET = 4
-"""Joints of a vertex in one pair of attributes JOINTS_n, WEIGHTS_n."""
-_NOTHING = 2.0**-24
-"""Weights below this vanish beside 1 in 32 bits."""
 _MATERIAL = plain_material("frame", (0.25, 0.25, 0.28, 1.0), 0.6)
 
 
@@ -69,109 +65,78 @@ def write_skinned_glb(
         np.asarray(a, t) for a, t in ((vertices, float), (faces, np.int64), (keypoints, float))
     )
     shares, parent = np.asarray(weights, np.float64), np.asarray(parents, np.int64)
-    _check(xyz, index, joints, shares, names, parent)
-    known = np.flatnonzero(np.isfinite(joints).all(1))
-    above = _known_parents(parent, set(known.tolist()))
+    count, joint_count = len(xyz), len(names)
+    expected = {
+        "vertices": (xyz, (count, 3)),
+        "faces": (index, (len(index), 3)),
+        "keypoints": (joints, (joint_count, 3)),
+        "weights": (shares, (count, joint_count)),
+        "parents": (parent, (joint_count,)),
+    }
+    for name, (array, shape) in expected.items():
+        if array.shape != shape:
+            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
+    if not (np.isfinite(xyz).all() and np.isfinite(shares).all() and len(index)):
+        raise ValueError("vertices and weights must be finite, and there must be faces")
+    if index.min() < 0 or index.max() >= count:
+        raise ValueError(f"faces must hold 0 to {count - 1}, got {index.min()} to {index.max()}")
+    if influences is not None and influences < 1:
+        raise ValueError(f"influences must be 1 or more, or None, got {influences}")
+    there = np.isfinite(joints).all(1)
+    if shares.min() < 0 or shares[:, ~there].any() or np.abs(shares.sum(1) - 1).max() > 1e-6:
+        raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
+    known = np.flatnonzero(there)
+    above: dict[int, int] = {}  # the nearest joint above each that is known too
+    for joint in known.tolist():
+        above[joint], climb = -1, int(parent[joint])
+        for _ in parent:
+            if above[joint] < 0 and climb in known:
+                above[joint] = climb
+            climb = int(parent[climb]) if climb >= 0 else -1
+        if climb >= 0:
+            raise ValueError(f"parents go round in a circle from joint {joint}")
     order, kept, cut = _largest(shares[:, known], influences)
     file = GlbFile()
     kind, attributes = "u1" if order.max() < 256 else "u2", dict[str, tuple[NDArray[Any], str]]()
-    for n, start in enumerate(range(0, order.shape[1], _A_SET)):
-        part = slice(start, start + _A_SET)
-        attributes[f"JOINTS_{n}"] = (order[:, part].astype(kind), "VEC4")
-        attributes[f"WEIGHTS_{n}"] = (kept[:, part].astype("f4"), "VEC4")
+    for n, start in enumerate(range(0, order.shape[1], 4)):
+        attributes[f"JOINTS_{n}"] = (order[:, start : start + 4].astype(kind), "VEC4")
+        attributes[f"WEIGHTS_{n}"] = (kept[:, start : start + 4].astype("f4"), "VEC4")
     mesh = file.add_mesh("frame", xyz, index, attributes=attributes)
-    skin, nodes, roots = _skeleton(file, joints * METRES_PER_MM, known, above, names)
     # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
-    first: list[dict[str, Any]] = [
+    number = {int(joint): i + 2 for i, joint in enumerate(known)}
+    roots = [number[joint] for joint in number if above[joint] < 0]
+    nodes: list[dict[str, Any]] = [
         {"name": "frame", "mesh": mesh, "skin": 0},
         {"name": "skeleton", "children": roots},
     ]
-    file.write(path, [*first, *nodes], [0, 1], skins=[skin], materials=[_MATERIAL])
+    places = joints * METRES_PER_MM
+    for joint in number:
+        origin = places[above[joint]] if above[joint] >= 0 else np.zeros(3)
+        node: dict[str, Any] = {"name": names[joint], "translation": (places[joint] - origin).tolist()}
+        if children := [number[j] for j in number if above[j] == joint]:
+            node["children"] = children
+        nodes.append(node)
+    inverse = np.tile(np.eye(4), (len(known), 1, 1))
+    inverse[:, :3, 3] = -places[known]
+    matrices = file.add_array(inverse.transpose(0, 2, 1).astype("f4"), "MAT4")  # column by column
+    skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
+    file.write(path, nodes, [0, 1], skins=[skin], materials=[_MATERIAL])
     written = np.zeros(shares.shape)
     np.add.at(written, (np.arange(len(shares))[:, None], known[order]), kept)
     return SkinWritten(written / written.sum(1, keepdims=True), cut)
 
 
-def _check(
-    vertices: FloatArray,
-    faces: IntArray,
-    keypoints: FloatArray,
-    weights: FloatArray,
-    names: Sequence[str],
-    parents: IntArray,
-) -> None:
-    count, joints = len(vertices), len(names)
-    expected = {
-        "vertices": (vertices, (count, 3)),
-        "faces": (faces, (len(faces), 3)),
-        "keypoints": (keypoints, (joints, 3)),
-        "weights": (weights, (count, joints)),
-        "parents": (parents, (joints,)),
-    }
-    for name, (array, shape) in expected.items():
-        if array.shape != shape:
-            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
-    if not (np.isfinite(vertices).all() and np.isfinite(weights).all() and len(faces)):
-        raise ValueError("vertices and weights must be finite, and there must be faces")
-    if faces.min() < 0 or faces.max() >= count:
-        raise ValueError(f"faces must hold 0 to {count - 1}, got {faces.min()} to {faces.max()}")
-    missing = ~np.isfinite(keypoints).all(1)
-    if weights.min() < 0 or weights[:, missing].any() or np.abs(weights.sum(1) - 1).max() > 1e-6:
-        raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
-
-
-def _known_parents(parents: IntArray, known: set[int]) -> dict[int, int]:
-    """Return the nearest joint above each known one that is known too, -1 for none."""
-    result = {}
-    for joint in known:
-        above = int(parents[joint])
-        for _ in parents:
-            if above < 0 or (above in known and above != joint):
-                break
-            above = int(parents[above])
-        else:
-            raise ValueError(f"parents go round in a circle from joint {joint}")
-        result[joint] = above
-    for joint in known:
-        climb = result[joint]
-        for _ in result:
-            climb = result[climb] if climb >= 0 else -1
-        if climb >= 0:
-            raise ValueError(f"parents go round in a circle from joint {joint}")
-    return result
-
-
 def _largest(weights: FloatArray, influences: int | None) -> tuple[IntArray, NDArray[np.float32], float]:
     """Return joints (V, 4 n) of each vertex, heaviest first, their weights, and the most that was cut off."""
-    if influences is not None and influences < 1:
-        raise ValueError(f"influences must be 1 or more, or None, got {influences}")
-    used = int((weights > _NOTHING).sum(1).max())
-    width = used if influences is None else min(influences, used)
+    some = weights > np.finfo(np.float32).epsneg  # others vanish beside 1 in 32 bits
+    width = int(some.sum(1).max())
+    if influences is not None:
+        width = min(influences, width)
     order = np.argsort(-weights, axis=1, kind="stable")[:, :width]
-    kept = np.take_along_axis(np.where(weights > _NOTHING, weights, 0.0), order, 1)
+    kept = np.take_along_axis(np.where(some, weights, 0.0), order, 1)
     total = kept.sum(1, keepdims=True)
     cut = float((weights.sum(1) - total[:, 0]).max())
     rounded = (kept / total).astype(np.float32)
-    # The standard wants joint 0 where a weight is 0.
-    order = np.where(rounded > 0, order, 0)
-    filling = ((0, 0), (0, -width % _A_SET))
+    order = np.where(rounded > 0, order, 0)  # the standard wants joint 0 where a weight is 0
+    filling = ((0, 0), (0, -width % 4))
     return np.pad(order, filling), np.pad(rounded, filling), max(cut, 0.0)
-
-
-def _skeleton(
-    file: GlbFile, keypoints: FloatArray, known: IntArray, above: dict[int, int], names: Sequence[str]
-) -> tuple[dict[str, Any], list[dict[str, Any]], list[int]]:
-    """Return the skin, the nodes of the joints, numbered from 2 on, and the numbers of the topmost."""
-    number = {int(joint): i + 2 for i, joint in enumerate(known)}
-    nodes: list[dict[str, Any]] = []
-    for joint in number:
-        origin = keypoints[above[joint]] if above[joint] >= 0 else np.zeros(3)
-        node: dict[str, Any] = {"name": names[joint], "translation": (keypoints[joint] - origin).tolist()}
-        if children := [number[j] for j in number if above[j] == joint]:
-            node["children"] = children
-        nodes.append(node)
-    inverse = np.tile(np.eye(4), (len(known), 1, 1))
-    inverse[:, :3, 3] = -keypoints[known]
-    matrices = file.add_array(inverse.transpose(0, 2, 1).astype("f4"), "MAT4")  # column by column
-    skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
-    return skin, nodes, [number[joint] for joint in number if above[joint] < 0]

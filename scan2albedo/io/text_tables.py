@@ -11,45 +11,13 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.io import limits
 
-OTHER, VERTEX, TEXTURE_COORDINATE, FACE, USE_MATERIAL, MATERIAL_LIBRARY = range(6)
-"""Kinds of the lines of OBJ files."""
-
-_USE_MATERIAL, _MATERIAL_LIBRARY = (np.frombuffer(word, np.uint8) for word in (b"usemtl", b"mtllib"))
-
 # Numbers, since `ord` takes long to compile.
-_V, _F, _T, _N, _I, _E, _HASH, _SLASH, _POINT = b"vftnie#/."
-
-_POWERS_OF_TEN = 10.0 ** np.arange(23)
+_N, _I, _E, _HASH, _SLASH, _POINT = b"nie#/."
 
 
 @njit(cache=True, nogil=True)
 def _is_blank(byte):  # type: ignore[no-untyped-def]
     return byte == 32 or byte == 9 or byte == 13 or byte == 11 or byte == 12
-
-
-@njit(cache=True, nogil=True)
-def _is_word(text, start, word):  # type: ignore[no-untyped-def]
-    same = True
-    for i in range(word.size):
-        same &= text[start + i] == word[i]
-    return same
-
-
-@njit(cache=True, nogil=True)
-def _keyword_kind(text, start, end):  # type: ignore[no-untyped-def]
-    length = end - start
-    if length == 1 and text[start] == _V:
-        return VERTEX
-    if length == 1 and text[start] == _F:
-        return FACE
-    if length == 2 and text[start] == _V and text[start + 1] == _T:
-        return TEXTURE_COORDINATE
-    # The whole word: "usemap" and "maplib" are keywords of OBJ too.
-    if length == 6 and _is_word(text, start, _USE_MATERIAL):
-        return USE_MATERIAL
-    if length == 6 and _is_word(text, start, _MATERIAL_LIBRARY):
-        return MATERIAL_LIBRARY
-    return OTHER
 
 
 @njit(cache=True, nogil=True)
@@ -71,19 +39,28 @@ def line_ranges(text):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
-    """Return the kind (L,) uint8 of each line and where its body starts (L,), after the keyword."""
-    kinds = np.zeros(starts.size, np.uint8)
+    """Return the first word (L,) of each line and where its body starts (L,), after that.
+
+    Words are integers, see `keyword`; 0 for a blank line and words of more than 7 bytes.
+    """
+    words = np.zeros(starts.size, np.int64)
     bodies = np.empty(starts.size, np.int64)
     for line in range(starts.size):
         position, end = starts[line], ends[line]
         while position < end and _is_blank(text[position]):
             position += 1
-        begin = position
+        begin, word = position, 0
         while position < end and not _is_blank(text[position]):
+            word = (word << 8) + text[position] if position - begin < 7 else 0
             position += 1
-        kinds[line] = _keyword_kind(text, begin, position)
+        words[line] = word
         bodies[line] = position
-    return kinds, bodies
+    return words, bodies
+
+
+def keyword(word: bytes) -> int:
+    """Return a word as `split_keywords` does."""
+    return int.from_bytes(word, "big")
 
 
 @njit(cache=True, nogil=True)
@@ -98,15 +75,6 @@ def _parse_unsigned(text, position, end):  # type: ignore[no-untyped-def]
         seen += 1
         position += 1
     return value, dropped, seen, position
-
-
-@njit(cache=True, nogil=True)
-def _scaled(mantissa, exponent):  # type: ignore[no-untyped-def]
-    if 0 <= exponent <= 22:
-        return mantissa * _POWERS_OF_TEN[exponent]
-    if -22 <= exponent < 0:
-        return mantissa / _POWERS_OF_TEN[-exponent]
-    return mantissa * 10.0**exponent
 
 
 @njit(cache=True, nogil=True)
@@ -141,36 +109,10 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
         exponent += -power if negative else power
         if digits == 0:
             return np.nan, False
-    return sign * _scaled(float(mantissa), exponent), seen > 0 and position == end
-
-
-@njit(cache=True, nogil=True)
-def parse_float_lines(text, starts, ends, width):  # type: ignore[no-untyped-def]
-    """Return (values (N, width) float64, number of tokens of each line (N,), -1 = not numbers).
-
-    Values are NaN where a line is shorter than `width`. Tokens past `width` are counted, not kept; a token
-    starting with # ends the line.
-    """
-    values = np.full((starts.size, width), np.nan)
-    counts = np.zeros(starts.size, np.int64)
-    for line in range(starts.size):
-        position, end = starts[line], ends[line]
-        while True:
-            while position < end and _is_blank(text[position]):
-                position += 1
-            if position >= end or text[position] == _HASH:
-                break
-            begin = position
-            while position < end and not _is_blank(text[position]):
-                position += 1
-            if counts[line] < width:
-                value, is_number = _parse_float(text, begin, position)
-                if not is_number:
-                    counts[line] = -1
-                    break
-                values[line, counts[line]] = value
-            counts[line] += 1
-    return values, counts
+    # Powers up to 10^22 are exact: numbers of up to 15 digits are rounded once.
+    if -22 <= exponent < 0:
+        return sign * (mantissa / 10.0**-exponent), seen > 0 and position == end
+    return sign * (mantissa * 10.0**exponent), seen > 0 and position == end
 
 
 @njit(cache=True, nogil=True)
@@ -276,21 +218,6 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
     return offsets, counts, position
 
 
-class NumberLines(NamedTuple):
-    """The lines of a text that hold anything, and how many words each has."""
-
-    text: NDArray[np.uint8]
-    starts: IntArray
-    ends: IntArray
-    counts: IntArray
-
-    def table(self, rows: slice) -> NumberTable:
-        """Return the numbers of some of the lines."""
-        counts = self.counts[rows]
-        values, bad = parse_tokens(self.text, self.starts[rows], self.ends[rows], counts)
-        return NumberTable(values, np.cumsum(counts) - counts, counts, int(bad))
-
-
 class NumberTable(NamedTuple):
     """The numbers of lines of any length, in as much memory as they need."""
 
@@ -303,10 +230,29 @@ class NumberTable(NamedTuple):
     bad: int
     """The first line that is not made of numbers, -1 for none; numbers from there on are not set."""
 
+    def columns(self, begin: int, end: int) -> FloatArray:
+        """Return (N, end - begin) the numbers at these places of each line; every line has so many."""
+        return self.values[self.first[:, None] + np.arange(begin, end)]
+
     def ranges(self, begin: IntArray, counts: IntArray) -> FloatArray:
         """Return `counts` (N,) numbers from place `begin` (N,) in each line, line after line."""
         before = np.cumsum(counts) - counts
         return self.values[np.arange(int(counts.sum())) + np.repeat(self.first + begin - before, counts)]
+
+
+class NumberLines(NamedTuple):
+    """Lines of a text and how many words each has."""
+
+    text: NDArray[np.uint8]
+    starts: IntArray
+    ends: IntArray
+    counts: IntArray
+
+    def table(self, rows: slice = slice(None), most: int = limits.TEXT_LINES) -> NumberTable:
+        """Return the numbers of some of the lines, of each at most the first `most`."""
+        counts = np.minimum(self.counts[rows], most)
+        values, bad = parse_tokens(self.text, self.starts[rows], self.ends[rows], counts)
+        return NumberTable(values, np.cumsum(counts) - counts, counts, int(bad))
 
 
 def number_lines(data: bytes, start: int, name: str) -> NumberLines:

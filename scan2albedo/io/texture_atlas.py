@@ -18,8 +18,6 @@ Image = NDArray[np.float32]
 GUTTER = 2
 """Texels repeated around each tile, so that interpolation at its edge meets its own colour."""
 
-_SOLID_SIZE = 4
-
 
 @dataclass(frozen=True)
 class PackedTexture:
@@ -52,59 +50,44 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     material_of_picture = np.array([*same, -1])
     if not mapped.any():
         return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
-    tiles, names, tile, uv, notes = _tiles(mesh, np.where(mapped, material_of_picture[material], -1))
-    if len(tiles) == 1:
-        return PackedTexture(uv, tiles[0], notes)
-    texture, boxes = _lay_out(tiles)
-    if not mapped.all():
-        notes = (*notes, f"faces without texture, given their material's colour: {int((~mapped).sum())}")
-    pictures = len(np.unique(material_of_picture[textured]))
-    if pictures > 1:
-        notes = (
-            *notes,
-            f"packed {pictures} textures into one of {texture.shape[1]}x{texture.shape[0]}",
-        )
-    placed = tuple(TextureTile(name, *box) for name, box in zip(names, boxes.tolist(), strict=True))
-    # Texel centres of a tile stay texel centres in its box of the atlas.
-    left, top, width, height = (boxes[tile, k, None].astype(float) for k in range(4))
-    across, down = left + uv[..., 0] * width, top + (1 - uv[..., 1]) * height
-    uv = np.stack([across / texture.shape[1], 1 - down / texture.shape[0]], axis=-1)
-    return PackedTexture(uv, texture, notes, placed)
-
-
-def _tiles(
-    mesh: ParsedMesh, texture_of_face: IntArray
-) -> tuple[list[Image], list[str], IntArray, FloatArray, tuple[str, ...]]:
-    """Return (tiles, their names, tile of each face (F,), uv inside its tile (F, 3, 2), notes)."""
-    assert mesh.uv is not None
-    uv = np.full(mesh.uv.shape, 0.5)
-    tile = np.full(len(uv), -1)
-    material = np.full(len(uv), -1) if mesh.material is None else mesh.material
+    texture_of_face = np.where(mapped, material_of_picture[material], -1)
+    uv, tile = np.full(mesh.uv.shape, 0.5), np.full(len(mesh.uv), -1)  # inside its tile, of each face
     tiles: list[Image] = []
     names: list[str] = []
     notes: list[str] = []
-    used = np.unique(texture_of_face[texture_of_face >= 0])
-    pictures = [mesh.materials[index].texture_linear for index in used]
-    left = limits.PIXELS - sum(p.shape[0] * p.shape[1] for p in pictures if p is not None)
-    for index in used:
+    used = {int(index): mesh.materials[index] for index in np.unique(texture_of_face[mapped])}
+    pictures = {index: m.texture_linear for index, m in used.items() if m.texture_linear is not None}
+    left = limits.PIXELS - sum(p.shape[0] * p.shape[1] for p in pictures.values())
+    for index, texture in pictures.items():
         faces = np.flatnonzero(texture_of_face == index)
-        texture = mesh.materials[index].texture_linear
-        assert texture is not None
         texels = texture.shape[0] * texture.shape[1]
         uv[faces], repeated, note = _inside_unit_square(mesh.uv[faces], texture, left + texels)
         left -= repeated.shape[0] * repeated.shape[1] - texels
         tile[faces] = len(tiles)
         tiles.append(repeated)
-        names.append(mesh.materials[index].name)
-        notes += [f"{mesh.materials[index].name}: {note}"] if note else []
+        names.append(used[index].name)
+        notes += [f"{used[index].name}: {note}"] if note else []
     plain = np.flatnonzero(tile < 0)
-    colors, color_of_face = np.unique(material[plain], return_inverse=True)
+    own = np.full(len(uv), -1) if mesh.material is None else mesh.material
+    colors, color_of_face = np.unique(own[plain], return_inverse=True)
     tile[plain] = len(tiles) + color_of_face
     for index in colors:
-        color = mesh.materials[index].base_color_linear if index >= 0 else Material("").base_color_linear
-        tiles.append(np.full((_SOLID_SIZE, _SOLID_SIZE, 3), color, np.float32))
-        names.append(mesh.materials[index].name if index >= 0 else "no material")
-    return tiles, names, tile, uv, tuple(notes)
+        one = mesh.materials[index] if index >= 0 else Material("no material")
+        tiles.append(np.full((2 * GUTTER, 2 * GUTTER, 3), one.base_color_linear, np.float32))
+        names.append(one.name)
+    if len(tiles) == 1:
+        return PackedTexture(uv, tiles[0], tuple(notes))
+    texture, boxes = _lay_out(tiles)
+    if len(plain):
+        notes.append(f"faces without texture, given their material's colour: {len(plain)}")
+    if (count := len(np.unique(material_of_picture[textured]))) > 1:
+        notes.append(f"packed {count} textures into one of {texture.shape[1]}x{texture.shape[0]}")
+    placed = tuple(TextureTile(name, *box) for name, box in zip(names, boxes.tolist(), strict=True))
+    # Texel centres of a tile stay texel centres in its box of the atlas.
+    start, top, width, height = (boxes[tile, k, None].astype(float) for k in range(4))
+    across, down = start + uv[..., 0] * width, top + (1 - uv[..., 1]) * height
+    uv = np.stack([across / texture.shape[1], 1 - down / texture.shape[0]], axis=-1)
+    return PackedTexture(uv, texture, tuple(notes), placed)
 
 
 def _inside_unit_square(uv: FloatArray, texture: Image, most: int) -> tuple[FloatArray, Image, str]:
@@ -146,12 +129,11 @@ def _lay_out(tiles: list[Image]) -> tuple[Image, IntArray]:
             left, top, shelf = 0, top + shelf, 0
         boxes[i] = (left + GUTTER, top + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
         left, shelf = left + sizes[i][0], max(shelf, sizes[i][1])
-    pixels = (top + shelf) * int((boxes[:, 0] + boxes[:, 2]).max() + GUTTER)
-    advice = "save its textures as one picture"
-    limits.require_at_most(
-        "the texture of the scan's materials", "pixels", pixels, limits.ATLAS_PIXELS, advice
-    )
-    atlas = np.zeros((top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, 3), np.float32)
+    height, width = top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER
+    most = limits.PIXELS * 5 // 4  # gutters and sizes leave gaps
+    what, advice = "the texture of the scan's materials", "save its textures as one picture"
+    limits.require_at_most(what, "pixels", height * width, most, advice)
+    atlas = np.zeros((height, width, 3), np.float32)
     for tile, (x, y, w, h) in zip(tiles, boxes, strict=True):
         area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
         area[:] = np.pad(tile, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), mode="edge")

@@ -17,7 +17,6 @@ from scan2albedo.io.atomic import write_bytes, write_text
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.io.glb import GlbFile, plain_material
 
-_ROUGHNESS = 0.9
 _SKIN = "skin"
 
 
@@ -102,7 +101,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
-        material = plain_material(name, (1.0, 1.0, 1.0, 1.0), _ROUGHNESS)
+        material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
         attributes: dict[str, tuple[NDArray[Any], str]] = {}
         if picture is not None:
             material["pbrMetallicRoughness"]["baseColorTexture"] = texture(picture.name, picture.png)

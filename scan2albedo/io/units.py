@@ -18,10 +18,8 @@ PLAUSIBLE_GLASSES_MM = (50.0, 400.0)
 """Greatest distance between two key points, from a front without temples (about 100 mm for a child) or half
 of one to whole goggles (about 250 mm); less than a decade again."""
 
-_TRIM_PERCENT = 0.5
-
-_FINE_STEP, _COARSE_STEP = 1e-4, 1e-2
-"""Rounding as a part of a scan's extent: no note up to the first, an error beyond the second."""
+_MOST_ROUNDED = 0.01
+"""Rounding beyond this part of a scan's extent is an error, beyond a hundredth of it a note."""
 
 
 def check_unit(unit: str) -> None:
@@ -46,7 +44,7 @@ def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64])
     scale = np.abs(centered).max() or 1.0
     _, axes = np.linalg.eigh((centered / scale).T @ (centered / scale))
     along = centered @ axes
-    low, high = np.percentile(along, [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
+    low, high = np.percentile(along, [0.5, 99.5], axis=0)
     return float((high - low).max())
 
 
@@ -70,13 +68,13 @@ def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: flo
         return ""
     distance = float(np.median(np.abs(vertices).max(axis=1)))
     step = float(np.spacing(np.float32(distance)))
-    if step <= _FINE_STEP * extent:
+    if 100 * step <= _MOST_ROUNDED * extent:
         return ""
     note = (
         f"positions are rounded to {step * mm_per_unit:.2g} mm, since the file holds single precision at "
         f"{distance * mm_per_unit:.2g} mm from the origin: move the scan to the origin before it is exported"
     )
-    if step > _COARSE_STEP * extent:
+    if step > _MOST_ROUNDED * extent:
         raise ScanError(f"{name}: {note}")
     return note
 
@@ -110,9 +108,9 @@ def _decided(
     extent: float, unit: str, name: str, thing: str, kind: str, plausible_mm: tuple[float, float]
 ) -> tuple[float, str]:
     """Return the factor and the note of a `thing` of `extent` file units that should be a `kind`."""
+    low, high = plausible_mm
+    fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
     if unit == "auto":
-        low, high = plausible_mm
-        fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
         if not fitting:
             verb = "are" if thing.endswith("s") else "is"
             raise UnitError(
@@ -124,13 +122,10 @@ def _decided(
                 f"{name}: the {thing}, {extent:.4g} units long, may be in {' or '.join(fitting)}; say what a "
                 "unit is with unit='mm', 'cm' or 'm'"
             )
-        return MM_PER_UNIT[fitting[0]], _note(fitting[0], extent, "decided from the size")
-    check_unit(unit)
-    low, high = plausible_mm
-    plausible = low <= extent * MM_PER_UNIT[unit] < high
-    doubt = "" if plausible else f", though a {kind} measures {low:g} to {high:g} mm"
-    return MM_PER_UNIT[unit], _note(unit, extent, f"as given{doubt}")
-
-
-def _note(unit: str, extent: float, how: str) -> str:
-    return f"unit: {unit} (largest extent {extent * MM_PER_UNIT[unit]:.4g} mm), {how}"
+        unit, how = fitting[0], "decided from the size"
+    else:
+        check_unit(unit)
+        doubt = "" if unit in fitting else f", though a {kind} measures {low:g} to {high:g} mm"
+        how = f"as given{doubt}"
+    factor = MM_PER_UNIT[unit]
+    return factor, f"unit: {unit} (largest extent {extent * factor:.4g} mm), {how}"

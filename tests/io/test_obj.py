@@ -8,6 +8,7 @@ from scan2albedo.io import load_scan
 from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.mtl import parse_mtl
 from scan2albedo.io.obj import read_obj, write_obj
+from scan2albedo.io.scan_folder import ScanFolder
 from tests.io.meshes import (
     CORNER_LINEAR,
     SQUARE_MM,
@@ -188,7 +189,7 @@ def test_an_unknown_material_is_told(tmp_path):
 def test_numbers_are_read_to_the_last_bit_but_one(tmp_path):
     values = np.random.default_rng(1).normal(size=(300, 3)) * 10.0 ** np.arange(-150, 150)[:, None]
     text = "\n".join("v " + " ".join(repr(float(x)) for x in row) for row in values)
-    parsed = read_obj(write(tmp_path, text + "\nf 1 2 3"))
+    parsed = read_obj(write(tmp_path, text + "\nf 1 2 3"), ScanFolder(tmp_path))
     np.testing.assert_allclose(parsed.vertices, values, rtol=5e-16 * 4)
 
 

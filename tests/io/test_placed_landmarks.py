@@ -7,8 +7,7 @@ import pytest
 
 from scan2albedo import load_scan
 from scan2albedo.errors import ScanError
-from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
-from scan2albedo.io.placed_landmarks import landmarks_file, read_landmarks
+from scan2albedo.io.landmark_files import LandmarksRecord, landmarks_file, read_landmarks, write_landmarks_csv
 from scan2albedo.io.records import write_record
 
 POINTS = {30: (1.0, 2.0, 3.0), 8: (4.0, -5.0, 6.5)}
