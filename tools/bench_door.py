@@ -4,7 +4,7 @@
         [--scraps 300] [--reliefs 200] [--objects] [--repeat 20 [--fit]] [--told] [--offset 0] [--jobs 1]
         [--json FILE] [--figure FILE.png]
 
-"stereo" are random people of `synthetic.stereo_scan`, "ict" mixtures of light-stage people and expressions
+"stereo" are random people of `benchmarks.stereo_scan`, "ict" mixtures of light-stage people and expressions
 captured in the same way, "hard" both with up to 6 mm of noise, more holes and less of the face (there is
 shown what confidence is worth; --placed gives five landmarks to these, then with one 25 mm off), "scraps"
 captures of both that show no face, "reliefs" random reliefs and bodies (every tenth also without a known

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks import fit_peers
+from benchmarks.raw_like import with_holes
 from benchmarks.scan_files import face_data
 
 import scan2albedo as s2a
@@ -31,7 +32,7 @@ from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, random_rotation, transform_points
-from scan2albedo.synthetic.head import grid_faces, join, with_holes
+from scan2albedo.synthetic.head import grid_faces, join
 
 PEERS = Path(fit_peers.__file__)
 SHAPES = (

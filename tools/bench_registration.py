@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from benchmarks.raw_like import raw_like
 from benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
 from benchmarks.scan_files import face_data
 
@@ -41,7 +42,6 @@ from scan2albedo.io.units import millimetres_per_unit
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
 from scan2albedo.registration.template import Template
-from scan2albedo.synthetic import raw_like
 
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 FACE_PART = 6706

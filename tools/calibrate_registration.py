@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from benchmarks.door_scans import UNSEEN, Case, face_case, random_body, random_relief, scrap
+from benchmarks.stereo_scan import StereoScanner, stereo_scan
 from scipy.optimize import minimize
 
 from scan2albedo import AnnotatedFaceModel
@@ -42,7 +43,6 @@ from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
-from scan2albedo.synthetic import StereoScanner, stereo_scan
 
 SIGNS = {"relief": 1, "local": 1, "distance": -1, "share": 1}
 RIGHT_DEG, RIGHT_MM = 10.0, 15.0

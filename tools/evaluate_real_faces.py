@@ -11,13 +11,13 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
+from benchmarks.raw_like import raw_like
 from benchmarks.scan_files import face_data
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_angle_rad, transform_points
-from scan2albedo.synthetic import raw_like
 
 INNER = slice(17, 68)
 WRONG_POSE_DEG, WRONG_POSE_MM = 10.0, 15.0

@@ -50,8 +50,7 @@ def make(kind: str, manifest: Path, persons: int, seed: int) -> None:
             say(f"{path.name} is there")
         return
     from benchmarks.scan_files import write_obj
-
-    from scan2albedo.synthetic.population import population_scan
+    from recognition_experiment.population import population_scan
 
     manifest.parent.mkdir(parents=True, exist_ok=True)
     population, rows = RecognitionExperimentOptions().population, []

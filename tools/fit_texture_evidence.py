@@ -14,8 +14,10 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from benchmarks.room_light import random_colors, random_room, room_light_on
 from scipy.optimize import minimize
 from scipy.stats import rankdata
 
@@ -39,7 +41,6 @@ from scan2albedo.synthetic.face_paint import PaintedFeatures, landmark_uv, paint
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, Expression
 from scan2albedo.synthetic.raw_scan import scan_of
 from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.room_light import random_colors, random_room
 from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.scenes import light_at
 from scan2albedo.synthetic.sitter import Painter, sit_down
@@ -128,7 +129,7 @@ def person_scan(model: AnnotatedFaceModel, seed: int) -> tuple[RawScan, np.ndarr
         rng,
         f"person-{seed}",
         colors=random_colors(1 + len(lamps), rng, 0.15),
-        room=random_room(rng, 0.25) if in_room else None,
+        ambient=partial(room_light_on, room=random_room(rng, 0.25)) if in_room else None,
     )
     assert model.landmarks is not None
     laid = similarity(model.landmarks[17:], truth.landmarks[17:])

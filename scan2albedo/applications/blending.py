@@ -31,11 +31,8 @@ def blend_faces(
 
     Positions are blended linearly on the chart that both share; normals follow the new surface. The skins are
     scaled to one colour, the geometric mean of theirs by weight, and then blended linearly: level and tint of
-    an albedo depend on the scan's light, and the brighter scan would dominate. Features that lie on texels a
-    little apart are moved onto one another first (`skin_match.displacement`), so that none is there twice.
-    Where the texture of one face was not seen, for example under hair, the detail of the other is continued
-    in its colours, and eyes, brows, nostrils and mouth of which a part was not seen are the other's as a
-    whole, as in `swap_texture`; where neither was seen the colour is continued smoothly.
+    an albedo depend on the scan's light. Features that lie on texels a little apart are moved onto one
+    another first (`skin_match.displacement`). What was not seen is continued as in `swap_texture`.
 
     Parameters
     ----------
@@ -85,30 +82,29 @@ def blend_faces(
         beside = displacement(skins[0], skins[1], mask)
         first, second = (filled_from_nearest(skin, mask) for skin in skins)
         albedo = _between(warped(first, -weight * beside), warped(second, (1 - weight) * beside), weight)
+    # The reflectance is the nearer one's where the models do not blend.
+    ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
     levels = [float(np.exp(np.log(gain).mean())) for gain in gains]
+    strength = (1 - weight) * levels[0] * ours.specular_strength + weight * levels[
+        1
+    ] * theirs.specular_strength
+    if (ours.brdf == "minnaert") == (theirs.brdf == "minnaert"):
+        exponent = float(ours.exponent ** (1 - weight) * theirs.exponent**weight)
+        if 0 < weight < 1 and 0 in (ours.specular_strength, theirs.specular_strength):
+            # That of a face without highlight does not count.
+            exponent = theirs.exponent if ours.specular_strength == 0 else ours.exponent
+        brdf = ours.brdf if ours.brdf == theirs.brdf else "oren-nayar"
+        roughness = (1 - weight) * ours.roughness + weight * theirs.roughness
+        reflectance = Reflectance(brdf, roughness, strength, exponent)
     return replace(
         shaped,
         name=f"{a.name}+{b.name}",
         image=image,
         albedo_linear=albedo.astype(np.float32),
-        reflectance=_blended_reflectance(a.reflectance, b.reflectance, weight, levels),
+        reflectance=replace(reflectance, specular_strength=strength),
         casts_shadows=a.casts_shadows or b.casts_shadows,
     )
 
 
 def _between(a: NDArray, b: NDArray, weight: float) -> NDArray[np.float64]:
     return np.asarray((1 - weight) * a + weight * b, np.float64)
-
-
-def _blended_reflectance(a: Reflectance, b: Reflectance, weight: float, gains: list[float]) -> Reflectance:
-    """Return the reflectance between two; the nearer one's where their models do not blend."""
-    strength = (1 - weight) * gains[0] * a.specular_strength + weight * gains[1] * b.specular_strength
-    nearer = a if weight < 0.5 else b
-    if (a.brdf == "minnaert") != (b.brdf == "minnaert"):
-        return replace(nearer, specular_strength=strength)
-    brdf = a.brdf if a.brdf == b.brdf else "oren-nayar"
-    exponent = float(a.exponent ** (1 - weight) * b.exponent**weight)
-    if 0 < weight < 1 and 0 in (a.specular_strength, b.specular_strength):
-        # That of a face without highlight does not count.
-        exponent = b.exponent if a.specular_strength == 0 else a.exponent
-    return Reflectance(brdf, (1 - weight) * a.roughness + weight * b.roughness, strength, exponent)

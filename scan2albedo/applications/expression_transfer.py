@@ -22,9 +22,6 @@ from scan2albedo.geometry.rigid import procrustes, transform_points
 
 Correspondence = Literal["auto", "refined", "as-fitted"]
 
-_ROUNDS = 20
-_STILL_MM, _STILL_PERCENTILE = 0.1, 25
-"""Points that move less than this count as still; a smile leaves a quarter of the face so."""
 TWO_PEOPLE_MM = 0.4
 """`apart_where_still` above which two faces are taken for two people: fits of light-stage people, at rest and
 with expressions, gave up to 0.27 mm for one person, and for two 0.38 mm and more."""
@@ -71,8 +68,7 @@ def transfer_expression(
 ) -> ProcessedFace:
     """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
 
-    Albedo, reflectance and lights are B's; normals follow the new surface. This is the arithmetic of geometry
-    images of Toderici et al., section on applications.
+    Albedo, reflectance and lights are B's; normals follow the new surface (Toderici et al., applications).
 
     Parameters
     ----------
@@ -90,9 +86,8 @@ def transfer_expression(
 
     Notes
     -----
-    Each scan was registered by itself, so A's two heads may lie a little apart: they are first aligned by
-    the points that did not move. A's two fits slide along the skin each in its own way, which is most of the
-    error; `refined_expression` corrects it.
+    A's two heads are first aligned by the points that did not move. Their fits slide along the skin each in
+    its own way, which is most of the error; `refined_expression` corrects it.
     """
     a, smiling, b = on_common_chart(neutral_a, expression_a, neutral_b)
     moved = expression_displacement(a.mesh, smiling.mesh, options=options, model=model)
@@ -108,11 +103,7 @@ def expression_displacement(
     options: TransferOptions = TransferOptions(),
     model: AnnotatedSurface | None = None,
 ) -> FloatArray:
-    """Return (V, 3) mm by which each vertex moves between two meshes of the same triangles.
-
-    ApplicationError when the correspondence is to be refined and the mesh is not that of `model`, the default
-    model when None.
-    """
+    """Return (V, 3) mm by which each vertex moves between two meshes of the same triangles."""
     rest = neutral_a.vertices
     moved = laid_on_what_is_still(expression_a.vertices, rest)
     level = level_to_refine(neutral_a, options, model)
@@ -145,12 +136,12 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
     """Return `moved` (V, 3) rigidly aligned to `rest` by the vertices that did not move.
 
     Iteratively reweighted least squares with Geman and McClure's weights 1 / (1 + (r / s)^2)^2, s the lower
-    quartile of the distances of the round before.
+    quartile of the distances of the round before: a smile leaves a quarter of the face still.
     """
     placed = moved
-    for _ in range(_ROUNDS):
+    for _ in range(20):
         distance = np.linalg.norm(placed - rest, axis=1)
-        scale = max(float(np.percentile(distance, _STILL_PERCENTILE)), _STILL_MM)
+        scale = max(float(np.percentile(distance, 25)), 2 * SAME_PLACE_MM)
         weights = 1 / (1 + (distance / scale) ** 2) ** 2
         before, placed = placed, transform_points(procrustes(moved, rest, weights=weights), moved)
         if np.abs(placed - before).max() < 1e-4:
@@ -159,32 +150,25 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
 
 
 def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
-    """Return how far, in mm, two surfaces of the same triangles lie apart where they do so least.
+    """Return the lower quartile over vertices of the distance along the normal, in mm, once aligned.
 
-    The lower quartile over vertices of the distance along the normal, once what is still lies together. Of
-    one person it stays small, for an expression leaves part of the face; of two people it seldom does
-    (`TWO_PEOPLE_MM`). Sliding along the skin does not count.
+    It stays small for one person, for an expression leaves part of the face still; for two people it seldom
+    does (`TWO_PEOPLE_MM`).
     """
     placed = laid_on_what_is_still(expression.vertices, neutral.vertices)
     normals = vertex_normals(neutral.vertices, neutral.faces)
     along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, normals))
-    return float(np.percentile(along, _STILL_PERCENTILE))
+    return float(np.percentile(along, 25))
 
 
 def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurface, level: int) -> FloatArray:
     """Return where each vertex of the face at rest is with the expression, (V, 3) mm.
 
-    Two fits of one person slide along the skin each in its own way. So the face at rest itself becomes the
-    model, its jaw turned by the angle between the two fits, and is fitted to the surface that the
-    expression's fit found; the film that spans an open mouth there is left out. `moved` (V, 3) is the same
-    mesh fitted to the expression, in the frame of `rest`; `level` its `refinement_level`. FitError when the
-    two surfaces do not lie together.
-
-    Notes
-    -----
-    1.4 s CPU. Where both surfaces are the same the answer is `rest`, to rounding. Skin without features
-    (cheeks, forehead) is carried by what surrounds it: its shape does not show how it slides.
-    docs/applications.md compares it with fits taken as they are.
+    Two fits of one person slide along the skin each in its own way. So the face at rest becomes the model,
+    its jaw turned by the angle between the two fits, and is fitted to the surface that the expression's fit
+    found, without the film that spans an open mouth. `moved` (V, 3) is the same mesh fitted to the
+    expression, in the frame of `rest`; `level` its `refinement_level`. FitError when the two surfaces do not
+    lie together. docs/applications.md compares it with fits taken as they are.
     """
     subdivision = model.subdivision(level)
     at_rest, as_fitted = (limit_control_points(v, subdivision) for v in (rest.vertices, moved))
@@ -204,15 +188,14 @@ def personal_model(
     """Return a face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
-    itself. An expression fitted from the person's own face at rest, and not from the model's, leaves points
-    that did not move mostly in their place. `transfer_expression` does not need it: it finds corresponding
-    points itself, and more exactly (the figures are in docs/applications.md).
+    itself. `transfer_expression` does not need it: it finds corresponding points itself, and more exactly
+    (docs/applications.md).
 
     Parameters
     ----------
     face : FittedFace or ProcessedFace
-        Of the person at rest. Files hold the fitted surface and not its control points: for what
-        `load_result` reads, they are solved for by least squares, S P = vertices, S the subdivision's matrix.
+        Of the person at rest. A ProcessedFace has no control points P: they are solved for by least squares,
+        S P = vertices, S the subdivision's matrix.
     model : AnnotatedFaceModel, optional
         Of the fit; a FittedFace knows its own, for other faces the default model when omitted.
 

@@ -26,27 +26,22 @@ SIDES = ("left_temple", "right_temple", "left_cheek", "right_cheek")
 JAWS = ("left_jaw", "right_jaw")
 _WHOLE = 0.05
 """A feature of which less is missing is whole."""
-_AROUND, _ONTO_JAW = 0.012, 0.2
-"""Of the image's side: how far a feature, or what is dark, reaches beyond its texels, for lashes and the red
-of lips; and how far a dark patch goes on over the jaw."""
-_CATCHLIGHT, _BRIGHTEST = 0.018, 1.5
-"""Of the image's side: bright spots on eyes that are smaller are reflections if they are so many times
-brighter than skin."""
-_DARK, _DARKEST, SKIN = 0.6, 0.35, 0.5
-"""Part of the skin's level below which a side is dark, and what goes on from there over the jaw; and how
-likely a texel is skin at least."""
-BLUR = 0.006
-"""Of the image's side: the deviation of means of skin."""
+AROUND = 0.012
+"""Part of the image's side by which a feature, or what is dark, reaches beyond its texels, for lashes and the
+red of lips. Means of skin have half of it as their deviation."""
+_ONTO_JAW = 0.2
+"""Part of the image's side over which a dark patch goes on over the jaw."""
+_BRIGHTEST = 1.5
+"""Small spots on eyes are reflections if they are so many times brighter than skin."""
+_DARK = 0.6
+_DARKEST = 0.35
+"""Part of the skin's level below which a side is dark, and below which it goes on over the jaw."""
 FLOOR = 1e-3
 """Part of the level below which albedo has no logarithm."""
 
 
 def feature_texels(face: ProcessedFace, model: AnnotatedSurface | None = None) -> dict[str, BoolArray]:
-    """Return the (H, W) texels of each of `FEATURES` that the face's annotation knows.
-
-    `model` is that of the face, the default model when None; without regions, or of another model, a face has
-    no known features.
-    """
+    """Return the (H, W) texels of each of `FEATURES` that the face's annotation by `model` knows."""
     found = {name: region_texels(face, parts, model) for name, parts in FEATURES.items()}
     return {name: texels for name, texels in found.items() if texels.any()}
 
@@ -54,7 +49,10 @@ def feature_texels(face: ProcessedFace, model: AnnotatedSurface | None = None) -
 def region_texels(
     face: ProcessedFace, names: Sequence[str], model: AnnotatedSurface | None = None
 ) -> BoolArray:
-    """Return (H, W) the texels in the named regions of the model; none where they are not known."""
+    """Return (H, W) the texels in the named regions of the model (default: the default model).
+
+    None without regions, or where the face is of another model.
+    """
     template = default_model() if model is None else model
     if face.image.region is None or face.model_name != template.name:
         return np.zeros(face.mask.shape, bool)
@@ -65,11 +63,10 @@ def region_texels(
 def taken_features(
     face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None
 ) -> tuple[BoolArray, BoolArray]:
-    """Return (H, W) texels of the features that `other` is to give as a whole, and those that stay.
+    """Return (H, W) texels of the features that `other` gives as a whole, and those that stay.
 
-    It gives those of which part was not seen in `face`, and at most half as much in `other`; with what is
-    close to them. Of eyes and mouth all stays, for a gap is not worth another person's lashes; of brows and
-    nostrils, which are continued like skin, only what was seen.
+    It gives those of which part was not seen in `face`, and at most half as much in `other`, with what is
+    close to them. Other eyes and mouths stay as they are; brows and nostrils are continued like skin.
     """
     taken, kept = np.zeros((2, *face.mask.shape), bool)
     for name, texels in feature_texels(face, model).items():
@@ -78,19 +75,16 @@ def taken_features(
             taken |= texels
         elif name in ("eyes", "mouth"):
             kept |= texels
-    return face.mask & grown(taken, _AROUND) & ~kept, kept
+    return face.mask & grown(taken, AROUND) & ~kept, kept
 
 
 def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = None) -> FloatArray:
-    """Return (H, W, 3) the albedo without small spots on the eyes that are brighter than skin.
-
-    They are reflections of the scan's lamps, which are not albedo: V is lowered to its morphological opening.
-    """
+    """Return (H, W, 3) the albedo without reflections of lamps on the eyes: V lowered to its opening."""
     albedo, eyes = face.albedo_linear.astype(np.float64), region_texels(face, FEATURES["eyes"], model)
     if not eyes.any():
         return albedo
-    side, around = max(eyes.shape), face.mask & grown(eyes, _AROUND)
-    value, radius = albedo.max(-1), max(1, round(_CATCHLIGHT * side / 2))
+    side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
+    value, radius = albedo.max(-1), max(1, round(1.5 * AROUND * side / 2))
     opened = gaussian_filter(grey_opening(value, footprint=disk(radius)), (2 * radius + 1) / 3, mode="mirror")
     most = np.maximum(opened, _BRIGHTEST * face.level())
     factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
@@ -101,7 +95,6 @@ def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> 
     """Return the face with smooth skin where none was seen, and on `dark_sides`.
 
     Log albedo is interpolated from around: Laplace's equation. Eyes, brows and lips stay as they are.
-    `model` is that of the face, the default model when None.
     """
     features = feature_texels(face, model)
     kept = np.logical_or.reduce([features[name] for name in features if name != "nostrils"] or [~face.mask])
@@ -118,22 +111,21 @@ def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> 
 def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) dark texels of temples and cheeks along the chart's rim that are not skin.
 
-    Hair before the ears, or what was too dark to be seen there: cut out by the face's outline it is a black
-    patch. What goes on over the jaw is a beard and stays.
+    They are hair before the ears, or unlit; what goes on over the jaw is a beard and stays.
     """
     skin, side = face.image.skin, region_texels(face, SIDES, model)
-    if skin is None or not side.any() or not (skin > SKIN).any():
+    if skin is None or not side.any() or not (skin > 0.5).any():
         return np.zeros(face.mask.shape, bool)
     value = face.albedo_linear.max(-1).astype(np.float64)
-    usual = float(np.median(value[skin > SKIN]))
-    sigma = BLUR * max(face.mask.shape)
+    usual = float(np.median(value[skin > 0.5]))
+    sigma = AROUND / 2 * max(face.mask.shape)
     mean, sure = blurred_inside(value, face.mask, sigma), blurred_inside(skin, face.mask, sigma)
     around = side | region_texels(face, JAWS, model)
     darkest = around & (mean < _DARKEST * usual)
-    dark = darkest | (around & (mean < _DARK * usual) & (sure < SKIN))
+    dark = darkest | (around & (mean < _DARK * usual) & (sure < 0.5))
     patches = _touching(dark & side, face.image.border)
     patches |= _touching(darkest, patches) & grown(patches, _ONTO_JAW)
-    return np.asarray(grown(patches, _AROUND) & around)
+    return np.asarray(grown(patches, AROUND) & around)
 
 
 def _touching(texels: BoolArray, others: BoolArray) -> BoolArray:

@@ -40,10 +40,9 @@ def reflectance_of_processed(
 ) -> FaceReflectance:
     """Return the reflectance of a processed scan at the vertices of its model's surface.
 
-    Scans of one model share its triangles, so their reflectances make a `MorphableReflectanceModel`. The
-    albedo is sampled bilinearly among seen texels; a vertex less than half of whose texels were seen is
-    unknown. A rough surface becomes the nearest Lambertian one, and the highlight the nearest weights of
-    three lobes, one set for all vertices times the annotation's relative strength.
+    A vertex less than half of whose texels were seen is unknown. A rough surface becomes the nearest
+    Lambertian one, and the highlight the nearest weights of three lobes, one set for all vertices times the
+    annotation's relative strength.
 
     Parameters
     ----------
@@ -51,30 +50,23 @@ def reflectance_of_processed(
         What `load_result` takes, or what it gave; processed with a model.
     level : float, optional
         Geometric mean of the albedo's V over the seen texels, to which albedo and highlight are scaled; not
-        scaled when omitted. The scale of a scan's albedo is unknown: to compare scans, give one level, or
-        use flashes of one strength.
-
-    Returns
-    -------
-    FaceReflectance
-        A light of intensity E in `relight` is one of pi E here: an estimate's albedo is the radiance of the
-        surface, a reflectance's pi times that.
+        scaled when omitted. A scan's albedo is known up to its scale: to compare scans, give one level.
 
     Raises
     ------
     ApplicationError
-        When the scan was processed without a model, so that its vertices are its own; when nothing of it was
-        seen, or it cannot be loaded.
+        When the scan was processed without a model, nothing of it was seen, or it cannot be loaded.
     ValueError
         When `level` is not above 0.
 
     Notes
     -----
+    A light of intensity E in `relight` is one of pi E here: an estimate's albedo is the radiance of the
+    surface, a reflectance's pi times that.
+
     The nearest Lambertian albedo is A sum f(n, l, v) (n.l) / sum (n.l)^2, over normals that the viewer sees
     and six lights around it. Under a point light the vertices' radiance differs from that of the relit face
-    by 2 % (matte), 4 % (a highlight of exponent 8) and 12 % (a roughness of 0.3 rad, which no Lambertian
-    surface has). Sampling between texels costs 6 % of the albedo at 128 x 128, nearly all of it at the edges
-    of brows and lips; tests/applications/test_face_reflectance.py asserts these figures.
+    by 2 % (matte) to 12 % (a roughness of 0.3 rad): tests/applications/test_face_reflectance.py.
     """
     from scan2albedo.reflectance import lobe_weights_of_phong, reflectance_from_albedo
 
@@ -121,7 +113,7 @@ def reflectance_model_of_processed(
     Raises
     ------
     ApplicationError
-        As `reflectance_of_processed`, and when scans have different models or meshes; names both.
+        As `reflectance_of_processed`, and when scans have different models or meshes.
     ReflectanceError
         When there is no scan, or no vertex has the support.
     """
@@ -144,10 +136,7 @@ def reflectance_model_of_processed(
 
 
 def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatArray, BoolArray]:
-    """Return values (V, C) of an image (H, W, C) at the face's vertices, and which are known (V,).
-
-    Bilinear over the four texels around a vertex, by those that were seen; NaN where not known.
-    """
+    """Return an image (H, W, C) bilinearly at the vertices, as (V, C), and which of these are known (V,)."""
     columns, rows = pixels_from_uv(face.mesh.uv, face.image.shape).T
     height, width = face.image.shape
     total = np.zeros((len(columns), image.shape[2]))

@@ -24,11 +24,7 @@ from scan2albedo.io.geometry_image_files import (
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.records import plain_json, read_record
-from scan2albedo.io.result_records import (
-    APPLICATION_FILE,
-    ApplicationRecord,
-    ResultRecord,
-)
+from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.rendering.pictures import auto_exposure
@@ -51,10 +47,7 @@ PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radiu
 
 
 class ProcessedScan(Protocol):
-    """What `load_result` takes of a result in memory; `scan2albedo.ProcessResult` is one.
-
-    `fitted` is None for a scan that was processed without a model, `albedo` for a scan without colour.
-    """
+    """What `load_result` takes of a result in memory, such as `scan2albedo.ProcessResult`."""
 
     scan: RawScan
     fitted: FittedFace | None
@@ -83,24 +76,27 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
         For anything else than a path and a result.
     """
     if isinstance(source, str | Path):
-        return _from_folder(Path(source), need_albedo)
+        folder = Path(source)
+        try:
+            return _from_folder(folder, need_albedo)
+        except ApplicationError:
+            raise
+        except Scan2AlbedoError as error:
+            text = str(error) if str(folder) in str(error) else f"{folder}: {error}"
+            raise ApplicationError(text) from error
     if not hasattr(source, "albedo"):
         raise TypeError(
             f"load_result: source is {described(source)}, expected str or Path of a result's folder or a "
             "ProcessResult"
         )
-    estimate, fitted, image = source.albedo, source.fitted, source.geometry_image
+    estimate, fitted, image, name = source.albedo, source.fitted, source.geometry_image, source.scan.name
     mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
     model_name = NO_MODEL if fitted is None else fitted.model.name
     if estimate is None:
-        if not need_albedo:
-            return ProcessedFace.shape_alone(source.scan.name, image, mesh, model_name)
-        raise ApplicationError(
-            f"{source.scan.name}: has no albedo, for the scan has no colour or the stage was skipped; "
-            "process a coloured scan with the stage albedo"
-        )
+        grey = _without_albedo(image, need_albedo, name)
+        return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **grey)
     return ProcessedFace(
-        source.scan.name,
+        name,
         image,
         estimate.albedo_linear,
         estimate.reflectance,
@@ -114,55 +110,46 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     )
 
 
+def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> dict[str, Any]:
+    """Return fields of a `ProcessedFace` in grey; ApplicationError where the albedo is needed."""
+    if needed:
+        raise ApplicationError(
+            f"{where}: holds no albedo, for the scan has no colour or the stage was skipped; process a "
+            "coloured scan with the stage albedo"
+        )
+    grey = np.full((*image.shape, 3), 0.5, np.float32)
+    return {"albedo_linear": grey, "reflectance": Reflectance("lambert"), "lights": (), "has_albedo": False}
+
+
 def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if not folder.is_dir():
         raise ApplicationError(
             f"{folder}: no such folder; give the folder of one processed scan, OUT/<scan name>"
         )
-    try:
-        if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
-            file = _present(folder, RESULT_FILE)
-            scan = read_record(file, ResultRecord)
-            found: dict[str, Any] = {
-                "name": scan.name,
-                "lights": scan.lights,
-                "environment": scan.environment,
-                "model_name": str(scan.options.get("model", NO_MODEL)),
-                "casts_shadows": all(step.ran for step in scan.plan if step.stage == "albedo.shadows"),
-            }
-            parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL
-        else:
-            file = folder / APPLICATION_FILE
-            made = read_record(file, ApplicationRecord)
-            found = {
-                "name": made.name,
-                "lights": made.lights,
-                "environment": made.environment,
-                "model_name": made.model,
-                "casts_shadows": made.casts_shadows,
-                "view_direction": made.view_direction,
-                "shadow_offset_mm": made.shadow_offset_mm,
-            }
-            parameters, chart_mesh = made.reflectance, made.chart_mesh
-        if not parameters and need_albedo:
-            raise ApplicationError(
-                f"{folder}: holds no albedo, for the scan has no colour or the stage was skipped; process a "
-                "coloured scan with the stage albedo"
-            )
-        if parameters:
-            image, albedo = read_image_and_albedo(folder)
-        else:
-            image = read_geometry_image(_present(folder, "geometry_image.npz"))
-        mesh = FaceMesh.of_chart(image) if chart_mesh else fitted_mesh(folder, image)
-        if not parameters:
-            return ProcessedFace.shape_alone(found["name"], image, mesh, found["model_name"])
-        reflectance = _reflectance(parameters, file)
-        return ProcessedFace(image=image, albedo_linear=albedo, reflectance=reflectance, mesh=mesh, **found)
-    except ApplicationError:
-        raise
-    except Scan2AlbedoError as error:
-        text = str(error) if str(folder) in str(error) else f"{folder}: {error}"
-        raise ApplicationError(text) from error
+    found: dict[str, Any]
+    if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
+        file = _present(folder, RESULT_FILE)
+        scan = read_record(file, ResultRecord)
+        found = {
+            "model_name": str(scan.options.get("model", NO_MODEL)),
+            "casts_shadows": all(step.ran for step in scan.plan if step.stage == "albedo.shadows"),
+        }
+        parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL
+        found |= {"name": scan.name, "lights": scan.lights, "environment": scan.environment}
+    else:
+        file = folder / APPLICATION_FILE
+        made = read_record(file, ApplicationRecord)
+        names = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
+        found = {name: getattr(made, name) for name in names} | {"model_name": made.model}
+        parameters, chart_mesh = made.reflectance, made.chart_mesh
+    if parameters:
+        image, albedo = read_image_and_albedo(folder)
+        found |= {"albedo_linear": albedo, "reflectance": _reflectance(parameters, file)}
+    else:
+        image = read_geometry_image(_present(folder, "geometry_image.npz"))
+        found |= _without_albedo(image, need_albedo, folder)
+    mesh = FaceMesh.of_chart(image) if chart_mesh else _fitted_mesh(folder, image)
+    return ProcessedFace(image=image, mesh=mesh, **found)
 
 
 def _reflectance(parameters: Mapping[str, Any], file: Path) -> Reflectance:
@@ -189,11 +176,8 @@ def _present(folder: Path, name: str) -> Path:
     return file
 
 
-def fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
-    """Return the fitted surface: triangles and chart from the GLB, vertices from the image where it has them.
-
-    ApplicationError when fitted.glb is missing, damaged, or of another result; the message names it.
-    """
+def _fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
+    """Return the fitted surface: triangles and chart of the GLB, vertices of the image where it has them."""
     import trimesh
 
     from scan2albedo.io.glb import METRES_PER_MM
@@ -243,17 +227,12 @@ def write_face(
     ----------
     face : ProcessedFace
     folder : str or Path
-        Made when it is not there.
     application : str
         "swap", "blend" or "transfer-expression".
     inputs : sequence of ProcessedFace
         What the face was made of; the record keeps their names.
     options : mapping, optional
         Of the application, for the record.
-
-    Returns
-    -------
-    Path
 
     Raises
     ------

@@ -1,8 +1,7 @@
 """`unlit_scan`: the scan as it came, its vertices, coordinates and texels, without its light.
 
-What divides a texel of the scan is the light of the chart there, T / A with all repairs of the albedo: it
-changes slowly, and so the chart's resolution serves. Detail and noise are the scan's own, and the noise is
-filtered on the scan's own texels as it was on the chart.
+What divides a texel of the scan is the light of the chart there, T / A with all repairs of the albedo, which
+changes slowly. Noise is filtered on the scan's own texels as it was on the chart.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from skimage.filters.rank import median
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.division import Usual, divide_light
 from scan2albedo.albedo.result import shade_image
-from scan2albedo.applications.face_features import FLOOR
+from scan2albedo.applications.face_features import AROUND, FLOOR
 from scan2albedo.applications.shadow_lines import outlines, without_lines
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
@@ -44,17 +43,18 @@ DARKEST = 0.1
 (`tools/bench_unlit.py traced`)."""
 _ROUGHER = 2.0
 """How much farther noise is averaged than on a chart of such texels, each a mean over its footprint."""
-_SPOT, _DARK_SPOT = 0.012, 0.7
-"""Half side of what is around a spot, as a part of the chart's, and how much darker it is, as a logarithm:
-by eye, on the folded lips of a coarse template."""
-_NEAR_MM, _FAR_MM = 2.5, 5.0
-"""Up to this distance from the fitted surface a vertex of the scan belongs to the face, and beyond the face
-light is found on the scan with so much between its vertices; from the second on a vertex does not belong. The
-face ends gradually over twice as much at the model's rim."""
+_DARK_SPOT = 0.7
+"""How much darker a spot is than around, as a logarithm: by eye, on the folded lips of a coarse template."""
+_NEAR_MM = 2.5
+"""Up to this distance from the fitted surface a vertex of the scan belongs to the face, from twice as much on
+not; at the model's rim the face ends gradually over four times as much. Beyond the face light is found on the
+scan with so much between its vertices."""
 _FACING = 0.3
 """Cosine between a vertex's normal and the fitted surface's from which it belongs to the face; at 0 not."""
-_TILE, _MARGIN, _GUTTER = 2048, 128, 16
-"""Texels of a tile's side, of what is looked at beside it, and of the light's going on beside charts."""
+_TILE = 2048
+"""Texels of a tile's side."""
+_GUTTER = 16
+"""Texels over which the light goes on beside charts; eight times as much is looked at beside a tile."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +88,6 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         When the scan has no colour or is not where the face was fitted, or the albedo is of another face.
     ValueError
         For another `reach`.
-
-    Notes
-    -----
-    Linear in the texels. Tiles of the texture take turns: beside it and its copy, memory does not grow.
     """
     require_type(scan, RawScan, "unlit_scan: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "unlit_scan: fitted", "fit(scan, model, pose) returns one")
@@ -118,11 +114,27 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     light = (image.texture_linear + black * estimate.shading) / (albedo + black)
     log_light = filled_from_nearest(np.log(np.maximum(light, DARKEST * usual)), mask)
     log_light = _without_dark_spots(log_light)
+    log_beyond, steps = np.full((len(scan.vertices), 3), math.log(usual)), np.zeros((len(scan.vertices), 2))
     if reach == "all":
-        beyond = _light_beyond(scan, fitted, estimate, DARKEST * usual)
-    else:
-        beyond = np.full((len(scan.vertices), 3), math.log(usual)), np.zeros((len(scan.vertices), 2))
-    outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
+        # Light of the estimate's lamps and environment on the scan's own shape, and its outlines.
+        vertices = transform_points(fitted.model_from_scan, scan.vertices)
+        thin = thinned(vertices, scan.faces, _NEAR_MM)
+        if len(thin.faces) == 0:
+            thin = thinned(vertices, scan.faces, 0.0)
+        normals = vertex_normals(thin.vertices, thin.faces)
+        lit = shade_image(
+            GeometryImage(thin.vertices[None], normals[None], np.ones((1, len(thin.vertices)), bool)),
+            estimate.lights,
+            estimate.reflectance,
+            estimate.view_direction,
+            RayCaster(thin.vertices, thin.faces) if estimate.casts_shadows else None,
+            estimate.shadow_offset_mm,
+            estimate.environment,
+        ).shading.light_linear
+        log_lit = np.log(np.maximum(lit, DARKEST * usual))
+        hits = surface_query(thin.vertices, thin.faces).query(vertices)
+        log_beyond = np.einsum("nk,nkc->nc", hits.barycentric, log_lit[thin.faces[hits.face]])
+        steps = outlines(thin.vertices, thin.faces, log_lit, vertices)
     # How fine the scan's texture is on the face.
     density, finest, areas = 0.0, max(mask.shape), image.texel_areas_mm2()
     own = (weight[scan.faces] > 0).all(1)
@@ -134,7 +146,8 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     if density > 0:
         texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 1.0
         finest = max(1, round(_ROUGHER * finest * texel_mm * density))
-    found = _Light(scan, uv, weight, log_light, usual, *beyond, outside, finest, density)
+    outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
+    found = _Light(scan, uv, weight, log_light, usual, log_beyond, steps, outside, finest, density)
     notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
     if scan.uv is not None and scan.texture_linear is not None:
         texture, confidence = _unlit_texture(found, scan.texture_linear, scan.uv)
@@ -148,7 +161,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
 def _without_dark_spots(log_light: FloatArray) -> FloatArray:
     """Return log light (H, W, 3) without small spots much darker than around: folds of the surface."""
     mean = log_light.mean(-1)
-    side = 2 * round(_SPOT * max(mean.shape)) + 1
+    side = 2 * round(AROUND * max(mean.shape)) + 1
     low, high = float(mean.min()), float(mean.max())
     steps = np.round((mean - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
     around = low + median(steps, np.ones((side, side))) * ((high - low) / 255)
@@ -158,17 +171,16 @@ def _without_dark_spots(log_light: FloatArray) -> FloatArray:
 def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tuple[FloatArray, FloatArray]:
     """Return the chart's places (V, 2) nearest to a scan's vertices, and their weights (V,) in [0, 1].
 
-    The chart is that of the geometry image of its fitted face. Weight falls to 0 at the model's rim, and
-    where the scan is far from the fitted surface, looks another way, or was left out of the fit
-    (`FittedFace.covered_faces`).
+    Weight falls to 0 at the model's rim, and where the scan is far from the fitted surface, looks another
+    way, or was left out of the fit (`FittedFace.covered_faces`).
     """
 
     def smooth(progress: FloatArray) -> FloatArray:
         step = np.clip(progress, 0.0, 1.0)
         return np.asarray(step * step * (3 - 2 * step))
 
-    vertices = transform_points(fitted.model_from_scan, scan.vertices)
-    low, high = fitted.vertices.min(0) - _FAR_MM, fitted.vertices.max(0) + _FAR_MM
+    vertices, far_mm = transform_points(fitted.model_from_scan, scan.vertices), 2 * _NEAR_MM
+    low, high = fitted.vertices.min(0) - far_mm, fitted.vertices.max(0) + far_mm
     near = np.flatnonzero(((vertices > low) & (vertices < high)).all(1))
     uv, weight = np.full((len(vertices), 2), 0.5), np.zeros(len(vertices))
     if len(near) == 0:
@@ -182,8 +194,8 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
     texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 0.0
     inside = distance_transform_edt(np.pad(image.mask, 1))[1:-1, 1:-1, None]
     from_rim_mm = texel_mm * bilinear(inside, pixels_from_uv(uv[near], image.shape))[:, 0]
-    weight[near] = smooth((_FAR_MM - hits.distance) / (_FAR_MM - _NEAR_MM))
-    weight[near] *= smooth(cosine / _FACING) * smooth(from_rim_mm / (2 * _FAR_MM))
+    weight[near] = smooth((far_mm - hits.distance) / (far_mm - _NEAR_MM))
+    weight[near] *= smooth(cosine / _FACING) * smooth(from_rim_mm / (2 * far_mm))
     if fitted.covered_faces is not None and len(fitted.covered_faces) == len(scan.faces):
         weight[scan.faces[fitted.covered_faces]] = 0.0
     return uv, weight
@@ -193,9 +205,8 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
 class _Light:
     """What every texel of a scan is divided by: light on the chart, and beyond it (V, 3), about `usual`.
 
-    Vertices lie at `uv` (V, 2) of the chart, and belong to it by `weight` (V,).
-    `outlines` (V, 2) are those of the latter, see `shadow_lines`; how surely it is known, `outside`. A chart
-    of the face with texels as large as the scan's are there has a side of `side`.
+    Vertices lie at `uv` (V, 2) of the chart, and belong to it by `weight` (V,). `outlines` (V, 2) are those
+    of the light beyond, which is known by `outside`. `side` is that of a chart as fine as the scan's texture.
     """
 
     scan: RawScan
@@ -219,37 +230,6 @@ class _Light:
         return np.exp(log_light), weight + (1 - weight) * self.outside
 
 
-def _light_beyond(
-    scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, least: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return log light (V, 3) of the estimate's lamps and environment on the scan's own shape.
-
-    And (V, 2) where it has `outlines`.
-    """
-    vertices = transform_points(fitted.model_from_scan, scan.vertices)
-    thin = thinned(vertices, scan.faces, _NEAR_MM)
-    if len(thin.faces) == 0:
-        thin = thinned(vertices, scan.faces, 0.0)
-    surface = GeometryImage(
-        position=thin.vertices[None],
-        normal=vertex_normals(thin.vertices, thin.faces)[None],
-        mask=np.ones((1, len(thin.vertices)), bool),
-    )
-    lit = shade_image(
-        surface,
-        estimate.lights,
-        estimate.reflectance,
-        estimate.view_direction,
-        RayCaster(thin.vertices, thin.faces) if estimate.casts_shadows else None,
-        estimate.shadow_offset_mm,
-        estimate.environment,
-    ).shading.light_linear
-    log_lit = np.log(np.maximum(lit, least))
-    hits = surface_query(thin.vertices, thin.faces).query(vertices)
-    log_beyond = np.einsum("nk,nkc->nc", hits.barycentric, log_lit[thin.faces[hits.face]])
-    return log_beyond, outlines(thin.vertices, thin.faces, log_lit, vertices)
-
-
 def _unlit_texture(
     light: _Light, texture: NDArray[np.float32], uv: FloatArray
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -257,7 +237,7 @@ def _unlit_texture(
     shape = texture.shape[:2]
     corners = pixels_from_uv(in_first_period(uv, texture.shape).reshape(-1, 2), shape).reshape(-1, 3, 2)
     first, last = np.floor(corners.min(1)), np.ceil(corners.max(1))
-    result, confidence = np.array(texture), np.zeros(shape, np.float32)
+    result, confidence, margin = np.array(texture), np.zeros(shape, np.float32), 8 * _GUTTER
     # The tile with most of the face comes first: what is usual there serves for all, so that they join
     # without a seam.
     face = corners.mean(1)[(light.weight[light.scan.faces] > 0).any(1)]
@@ -266,8 +246,8 @@ def _unlit_texture(
     tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
     usual = None
     for top, left in sorted(tiles, key=lambda tile: -count[tile]):
-        low = np.array([max(left - _MARGIN, 0), max(top - _MARGIN, 0)])
-        high = np.minimum([left + _TILE + _MARGIN, top + _TILE + _MARGIN], [shape[1], shape[0]])
+        low = np.maximum([left - margin, top - margin], 0)
+        high = np.minimum([left + _TILE + margin, top + _TILE + margin], [shape[1], shape[0]])
         inside = np.flatnonzero(((last >= low) & (first <= high)).all(1))
         if len(inside) == 0:
             continue

@@ -48,13 +48,8 @@ def light_arc(
     count : int
     first_rad, last_rad : float
         Azimuths of the first and the last place.
-    elevation_rad : float
-    distance_mm : float
-        From the model's origin; inf is a distant light.
-    intensity : float
-        Relative to ambient light 1.
-    radius_deg : float
-        Angular radius of the light: how soft its shadows are.
+    elevation_rad, distance_mm, intensity, radius_deg : float
+        As in `PointLight`.
 
     Raises
     ------
@@ -85,9 +80,7 @@ def sweep(
     samples: int = 2,
     options: RelightOptions = RelightOptions(),
 ) -> Iterator[Picture]:
-    """Give a picture of the face for each of the light's `places`, with `others` that stay.
-
-    The remaining parameters are those of `relight` and `RelitFace.picture`.
+    """Give a picture of the face for each of the light's places.
 
     Parameters
     ----------
@@ -109,16 +102,7 @@ def sweep(
 def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> list[NDArray[np.uint8]]:
     """Return (H, W, 3) sRGB bytes of pictures at one exposure: the brightest one's when None.
 
-    Parameters
-    ----------
-    pictures : sequence of Picture
-    exposure : float, optional
-        Factor of all of them.
-
-    Raises
-    ------
-    ValueError
-        Without a picture, or for an exposure that is not finite and above 0.
+    ValueError without `pictures`, or for an `exposure` that is not finite and above 0.
     """
     if not pictures:
         raise ValueError("an animation needs a frame at least")
@@ -127,24 +111,11 @@ def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> l
 
 
 def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> list[Path]:
-    """Write frames as ``frame_000.png`` and so on and ``sweep.json`` into a folder, all or none.
+    """Return the files of frames (H, W, 3) uint8, written as ``frame_000.png`` and so on into a folder.
 
-    Return the frames' files. Those of an earlier sweep, which its sweep.json lists, are removed. A film:
+    All or none, with ``sweep.json``. Frames of an earlier sweep are removed. OutputError when the folder
+    cannot be written, or holds a file under one of these names that no sweep wrote. A film:
     ``ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4``.
-
-    Parameters
-    ----------
-    folder : str or Path
-    frames : sequence of (H, W, 3) uint8
-
-    Returns
-    -------
-    list of Path
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written, or holds a file under one of these names that no sweep wrote.
     """
     names = [f"frame_{k:03d}.png" for k in range(len(frames))]
     with RunFolder(folder, FRAMES).publishing() as staging:

@@ -21,6 +21,8 @@ from scan2albedo.lighting.shading import Reflectance
 NO_MODEL = "none"
 SAME_PLACE_MM = 0.05
 """Surfaces farther apart are not of one result, or of one model: GLB files hold metres with 24 bits."""
+_LEAST_OVERLAP = 0.9
+"""Part of the smaller mask that the other must contain for two charts to be the same."""
 
 
 @dataclass(frozen=True)
@@ -131,28 +133,11 @@ class ProcessedFace:
         image : GeometryImage
         albedo_linear : (H, W, 3) array_like of float
         reflectance : Reflectance
-            Lambertian when omitted.
         lights : sequence of PointLight
-            Under which the scan was taken.
         model_name : str
-            Of the face model whose chart it is; "none" for others.
         """
         albedo = np.asarray(albedo_linear, np.float32)
         return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
-
-    @classmethod
-    def shape_alone(cls, name: str, image: GeometryImage, mesh: FaceMesh, model_name: str) -> ProcessedFace:
-        """Return a face without colour, in grey.
-
-        Parameters
-        ----------
-        name : str
-        image : GeometryImage
-        mesh : FaceMesh
-        model_name : str
-        """
-        grey = np.full((*image.shape, 3), 0.5, np.float32)
-        return cls(name, image, grey, Reflectance("lambert"), (), mesh, model_name, has_albedo=False)
 
     @property
     def mask(self) -> BoolArray:
@@ -174,9 +159,7 @@ class ProcessedFace:
         ----------
         mesh : FaceMesh
         position : (N, 3) float64
-            Millimetres.
         name : str
-            Of the new face.
         """
         mask = self.image.mask
         old, new = (normalized(surface.on_chart(surface.normals, mask)) for surface in (self.mesh, mesh))
@@ -193,12 +176,6 @@ def on_grid(mask: BoolArray, values: FloatArray) -> FloatArray:
     grid = np.zeros((*mask.shape, *values.shape[1:]))
     grid[mask] = values
     return grid
-
-
-_SAME_UV = 1e-5
-"""Chart coordinates closer than this are the same: GLB files hold them with 24 bits."""
-_LEAST_OVERLAP = 0.9
-"""Part of the smaller mask that the other must contain for two charts to be the same."""
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
@@ -251,6 +228,6 @@ def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
 
 
 def same_mesh(a: FaceMesh, b: FaceMesh) -> bool:
-    """Return whether two meshes have the same triangles at the same places of the chart."""
+    """Return whether two meshes have the same triangles at the same places of the chart, to 24 bits."""
     same = len(a.uv) == len(b.uv) and np.array_equal(a.faces, b.faces)
-    return bool(same and np.allclose(a.uv, b.uv, rtol=0, atol=_SAME_UV))
+    return bool(same and np.allclose(a.uv, b.uv, rtol=0, atol=1e-5))

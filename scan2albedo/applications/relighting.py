@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.face_features import BLUR, feature_texels, without_gaps
+from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace, on_grid
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray
@@ -41,11 +41,6 @@ SKIN_GLOSS, SKIN_EXPONENT = 0.25, 12.0
 """Usual highlight of skin as a part of its albedo's level, and Phong's exponent. A dielectric of index 1.4
 reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 / (2 m^2) = 12 follows, peaks
 at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
-
-_ENVIRONMENT_LIGHTS = 128
-"""Distant lights that stand for an environment map."""
-_TESSELLATION = 0.75
-"""Between flat triangles, 0, and the mean of the tangent planes at their corners, 1."""
 
 
 @dataclass(frozen=True)
@@ -81,10 +76,10 @@ class RelitFace:
     def picture(
         self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2
     ) -> Picture:
-        """Return what a camera (3, 4) sees, a portrait from the front when omitted.
+        """Return what a camera sees, a portrait from the front when omitted.
 
-        Every sample is shaded for its own line of sight; a pixel is the mean of its samples. A face that
-        casts no shadows has attached ones.
+        Every sample is shaded for its own line of sight. ValueError for an invalid camera, a shape below 2
+        pixels, or no sample.
 
         Parameters
         ----------
@@ -93,11 +88,6 @@ class RelitFace:
         shape : (H, W)
         samples : int
             On each side of a pixel.
-
-        Raises
-        ------
-        ValueError
-            For an invalid camera, a shape below 2 pixels, or no sample.
         """
         if min(shape) < 2 or samples < 1:
             raise ValueError(
@@ -111,8 +101,9 @@ class RelitFace:
         toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
         outside = np.einsum("nc,nc->n", normal, toward) > 0
         seen, normal, toward = seen.chosen(outside), normalized(normal[outside]), toward[outside]
-        # The triangles of a chart lie below the curved surface, and its finer occluder would shade them.
-        position = seen.raised(mesh.vertices, mesh.normals, _TESSELLATION if mesh.from_chart else 0.0)
+        # The triangles of a chart lie below the curved surface, and its finer occluder would shade them:
+        # Phong tessellation's 3/4 of the way to the tangent planes (Boubekeur and Alexa 2008).
+        position = seen.raised(mesh.vertices, mesh.normals, 0.75 if mesh.from_chart else 0.0)
         caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
         shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm)
         pixels, gloss = pixels_from_uv(seen.interpolated(mesh.uv), mask.shape), face.image.specular_scale
@@ -124,10 +115,9 @@ class RelitFace:
         return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
-        """Write the face with its relit texture as a GLB that shines by itself, so no viewer lights it again.
+        """Write the face to `path` as a GLB that shines by itself, so no viewer lights it again.
 
-        OutputError when the folder cannot be written, ValueError for an exposure that is not finite and above
-        0.
+        OutputError when it cannot be written, ValueError for an `exposure` that is not finite and above 0.
         """
         mask = self.face.mask
         factor = auto_exposure(self.texture_linear[mask]) if exposure is None else checked_exposure(exposure)
@@ -149,9 +139,7 @@ def relight(
 
         T = A (I_a + sum_k V_k E_k f(n, l_k, v)) + k_s sum_k V_k E_k phong(n, l_k, v)
 
-    with the reflectance that the estimate found, or skin's usual highlight beside it, see `RelightOptions`:
-    linear in the light, highlights in the colour of their lamp. Shadows are cast where the estimate found
-    that the surface shades itself (`ProcessedFace.casts_shadows`).
+    with the reflectance that the estimate found, or skin's usual highlight beside it, see `RelightOptions`.
     ``relight(face, face.lights, environment=face.environment, options=RelightOptions(gloss="found"))`` is the
     light of the scan.
 
@@ -162,24 +150,20 @@ def relight(
     lights : sequence of PointLight
     environment_linear : (H, W, 3) array_like of float, or DistantLights, optional
         Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x. It shines as
-        128 distant lights that lie where the map is bright. The result is linear in lights that are given in
-        its place, such as ``DistantLights.from_environment(radiance, 64, "even")``.
+        128 distant lights that lie where the map is bright.
     environment : EnvironmentLight, optional
         Soft light in spherical harmonics, without highlights. Its `bounce` holds for all light.
     ambient : float, optional
-        Light without direction. When omitted 1, as `AlbedoEstimate.relit` has it, or 0 with an environment of
-        either kind, which is all the light there is.
+        Light without direction. When omitted 1, or 0 with an environment of either kind.
     options : RelightOptions
 
     Raises
     ------
     ApplicationError
-        For ambient light that is negative or not finite, an environment that is negative, a lamp nearer to
-        the origin than part of the face, or light beyond what single precision holds.
-    ValueError
-        For an environment of another shape.
-    TypeError
-        For other objects than a face and lights, or an environment in integers, which is not linear light.
+        For light that is negative, not finite, or beyond what single precision holds, and for a lamp nearer
+        to the origin than part of the face.
+    ValueError, TypeError
+        For an environment of another shape, other objects, or integers, which are not linear light.
 
     Examples
     --------
@@ -220,7 +204,7 @@ def relight(
             raise ApplicationError(
                 f"environment_linear goes down to {np.min(distant):.3g}; radiance is 0 or more"
             )
-        distant = DistantLights.from_environment(distant, _ENVIRONMENT_LIGHTS, "important")
+        distant = DistantLights.from_environment(distant, 128, "important")
     light = SceneLight.from_lamps(lights, distant, ambient=base, soft=environment)
     face, notes = as_lit(face, options)
     view = np.asarray(face.view_direction, np.float64)
@@ -261,7 +245,7 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
             features = feature_texels(face)
             glossy = [~face.image.seen, *(features[name] for name in ("eyes", "mouth") if name in features)]
             bare = np.where(np.logical_or.reduce(glossy), 1.0, bare).astype(np.float64)
-            smooth = gaussian_filter(bare, BLUR * max(bare.shape), mode="mirror")
+            smooth = gaussian_filter(bare, AROUND / 2 * max(bare.shape), mode="mirror")
             scale = np.asarray(smooth if scale is None else smooth * scale, np.float32)
         face = replace(face, image=replace(face.image, specular_scale=scale))
         notes.append("no highlight was found, so skin's usual one is assumed")
@@ -277,17 +261,13 @@ def default_camera(
 ) -> FloatArray:
     """Return the (3, 4) camera of a portrait that holds all of the face, see `rendering.portrait_camera`.
 
+    ValueError for an azimuth that is not finite, an elevation beyond 89 degrees, or a shape below 2 pixels.
+
     Parameters
     ----------
     face : ProcessedFace
     shape : (H, W)
-        Of the picture.
     azimuth_rad, elevation_rad : float
-        Of the camera seen from the face: from +z toward +x, and toward +y, not right above.
-
-    Raises
-    ------
-    ValueError
-        For an azimuth that is not finite, an elevation beyond 89 degrees, or a shape below 2 pixels.
+        Of the camera seen from the face: from +z toward +x, and toward +y.
     """
     return portrait_camera(face.mesh.vertices, shape, azimuth_rad, elevation_rad)

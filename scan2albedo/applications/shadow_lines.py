@@ -17,8 +17,8 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
 _STEEP = 0.08
 """Change of log light in a mm of the surface from which there is an outline."""
-_NEAR_MM, _FAR_MM = 3.0, 6.0
-"""Up to this distance from an outline colours are doubtful; from that on not at all."""
+_NEAR_MM = 3.0
+"""Up to this distance from an outline colours are doubtful; from twice as much on not at all."""
 _RINGS = 3
 """Edges from one end of an outline's step to its middle."""
 _DETAIL_MM = 0.7
@@ -51,9 +51,9 @@ def outlines(vertices: FloatArray, faces: IntArray, log_light: FloatArray, point
             np.minimum.at(low, here, low[there])
             np.maximum.at(high, here, high[there])
     middle = (first[steep] + second[steep]) / 2
-    distance, nearest = cKDTree(middle).query(points, distance_upper_bound=_FAR_MM)
+    distance, nearest = cKDTree(middle).query(points, distance_upper_bound=2 * _NEAR_MM)
     within = np.isfinite(distance)
-    found[:, 0] = np.clip((_FAR_MM - distance) / (_FAR_MM - _NEAR_MM), 0.0, 1.0)
+    found[:, 0] = np.clip(2 - distance / _NEAR_MM, 0.0, 1.0)
     found[within, 1] = (high - low)[ends[steep, 0]][nearest[within]]
     return found
 
@@ -63,9 +63,8 @@ def without_lines(
 ) -> NDArray[np.float32]:
     """Return an unlit texture (H, W, 3) whose colours go on across `outlines` (H, W, 2), see there.
 
-    No colour changes by more than the light does there, for that is all a misplaced outline can do.
-
-    Only texels that are `there` (H, W) count.
+    No colour changes by more than the light does there, for that is all a misplaced outline can do. Only
+    texels that are `there` (H, W) count.
     """
     near, step = np.moveaxis(outlines, -1, 0)
     known = there & (near <= 0)

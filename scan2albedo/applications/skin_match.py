@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from scan2albedo.applications.face_features import SKIN, blurred_inside
+from scan2albedo.applications.face_features import blurred_inside
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import needs_extra
 
 _LEAST_TEXELS = 100
 """Of skin that both faces must have."""
-_LOCAL, _SMOOTH, _FARTHEST, _AGREE = 0.04, 0.02, 0.03, 0.004
-"""Of the image's side: over what the albedo's mean is taken away before features are matched, over what the
-displacement is averaged, how far a feature is followed, and how far from its start it may end there and
-back."""
+_LOCAL = 0.04
+"""Part of the image's side over which the albedo's mean is taken away before features are matched; the
+displacement is averaged over half as much."""
+_FARTHEST = 0.03
+_AGREE = 0.004
+"""Of the image's side: how far a feature is followed, and how far off it may end, there and back."""
 _CONTRASTS, _LEAST_CONTRAST = 3.0, 0.25
 """Departure of log V, in its deviations: what is clipped, and below which there is no feature to follow."""
 
@@ -27,7 +29,7 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
     are skin in both faces; seen ones where skin is not known. The factors are 1 for black albedos.
     """
     both = source.image.seen & target.image.seen
-    skin = [face.image.skin > SKIN for face in (source, target) if face.image.skin is not None]
+    skin = [face.image.skin > 0.5 for face in (source, target) if face.image.skin is not None]
     bare = np.logical_and.reduce([both, *skin])
     for texels in (bare, both):
         if texels.sum() >= _LEAST_TEXELS:
@@ -66,7 +68,7 @@ def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     near = np.linalg.norm(there, axis=-1) < _FARTHEST * side
     shown = np.minimum(np.abs(contrasts[0]), np.abs(warped(contrasts[1], there)))
     weight = mask * agrees * near * np.clip(shown / _LEAST_CONTRAST - 1, 0, 1)
-    sigma = (_SMOOTH * side, _SMOOTH * side, 0)
+    sigma = (_LOCAL / 2 * side, _LOCAL / 2 * side, 0)
     total, share = (
         gaussian_filter(field, sigma, mode="mirror")
         for field in (weight[..., None] * there, weight[..., None])

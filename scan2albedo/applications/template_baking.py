@@ -33,19 +33,18 @@ from scan2albedo.sampling.texture_lookup import TextureLookup, texel_steps
 
 LARGEST_TEXTURE = 8192
 """Texels of a side: pictures with more are not read back."""
-FIRST_TILE, TILES_IN_ROW, MOST_TILES = 1001, 10, 100
+FIRST_TILE = 1001
 """UDIM: the tile of coordinates u in [0, 1], v in [0, 1] is 1001, that beside it 1002, that above it 1011."""
 REACH_MM = 4.0
 """What lies farther from a surface has its shape from elsewhere."""
 LEAST_COSINE = 0.5
 """Surfaces face the same way above this cosine."""
-FEWEST_PASSES, MOST_PASSES, NOISE_RAD = 2, 40, 0.07
+MOST_PASSES = 40
+NOISE_RAD = 0.07
 """Averages over neighbours: their noise falls with their number, and so with the square of the angle that
 noise turns a face by over an edge; two suffice up to about this angle a pass."""
 FADE_PASSES = 8
 """Averages over which the scan's own shape fades at its edges: about three edges of its faces wide."""
-ON_EDGE = 1e-6
-"""Share of a closest point's face that is not the surface's edge, below which it lies on that edge."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +81,7 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     """Return a scan's colours on the texture coordinates of the template that was fitted to it.
 
     Each texel gets the colour of the scan's point nearest to the template there, averaged over the texel's
-    footprint. What the scan does not show is filled in smoothly from around, and not marked as seen. The
-    tangent-space normals are the scan's where it has a surface, freed from noise, and else the fitted one's.
+    footprint, and its normal, freed from noise. What the scan does not show is filled in from around.
 
     Parameters
     ----------
@@ -118,7 +116,7 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     scan_from_model, template_normals = invert_rigid(fitted.model_from_scan), vertex_normals(vertices, faces)
     for number in np.unique(numbers[numbers > 0]).tolist():
         chosen = numbers == number
-        up, across = divmod(number - FIRST_TILE, TILES_IN_ROW)
+        up, across = divmod(number - FIRST_TILE, 10)
         frames = tangent_mesh(vertices, faces[chosen], uv[chosen], template_normals)
         split = frames.split
         raster = rasterize_uv(split.uv - [across, up], split.faces, size)
@@ -152,8 +150,8 @@ def tile_numbers(uv: FloatArray) -> IntArray:
     array([1001, 1002])
     """
     middle = np.floor(uv.mean(axis=1)).astype(np.int64)
-    inside = (middle >= 0).all(1) & (middle < TILES_IN_ROW).all(1)
-    return np.where(inside, FIRST_TILE + middle[:, 0] + TILES_IN_ROW * middle[:, 1], 0)
+    inside = (middle >= 0).all(1) & (middle < 10).all(1)
+    return np.where(inside, FIRST_TILE + middle[:, 0] + 10 * middle[:, 1], 0)
 
 
 def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:
@@ -180,9 +178,8 @@ def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.
 class FineShape:
     """Normals of a fitted face in the model's frame: those of the scan where it has a surface.
 
-    The scan's normals are the fitted surface's, to which what the scan differs by is added, averaged over
-    neighbours. So noise averages out, and shape that the fit follows stays sharp. The difference fades at the
-    scan's edges. Without a scan, or away from it, the fitted surface alone remains.
+    The scan's normals are the fitted surface's plus what the scan differs by, averaged over neighbours: noise
+    averages out, and shape that the fit follows stays sharp. The difference fades at the scan's edges.
     """
 
     def __init__(self, fitted: FittedFace, scan: RawScan | None) -> None:
@@ -205,7 +202,7 @@ class FineShape:
         vertices, base, differs = vertices[used], base[used], (own - base)[used]
         noise_rad = SurfaceNoise.of(vertices, faces).among(np.ones(len(vertices), bool))[0]
         noise_rad /= max(usual_edge(vertices, faces), 1e-9)
-        passes = int(np.clip(round((noise_rad / NOISE_RAD) ** 2), FEWEST_PASSES, MOST_PASSES))
+        passes = int(np.clip(round((noise_rad / NOISE_RAD) ** 2), 2, MOST_PASSES))
         around = adjacency(len(vertices), faces) + sparse.identity(len(vertices), format="csr")
         mean = sparse.diags(1 / np.asarray(around.sum(1)).ravel()) @ around
         for _ in range(passes):
@@ -242,7 +239,7 @@ class _Surface:
         corners = self._faces[hits.face]
         close = hits.distance <= REACH_MM
         if not beyond_edges:
-            close &= np.einsum("nk,nk->n", hits.barycentric, self._inner[corners]) > ON_EDGE
+            close &= np.einsum("nk,nk->n", hits.barycentric, self._inner[corners]) > 1e-6
         normal = np.einsum("nk,nkc->nc", hits.barycentric, self._normals[corners])
         return normalized(normal), close
 
@@ -252,8 +249,7 @@ def tangent_normals(
 ) -> tuple[FloatArray, BoolArray]:
     """Return what `FineShape.normals` found in frames (N, 3), (N, 4), and whether (N,) it stands.
 
-    It is flat, (0, 0, 1), where there is no surface. Normals that lean too far from the template are another
-    part's, such as the other lip's: they do not stand.
+    Normals that lean too far from the template are another part's, such as the other lip's.
     """
     found = in_tangent_space(fine[0], normals, tangents)
     found = np.where(fine[1][:, None], found, (0.0, 0.0, 1.0))

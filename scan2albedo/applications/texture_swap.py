@@ -17,10 +17,10 @@ from scan2albedo.face_model import AnnotatedSurface
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either, and over which a feature at the border fades."""
-_REACH, _UNLIKE = 0.05, 0.25
-"""Over which part of the image's side the faces' difference is averaged, and from which departure (of a
-logarithm) on a texel is a feature of one face only."""
-_ROUNDS = 5
+_REACH = 0.05
+"""Part of the image's side over which the faces' difference is averaged."""
+_UNLIKE = 0.25
+"""Departure (of a logarithm) from which on a texel is a feature of one face only."""
 
 
 @dataclass(frozen=True)
@@ -114,11 +114,9 @@ def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolA
 def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:
     """Return (H, W, 3) `albedo` with the texels not `known` (H, W) continued by the other face's gradients.
 
-    Gradients of log albedo are integrated from the border of the known texels, so that no seam is left;
-    they are 0 where one of their texels is outside `guide` (H, W), where the other's albedo is known. A
-    feature of one face alone at the border, such as the end of a brow, would continue as a bright or dark
-    stain: its difference from its surroundings fades out within a few texels instead. Where `albedo` is the
-    other face's own it is returned as it is.
+    Gradients of log albedo are integrated from the border of the known texels; they are 0 outside `guide`
+    (H, W), where the other's albedo is known. A feature of one face alone at the border, such as the end of a
+    brow, would continue as a stain: its difference from its surroundings fades out within a few texels.
     """
     missing = other.mask & ~known
     if not missing.any() or not known.any() or np.allclose(albedo, other.albedo_linear, rtol=1e-6, atol=0):
@@ -134,7 +132,7 @@ def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide:
     both, side = known & guide, 2 * round(_REACH * max(known.shape)) + 1
     values = np.where(both[..., None], field - log_other, 0.0)
     weight, feature = both.astype(np.float64), np.zeros_like(values)
-    for _ in range(_ROUNDS):
+    for _ in range(5):
         total = np.dstack([weight[..., None] * values, weight])
         for _ in range(2):
             total = uniform_filter(total, (side, side, 1), mode="mirror")

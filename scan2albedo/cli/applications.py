@@ -44,14 +44,13 @@ def swap(
     json_summary: JsonOption = False,
 ) -> None:
     """Give A's shape B's skin."""
-    from scan2albedo.applications import SwapOptions, load_result, swap_texture
+    from scan2albedo.applications import SwapOptions, swap_texture
     from scan2albedo.templates import chosen_model
 
-    _check_new_folder(out, [a, b])
-    first, second = load_result(a), load_result(b)
+    faces = _opened(out, [a, b])
     options = SwapOptions(match_level=not keep_level, match_color=not (keep_level or keep_color))
-    made = swap_texture(first, second, options=options, model=chosen_model(model))
-    _write_face(made, out, "swap", [first, second], asdict(options), json_summary)
+    made = swap_texture(*faces, options=options, model=chosen_model(model))
+    _write_face(made, out, "swap", faces, asdict(options), json_summary)
 
 
 def blend(
@@ -63,15 +62,14 @@ def blend(
     json_summary: JsonOption = False,
 ) -> None:
     """Make a face between two, in shape and skin."""
-    from scan2albedo.applications import blend_faces, load_result
+    from scan2albedo.applications import blend_faces
     from scan2albedo.templates import chosen_model
 
     if not 0 <= weight <= 1:
         raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
-    _check_new_folder(out, [a, b])
-    first, second = load_result(a), load_result(b)
-    made = blend_faces(first, second, weight, model=chosen_model(model))
-    _write_face(made, out, "blend", [first, second], {"weight": weight}, json_summary)
+    faces = _opened(out, [a, b])
+    made = blend_faces(faces[0], faces[1], weight, model=chosen_model(model))
+    _write_face(made, out, "blend", faces, {"weight": weight}, json_summary)
 
 
 def transfer_expression(
@@ -103,9 +101,7 @@ def transfer_expression(
         options = applications.TransferOptions(strength=strength, correspondence=correspondence)  # type: ignore[arg-type]
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    _check_new_folder(out, [neutral_a, expression_a, neutral_b])
-    given = (neutral_a, expression_a, neutral_b)
-    faces = [applications.load_result(folder, need_albedo=False) for folder in given]
+    faces = _opened(out, [neutral_a, expression_a, neutral_b], need_albedo=False)
     template = chosen_model(model)
     apart = apart_where_still(faces[0].mesh, faces[1].mesh)
     if apart > TWO_PEOPLE_MM:
@@ -114,7 +110,7 @@ def transfer_expression(
             f"still they are {apart:.2f} mm apart (of one person up to {TWO_PEOPLE_MM:g}); what else differs "
             "between them goes into the new face, too"
         )
-    made = applications.transfer_expression(faces[0], faces[1], faces[2], options=options, model=template)
+    made = applications.transfer_expression(*faces, options=options, model=template)
     refined = level_to_refine(faces[0].mesh, options, template) is not None
     chosen = {"strength": strength, "correspondence": "refined" if refined else "as-fitted"}
     _write_face(made, out, "transfer-expression", faces, chosen, json_summary)
@@ -149,13 +145,14 @@ def personal_model(
         echo_json({"face": face.name, "status": "done", "out": str(out), "model": template.name})
 
 
-def _check_new_folder(out: Path, inputs: list[Path]) -> None:
-    """Refuse to overwrite a face that the new one is made of, or a processed scan."""
-    from scan2albedo.applications.files import check_face_folder
+def _opened(out: Path, inputs: list[Path], *, need_albedo: bool = True) -> list[ProcessedFace]:
+    """Return the faces; refuse to overwrite one that the new face is made of, or a processed scan."""
+    from scan2albedo.applications.files import check_face_folder, load_result
 
     if out.resolve() in [path.resolve() for path in inputs]:
         raise typer.BadParameter(f"-o {out} is one of the inputs; choose another folder for the new face")
     check_face_folder(out)
+    return [load_result(folder, need_albedo=need_albedo) for folder in inputs]
 
 
 def _write_face(

@@ -4,9 +4,9 @@ from scan2albedo.synthetic.camera import Portrait
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
 from scan2albedo.synthetic.glossy_person import GlossyFace
-from scan2albedo.synthetic.population import Population, population_reflectance, population_scan
+from scan2albedo.synthetic.population import population_reflectance
 from scan2albedo.synthetic.portraits import FacePhotograph, FlashCapture, face_photograph, flash_capture
-from scan2albedo.synthetic.raw_scan import SyntheticTruth, raw_like, raw_scan
+from scan2albedo.synthetic.raw_scan import SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
 from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.scenes import (
@@ -17,7 +17,6 @@ from scan2albedo.synthetic.scenes import (
     light_at,
     with_normal_error,
 )
-from scan2albedo.synthetic.stereo_scan import StereoScanner, StereoTruth, stereo_scan, stereo_scan_of
 from scan2albedo.synthetic.wearer import Wearer, wearer
 
 __all__ = [
@@ -27,11 +26,8 @@ __all__ = [
     "GlassesShape",
     "GlossyFace",
     "Material",
-    "Population",
     "Portrait",
     "Scanner",
-    "StereoScanner",
-    "StereoTruth",
     "SyntheticEyeglasses",
     "SyntheticScene",
     "SyntheticTruth",
@@ -44,11 +40,7 @@ __all__ = [
     "hemisphere",
     "light_at",
     "population_reflectance",
-    "population_scan",
-    "raw_like",
     "raw_scan",
-    "stereo_scan",
-    "stereo_scan_of",
     "wearer",
     "with_normal_error",
 ]

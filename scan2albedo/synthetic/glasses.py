@@ -23,14 +23,9 @@ from scan2albedo.synthetic.glasses_shape import (
 
 _SECTION = 12
 """Points around a rim."""
-_HINGE, _BRIDGE, _BROW = 5, 31, 24
-"""Rim points in the middle of the patch that the temple, the bridge grow from, and for a second bridge."""
-_HALF_PATCH = 2
-"""Segments of the patch on each side of its middle, along and around the rim."""
-_BRIDGE_RINGS, _BROW_RINGS = 9, 17
-_BLEND_MM = 8.0
-"""Way on which a tube's section turns from the patch's outline into an ellipse."""
-_HINGE_GAP_MM = 1.0
+_HINGE = 5
+_BRIDGE = 31
+"""`_HINGE`, `_BRIDGE`: rim points in the middle of the patches that temple and bridge grow from."""
 _BRIDGE_FRAME = np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
 
@@ -198,7 +193,8 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     faces = _ring_faces(np.concatenate([rim, rim[:1]]))
     half.lens_edge = rim[:, _SECTION // 2]
     # Patches (rows, columns) on the rim's outside, and their outlines as a tube's first ring.
-    loops, s = {}, _HALF_PATCH
+    # They reach two segments to each side of their middle, along and around the rim.
+    loops, s = {}, 2
     side, full = np.arange(2 * s), np.full(2 * s, s)
     for middle in (_HINGE, _BRIDGE):
         i = (middle + np.concatenate([s - side, -full, side - s, full])) % RIM_POINTS
@@ -229,7 +225,7 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         half.add_cap(numbers[-1], rings[-1], end=True)
     if double_bridge:
         # Half a second bridge; the key point at the top of the bridge goes to it.
-        path = line[_BROW] * np.linspace(1, 0, _BROW_RINGS)[:, None] ** [1, 0, 2]
+        path = line[24] * np.linspace(1, 0, 17)[:, None] ** [1, 0, 2]
         ellipse = _ellipse(12, 0.45 * shape.rim_depth, shape.bridge_height / 2, np.pi / 2)
         rings = path[:, None] + ellipse @ _BRIDGE_FRAME
         rings[-1, :, 0] = 0.0
@@ -243,7 +239,7 @@ def _add_bridge(
     half: _Half, shape: GlassesShape, loop: IntArray, points: FloatArray, *, welded: bool
 ) -> None:
     start = points.mean(0)
-    t = np.linspace(0, 1, _BRIDGE_RINGS)
+    t = np.linspace(0, 1, 9)
     path = np.stack([start[0] * (1 - t), start[1] + 1.5 * t * (2 - t), start[2] * (1 - t) ** 2], 1)
     path[-1, 0] = 0.0
     frames = np.broadcast_to(_BRIDGE_FRAME, (len(path), 3, 3))
@@ -258,13 +254,14 @@ def _add_bridge(
 def _add_temple(
     half: _Half, shape: GlassesShape, loop: IntArray, points: FloatArray, *, welded: bool
 ) -> None:
-    start = points.mean(0) + (0.0 if welded else np.array([_HINGE_GAP_MM + 0.25 * shape.rim_width, 0, 0]))
+    start = points.mean(0) + (0.0 if welded else np.array([1.0 + 0.25 * shape.rim_width, 0, 0]))
     path = temple_path(shape, start)
     frames = _path_frames(path)
     frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
     ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    part = np.clip(run / _BLEND_MM, 0, 1) if welded else np.ones(len(path))
+    # Over 8 mm the section turns from the patch's outline into an ellipse.
+    part = np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
     rings = _blended(path, frames, points, ellipse, part)
     numbers = half.add_tube(rings, loop if welded else None)
     tip = half.add_cap(numbers[-1], rings[-1], end=True)

@@ -9,11 +9,11 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray
 
 RIM_POINTS = 72
-CORNER_RINGS, STRAIGHT_RINGS, BEND_RINGS, TAIL_RINGS = 8, 34, 10, 16
-"""Rings of a temple: around the corner at the hinge, straight back, down behind the ear, to the tip."""
-_CORNER_RADIUS_MM = 6.0
-_EAR_RADIUS_MM = 22.0
-_DENSE, _LINE_POINTS = 4096, 4001
+CORNER_RINGS = 8
+STRAIGHT_RINGS = 34
+BEND_RINGS = 10
+"""Rings of a temple: around the corner at the hinge, straight back, and down behind the ear."""
+_LINE_POINTS = 4001
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:
 
     Points are equally spaced, counterclockwise seen from the front, and begin at the temple.
     """
-    angle = np.linspace(0, 2 * np.pi, _DENSE + 1)
+    angle = np.linspace(0, 2 * np.pi, 4097)
     half = np.array([shape.lens_width, shape.lens_height]) / 2 + shape.rim_width / 2
     direction = np.stack([np.cos(angle), np.sin(angle)], 1)
     radius = (np.abs(direction / half) ** shape.squareness).sum(1) ** (-1 / shape.squareness)
@@ -97,8 +97,8 @@ def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:
 
 def temple_path(shape: GlassesShape, start: FloatArray) -> FloatArray:
     """Return the middle line (68, 3) of the left temple from `start` (3,) on the rim to the tip."""
+    radius, ear_radius = 6.0, 22.0
     corner = np.linspace(0, np.pi / 2, CORNER_RINGS, endpoint=False)
-    radius = _CORNER_RADIUS_MM
     around = start + np.stack(
         [radius * np.sin(corner), np.zeros(CORNER_RINGS), radius * (np.cos(corner) - 1)], 1
     )
@@ -112,10 +112,10 @@ def temple_path(shape: GlassesShape, start: FloatArray) -> FloatArray:
     level = np.array([2 * shape.temple_spread / straight_length, 0, -1.0])
     level /= np.linalg.norm(level)
     down = np.array([0, -1.0, 0])
-    bend = back[-1] + _EAR_RADIUS_MM * (np.sin(turn)[:, None] * level + (1 - np.cos(turn))[:, None] * down)
-    rest = shape.temple_length - straight_length - _EAR_RADIUS_MM * turn[-1]
+    bend = back[-1] + ear_radius * (np.sin(turn)[:, None] * level + (1 - np.cos(turn))[:, None] * down)
+    rest = shape.temple_length - straight_length - ear_radius * turn[-1]
     heading = np.cos(turn[-1]) * level + np.sin(turn[-1]) * down
-    tail = bend[-1] + rest * np.linspace(0, 1, TAIL_RINGS + 1)[1:, None] * heading
+    tail = bend[-1] + rest * np.linspace(0, 1, 17)[1:, None] * heading
     return np.concatenate([around, back, bend, tail])
 
 

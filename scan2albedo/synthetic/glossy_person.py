@@ -12,21 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.face_shape import FaceSurface
+from scan2albedo.synthetic.face_shape import Expression, FaceSurface
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
-from scan2albedo.synthetic.sitter import FACE, HAIR, Sitter
+from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 from scan2albedo.synthetic.textures import smooth_noise
 
 Kind = TypeVar("Kind", bound=np.generic)
 EXPONENTS = (1, 8, 64)
 _WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])
 """Sums are about twice what skin reflects at normal incidence (0.028), as oily skin."""
-_SHINE_OF_PART = (1.0, 0.8, 0.4, 0.0)
-"""Of face, head, hair and clothes."""
 
 
 @dataclass(frozen=True)
@@ -66,18 +64,18 @@ class GlossyPerson:
     scene: RayScene
 
     @classmethod
-    def from_sitter(cls, sitter: Sitter, *, hair: bool) -> GlossyPerson:
-        """Return the sitter with highlights drawn at random."""
-        shown = np.flatnonzero(hair | (sitter.part != HAIR))
-        face = sitter.face
-        uv = face.vertex_uv()
-        return cls(
-            sitter,
-            sitter.face_albedo(uv),
-            gloss_weights(face, sitter.model, uv, sitter.seed),
-            shown,
-            RayScene(sitter.vertices, sitter.faces[shown]),
-        )
+    def seated(
+        cls, seed: int, expression: Expression, hair: bool, levels: int, model: AnnotatedSurface | None
+    ) -> GlossyPerson:
+        """Return a random person; ValueError when `levels` of subdivision are not 1, 2 or 3."""
+        if levels not in (1, 2, 3):
+            raise ValueError(f"levels is {levels}, expected 1, 2 or 3")
+        sitter = sit_down(seed, expression=expression, model=model or default_model())
+        shown = np.flatnonzero(hair | (sitter.part != BodyPart.HAIR))
+        uv = sitter.face.vertex_uv()
+        weights = gloss_weights(sitter.face, sitter.model, uv, sitter.seed)
+        scene = RayScene(sitter.vertices, sitter.faces[shown])
+        return cls(sitter, sitter.face_albedo(uv), weights, shown, scene)
 
     def seen(self, camera: FloatArray, center: FloatArray, size: int) -> SeenSurface:
         """Return what a camera (3, 4) at `center` (3,) sees in a picture of `size` x `size` pixels."""
@@ -86,14 +84,14 @@ class GlossyPerson:
         pixel = np.flatnonzero(hits.face >= 0)
         face, barycentric = self.shown[hits.face[pixel]], hits.barycentric[pixel]
         corners = self.sitter.faces[face]
-        on_face = self.sitter.part[face] == FACE
+        on_face = self.sitter.part[face] == BodyPart.FACE
         # On the face albedo and weights are linear between vertices; other parts have one shine each.
         diffuse, weights = np.empty((len(face), 3)), np.empty((len(face), 3))
         for array, values in ((diffuse, self.diffuse_linear), (weights, self.weights)):
             array[on_face] = np.einsum("nk,nkc->nc", barycentric[on_face], values[corners[on_face]])
         other = ~on_face
         diffuse[other] = self.sitter.albedo_at(face[other], barycentric[other])
-        shine = np.array(_SHINE_OF_PART)[self.sitter.part[face[other]]]
+        shine = np.array([1.0, 0.8, 0.4, 0.0])[self.sitter.part[face[other]]]
         weights[other] = shine[:, None] * self.weights.mean(0)
         return SeenSurface(
             pixel,

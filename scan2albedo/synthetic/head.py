@@ -16,13 +16,6 @@ Mesh = tuple[FloatArray, IntArray]
 SKULL_CENTER_FROM_NOSE_MM = np.array([0.0, 40.0, -105.0])
 HEAD_AXIS_FROM_NOSE_MM = np.array([0.0, 0.0, -100.0])
 SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
-_CROWN = np.array([0.0, 0.75, -0.66])
-_SHEET_SIZE = (50, 130)
-"""Rows and columns of vertices of the clothes."""
-_NECK_RADII_MM = (62.0, 60.0)
-_NECK_AXIS_BEHIND_NOSE_MM, _NECK_BASE_BELOW_NOSE_MM = 118.0, 190.0
-_COLLAR_RINGS = 60
-"""Rings of vertices from the rim outward, the rim included."""
 
 
 def nose_tip(vertices: FloatArray) -> FloatArray:
@@ -72,11 +65,11 @@ def hair_shell(
     lowest_deg = 89 - 9 * np.cos(around) + (8 + side_drop_deg) * side + fringe
     share = np.linspace(0, 1, rows)[:, None] * np.ones(columns)
     polar = (np.deg2rad(lowest_deg) * (0.02 + 0.98 * share))[..., None]
-    right = np.array([1.0, 0.0, 0.0])
-    forward = np.cross(right, _CROWN)
+    right, crown = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.75, -0.66])
+    forward = np.cross(right, crown)
     forward *= np.sign(forward[2]) / np.linalg.norm(forward)
     level = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
-    directions = np.cos(polar) * (_CROWN / np.linalg.norm(_CROWN)) + np.sin(polar) * level
+    directions = np.cos(polar) * (crown / np.linalg.norm(crown)) + np.sin(polar) * level
     flat = directions.reshape(-1, 3)
     far = 400.0
     hits = RayScene(vertices, faces).first_hit(center + far * flat, -flat)
@@ -96,11 +89,11 @@ def hair_shell(
 def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:
     """Return a sheet of clothes below a face: over both shoulders, open at the neck, with folds."""
     origin = nose_tip(vertices)
-    rows, columns = _SHEET_SIZE
+    rows, columns = 50, 130
     x = np.linspace(-185, 185, columns)[None] * np.ones((rows, 1))
     down = np.linspace(0, 1, rows)[:, None] * np.ones((1, columns))
     crest = -126 - 50 * np.abs(x / 185) ** 1.5
-    folds = gaussian_filter(rng.normal(size=_SHEET_SIZE), (6, 2.5))
+    folds = gaussian_filter(rng.normal(size=(rows, columns)), (6, 2.5))
     y = crest - 105 * down**1.2
     z = -135 + 78 * np.sin(down * np.pi / 2) - 35 * (x / 185) ** 2 + 2.5 * folds / folds.std()
     sheet = np.stack([x, y, z], -1).reshape(-1, 3) + origin
@@ -122,15 +115,6 @@ def crumb_meshes(vertices: FloatArray, rng: np.random.Generator, count: int) -> 
     return parts
 
 
-def with_holes(mesh: Mesh, centers: FloatArray, radii_mm: FloatArray) -> Mesh:
-    """Return the mesh without the faces whose corners lie inside one of the balls."""
-    vertices, faces = mesh
-    inside = np.zeros(len(vertices), bool)
-    for center, radius in zip(centers, radii_mm, strict=True):
-        inside |= np.linalg.norm(vertices - center, axis=1) < radius
-    return compact(vertices, faces[~inside[faces].any(1)])
-
-
 def compact(vertices: FloatArray, faces: IntArray) -> Mesh:
     """Return the mesh without unreferenced vertices."""
     kept, renumbered = without_unreferenced(vertices, faces)
@@ -145,13 +129,13 @@ def head_around(
     For B rim vertices these are vertices (60 B, 3) mm, ring 0 on the rim; faces (F', 3); and uv (60 B, 2)
     around and along, in units of the face's chart (about 1 for 200 mm).
     """
-    loop = boundary_loop(len(vertices), faces)
+    loop, rings = boundary_loop(len(vertices), faces), 60
     rim, tip = vertices[loop], nose_tip(vertices)
     # Unit vectors that leave the surface across its rim, smoothed along it.
     outward = normalized(np.cross(np.roll(rim, -1, axis=0) - np.roll(rim, 1, axis=0), normals[loop]))
     for _ in range(12):
         outward = normalized(outward + np.roll(outward, 1, axis=0) + np.roll(outward, -1, axis=0))
-    share = np.linspace(0, 1, _COLLAR_RINGS)[:, None, None]
+    share = np.linspace(0, 1, rings)[:, None, None]
     # Skull: from the rim, along its own slope, onto an ellipsoid and toward its back.
     center = tip + SKULL_CENTER_FROM_NOSE_MM
     sway = share * 1.15
@@ -164,9 +148,9 @@ def head_around(
     turn = sideways * np.deg2rad(120)
     base = np.stack(
         [
-            tip[0] + _NECK_RADII_MM[0] * np.sin(turn),
-            np.full(len(rim), tip[1] - _NECK_BASE_BELOW_NOSE_MM),
-            tip[2] - _NECK_AXIS_BEHIND_NOSE_MM + _NECK_RADII_MM[1] * np.cos(turn),
+            tip[0] + 62.0 * np.sin(turn),
+            np.full(len(rim), tip[1] - 190.0),
+            tip[2] - 118.0 + 60.0 * np.cos(turn),
         ],
         1,
     )
@@ -185,4 +169,4 @@ def head_around(
     collar = (1 - chin) * skull + chin * neck
     around = np.cumsum(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1))
     uv = np.stack(np.broadcast_arrays(around[None] / 200, share[..., 0]), -1)
-    return collar.reshape(-1, 3), grid_faces(_COLLAR_RINGS, len(loop), wrap=True), uv.reshape(-1, 2)
+    return collar.reshape(-1, 3), grid_faces(rings, len(loop), wrap=True), uv.reshape(-1, 2)

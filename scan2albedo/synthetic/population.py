@@ -1,204 +1,69 @@
-"""A population that is hard to tell apart, scanned several times: for experiments on recognition."""
+"""People of a population: shape, skin, brows and lips that stay theirs from scan to scan."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from dataclasses import dataclass
 
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.point_light import PointLight
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
-from scan2albedo.synthetic.face_shape import Expression, face_surface
+from scan2albedo.synthetic.face_shape import face_surface
 from scan2albedo.synthetic.face_shape import person as sculpted
 from scan2albedo.synthetic.glossy_person import GlossyFace, gloss_weights
-from scan2albedo.synthetic.raw_scan import SyntheticTruth, scan_of
-from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.room_light import random_colors, random_room
-from scan2albedo.synthetic.scanner import Scanner
-from scan2albedo.synthetic.sitter import sit_down
-
-_LIGHT_DISTANCE_MM, _HIGHLIGHT = (700.0, 1500.0), (0.05, 0.15)
-"""Ranges of the lights' distance and of the highlight's strength."""
-_FLASH, _ROOM_LAMP = (1.5, 4.0), (0.3, 1.0)
-"""Ranges of the intensity of flashes and of a room's lamp, their ambient light being 1 on average."""
-_TWO_FLASHES, _MOST_EXPRESSION = 0.5, 0.5
-"""Share of the scans with two flashes, and largest strength of a scan's random expression, 1 a plain one."""
-_LEAST_ANGLE_DEG = 30.0
-"""Between two flashes, which would else be one; no more than the cone they are drawn from allows."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Population:
-    """How alike the people are, and under what they are scanned.
+@dataclass(frozen=True)
+class Individual:
+    """A person: seeds of shape and paint, the skin's tone (0 lightest ... 1 darkest), brows and lips."""
 
-    Raises `ValueError` when a share or range is out of bounds.
-    """
+    shape_seed: int
+    tone: float
+    features: PaintedFeatures
+    paint_seed: int
 
-    individuality: float = 0.7
-    """Share of the (logarithmic) albedo that is one's own, within (0, 1]; the rest is common to all, as
-    relatives have it. Small shares make people alike, and hard to tell apart."""
-    tones: tuple[float, float] = (0.2, 0.45)
-    """Range of the skin's tone, 0 lightest ... 1 darkest."""
-    light: Literal["flashes", "room"] = "flashes"
-    """Flashes: one or two, as often, over ambient light; room: soft light from all around and a weak lamp."""
-    light_cone_deg: float = 60.0
-    """Lights come from within this angle of the front, uniformly over the solid angle."""
-    lamp_colors: float = 0.0
-    """Standard deviation of the logarithms of red and blue over green: of the ambient light, in a room
-    of each source, and of each lamp; 0 for white ones."""
-    scanner: Scanner = Scanner()
-    """How each scan is taken."""
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, tones: tuple[float, float] = (0.0, 1.0)) -> Individual:
+        """Return a random person with a tone in the range."""
+        shape_seed, tone = int(rng.integers(2**31)), float(rng.uniform(*tones))
+        # A third more or less hair, brows and lips moved by about a millimetre: what relatives differ by.
+        features = PaintedFeatures(
+            brow_thickness=float(rng.uniform(0.65, 1.35)),
+            brow_lift=float(rng.uniform(-0.006, 0.006)),
+            brow_arch=float(rng.uniform(-0.003, 0.008)),
+            brow_reach=float(rng.uniform(0.75, 1.1)),
+            lip_fullness=float(rng.uniform(-0.004, 0.004)),
+        )
+        return cls(shape_seed, tone, features, int(rng.integers(2**31)))
 
-    def __post_init__(self) -> None:
-        if not 0 < self.individuality <= 1:
-            raise ValueError(f"individuality is {self.individuality}, expected within (0, 1]")
-        if self.lamp_colors < 0:
-            raise ValueError(f"lamp_colors is {self.lamp_colors}, expected >= 0")
-        if self.light not in ("flashes", "room"):
-            raise ValueError(f"light is {self.light!r}, expected 'flashes' or 'room'")
-        if not 0 < self.light_cone_deg <= 90:
-            raise ValueError(f"light_cone_deg is {self.light_cone_deg}, expected within (0, 90]")
-        if not 0 <= self.tones[0] <= self.tones[1]:
-            raise ValueError(f"tones is {self.tones}, expected 0 <= low <= high")
+    def albedo(self, uv: FloatArray, model: AnnotatedSurface) -> FloatArray:
+        """Return linear albedo (N, 3) at coordinates (N, 2) of the model's chart."""
+        rng = np.random.default_rng(self.paint_seed)
+        return paint_face(uv, model, rng, tone=self.tone, features=self.features)
 
 
-def population_scan(
-    person: int,
-    session: int,
-    *,
-    seed: int = 0,
-    population: Population = Population(),
-    model: AnnotatedSurface | None = None,
-) -> tuple[RawScan, SyntheticTruth]:
-    """Return the scan "person-<person>-session-<session>" of one person of a population, and its truth.
+def population_reflectance(
+    person: int, *, seed: int = 0, levels: int = 1, model: AnnotatedSurface | None = None
+) -> GlossyFace:
+    """Return the true reflectance of a person at rest, without fine relief and without any photograph.
 
-    Shape, skin with its moles and freckles, brows and lips belong to the person; light, highlight,
-    expression, pose, noise and damage to the session.
+    The lobes are drawn as for `flash_capture`. Vertices of all people correspond.
 
     Parameters
     ----------
-    person, session : int
-        From 0; any order, any number.
-    seed : int
-        Of the population.
-    population : Population
+    person, seed : int
+        Number of the person, from 0, and seed of the population.
+    levels : int
+        Refinements of the model's surface.
     model : AnnotatedSurface, optional
         The default model when omitted; it needs landmarks.
     """
     template = model or default_model()
-    shape_seed, tone, paint = _individual(person, seed, population, template)
-    now = np.random.default_rng([seed, person, session, 13])
-    room = random_room(now, population.lamp_colors) if population.light == "room" else None
-    lights = _random_lights(now, population)
-    material = Material(0.3, float(now.uniform(*_HIGHLIGHT)), 14.0)
-    sitter = sit_down(
-        shape_seed,
-        expression=get_args(Expression)[now.integers(len(get_args(Expression)))],
-        model=template,
-        expression_strength=float(now.uniform(0, _MOST_EXPRESSION)),
-        tone=tone,
-        face_albedo=paint,
-    )
-    name = f"person-{person}-session-{session}"
-    colors = random_colors(1 + len(lights), now, population.lamp_colors) if population.lamp_colors else None
-    if colors is not None and room is not None:
-        colors[0] = 1.0  # the room has colours of its own
-    return scan_of(sitter, lights, material, population.scanner, now, name, colors, room)
-
-
-def population_reflectance(
-    person: int,
-    *,
-    seed: int = 0,
-    population: Population = Population(individuality=1.0, tones=(0.0, 1.0)),
-    levels: int = 1,
-    model: AnnotatedSurface | None = None,
-) -> GlossyFace:
-    """Return the true reflectance of one person of a population, without any photograph of it.
-
-    Shape and paint are those of `population_scan` with the same arguments, at rest and without fine relief;
-    by default people differ all they can, of any skin tone. The lobes are drawn as for `flash_capture`.
-
-    Parameters
-    ----------
-    person, seed, population, model
-        As in `population_scan`; of the population only individuality and tones count.
-    levels : int
-        Refinements of the model's surface.
-
-    Returns
-    -------
-    GlossyFace
-        Vertices of all people correspond.
-    """
-    template = model or default_model()
-    shape_seed, _, paint = _individual(person, seed, population, template)
-    points = sculpted(template, np.random.default_rng([shape_seed, 2]))
+    individual = Individual.drawn(np.random.default_rng([seed, person, 11]))
+    points = sculpted(template, np.random.default_rng([individual.shape_seed, 2]))
     face = face_surface(template, points, levels=levels)
     uv = face.vertex_uv()
-    weights = gloss_weights(face, template, uv, shape_seed)
-    return GlossyFace(face.vertices, face.normals, face.faces, face.landmarks, paint(uv), weights)
-
-
-def _individual(
-    person: int, seed: int, population: Population, model: AnnotatedSurface
-) -> tuple[int, float, Callable[[FloatArray], FloatArray]]:
-    """Return the seed of a person's shape, the skin's tone, and the paint."""
-    own = np.random.default_rng([seed, person, 11])
-    shape_seed, tone = int(own.integers(2**31)), float(own.uniform(*population.tones))
-    return shape_seed, tone, _painter(model, own, tone, population, [seed, 12])
-
-
-def _painter(
-    model: AnnotatedSurface,
-    own: np.random.Generator,
-    tone: float,
-    population: Population,
-    common_seed: list[int],
-) -> Callable[[FloatArray], FloatArray]:
-    # A third more or less hair, brows and lips moved by about a millimetre: what relatives differ by.
-    features = PaintedFeatures(
-        brow_thickness=float(own.uniform(0.65, 1.35)),
-        brow_lift=float(own.uniform(-0.006, 0.006)),
-        brow_arch=float(own.uniform(-0.003, 0.008)),
-        brow_reach=float(own.uniform(0.75, 1.1)),
-        lip_fullness=float(own.uniform(-0.004, 0.004)),
-    )
-    paint_seed, share = int(own.integers(2**31)), population.individuality
-
-    def paint(uv: FloatArray) -> FloatArray:
-        mine = paint_face(uv, model, np.random.default_rng(paint_seed), tone=tone, features=features)
-        if share == 1:
-            return mine
-        rng, middle = np.random.default_rng(common_seed), sum(population.tones) / 2
-        shared = paint_face(uv, model, rng, tone=middle, marks=False)
-        return np.exp(share * np.log(mine) + (1 - share) * np.log(shared))
-
-    return paint
-
-
-def _random_lights(rng: np.random.Generator, population: Population) -> tuple[PointLight, ...]:
-    nearest = np.cos(np.deg2rad(population.light_cone_deg))
-
-    def drawn() -> PointLight:
-        z = rng.uniform(nearest, 1)
-        turn, radius = rng.uniform(0, 2 * np.pi), np.sqrt(1 - z * z)
-        azimuth, elevation = float(np.arctan2(radius * np.cos(turn), z)), radius * np.sin(turn)
-        distance, intensity = rng.uniform(*_LIGHT_DISTANCE_MM), rng.uniform(*_FLASH)
-        return PointLight(azimuth, float(np.arcsin(elevation)), float(distance), float(intensity))
-
-    first = drawn()
-    if population.light == "room":
-        return (replace(first, intensity=float(rng.uniform(*_ROOM_LAMP))),)
-    if rng.uniform() >= _TWO_FLASHES:
-        return (first,)
-    apart = np.cos(np.deg2rad(min(_LEAST_ANGLE_DEG, population.light_cone_deg)))
-    while True:
-        second = drawn()
-        if first.direction @ second.direction < apart:
-            return first, second
+    weights = gloss_weights(face, template, uv, individual.shape_seed)
+    albedo = individual.albedo(uv, template)
+    return GlossyFace(face.vertices, face.normals, face.faces, face.landmarks, albedo, weights)

@@ -8,19 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.camera import TARGET_MM, Portrait, refuse_outside, toward
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
-from scan2albedo.synthetic.sitter import sit_down
 
-_SIDE_DEG = 60.0
 _HIGH_FLASHES_DEG = ((-20.0, 25.0), (20.0, 25.0))
 """Azimuth and elevation of the flashes that stand where no camera takes pictures."""
 _ROOM_LAMPS_DEG = ((-35.0, 50.0), (40.0, 35.0), (5.0, 70.0))
-_ROOM_DISTANCE_MM = 3000.0
 _ROOM_COLOR = np.array([1.0, 0.93, 0.82])
 _LEAST_GAIN = 0.1
 _BEHIND_MM = 3.0
@@ -89,8 +86,8 @@ def flash_capture(
     """Return pictures of a random person with one flash at a time.
 
     Skin reflects as `VertexReflectance` describes; hair, clothes and the rest of the head hide the face and
-    cast shadows, too. The radiance is not computed by `reflectance`, and rays are Open3D's. Flashes are as
-    far away as cameras, and fall off with the square of the distance to 1 at `portrait.distance_mm`.
+    cast shadows. Flashes are as far away as cameras, and fall off with the square of the distance to 1 at
+    `portrait.distance_mm`.
 
     Parameters
     ----------
@@ -125,11 +122,9 @@ def flash_capture(
             f"there are {flashes} flashes and {views} views, expected "
             f"{len(_HIGH_FLASHES_DEG)} flashes more than views at most"
         )
-    person = _glossy(seed, expression, hair, levels, model)
+    person = GlossyPerson.seated(seed, expression, hair, levels, model)
     # Poses of the head before all places where a camera or a flash stands.
-    places = [
-        (float(side), 0.0) for side in (np.linspace(-_SIDE_DEG, _SIDE_DEG, views) if views > 1 else [0])
-    ]
+    places = [(float(side), 0.0) for side in (np.linspace(-60, 60, views) if views > 1 else [0])]
     places += _HIGH_FLASHES_DEG[: max(flashes - views, 0)]
     focal, middle = portrait.focal_px, (portrait.picture_size - 1) / 2
     intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
@@ -143,9 +138,9 @@ def flash_capture(
     for c in range(views):
         camera = intrinsics @ np.column_stack([rotations[c], translations[c]])
         seen = person.seen(camera, centers[c], portrait.picture_size)
-        # The room: three lamps and light from everywhere, half each.
+        # The room: three lamps 3 m away and light from everywhere, half each.
         lamps = [
-            person.lit(seen, TARGET_MM + _ROOM_DISTANCE_MM * toward(*lamp)) / len(_ROOM_LAMPS_DEG)
+            person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / len(_ROOM_LAMPS_DEG)
             for lamp in _ROOM_LAMPS_DEG
         ]
         ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
@@ -172,15 +167,6 @@ def flash_capture(
         light_gain=gain,
         portrait=portrait,
     )
-
-
-def _glossy(
-    seed: int, expression: Expression, hair: bool, levels: int, model: AnnotatedSurface | None
-) -> GlossyPerson:
-    if levels not in (1, 2, 3):
-        raise ValueError(f"levels is {levels}, expected 1, 2 or 3")
-    sitter = sit_down(seed, expression=expression, model=model or default_model())
-    return GlossyPerson.from_sitter(sitter, hair=hair)
 
 
 @dataclass(frozen=True)
@@ -241,7 +227,7 @@ def face_photograph(
     if not (np.isfinite(azimuth_deg) and abs(elevation_deg) < 90):
         raise ValueError(f"the camera at {azimuth_deg}, {elevation_deg} degrees is nowhere")
     around = DistantLights.from_environment(environment_linear, lights)
-    person = _glossy(seed, expression, hair, levels, model)
+    person = GlossyPerson.seated(seed, expression, hair, levels, model)
     camera = portrait.camera(azimuth_deg, elevation_deg)
     center = camera_centers(camera[None])[0]
     seen = person.seen(camera, center, portrait.picture_size)

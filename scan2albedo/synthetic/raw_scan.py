@@ -1,4 +1,4 @@
-"""Raw scans with known truth: of a synthetic person with flash photographs, or of any clean shape."""
+"""Raw scans of a synthetic person with flash photographs, and their truth."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
@@ -15,34 +15,21 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
-from scan2albedo.synthetic.head import (
-    HEAD_AXIS_FROM_NOSE_MM,
-    crumb_meshes,
-    hair_shell,
-    join,
-    nose_tip,
-    shoulder_sheet,
-    with_holes,
-)
+from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumb_meshes, join, nose_tip
 from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.room_light import Room
 from scan2albedo.synthetic.scanner import (
-    HEAD_FROM_NOSE_MM,
-    HEAD_REACH_MM,
+    AmbientLight,
     Pod,
     RangeMesh,
     Scanner,
     capture,
     disturbed,
     flash_pictures,
+    portrait_pods,
     random_pose,
-    two_pods,
 )
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
 from scan2albedo.synthetic.sitter import Sitter, sit_down
-
-_PICTURE_NOISE = 0.004
-"""Standard deviation, white = 1: that of a good camera's 8-bit pictures."""
 
 
 @dataclass(frozen=True)
@@ -113,26 +100,18 @@ def scan_of(
     rng: np.random.Generator,
     name: str,
     colors: FloatArray | None = None,
-    room: Room | None = None,
+    ambient: AmbientLight | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
-    """Scan a sitter as `raw_scan` does; see `flash_pictures` for `colors` and `room`."""
+    """Scan a sitter as `raw_scan` does; see `flash_pictures` for `colors` and `ambient`."""
     tip = nose_tip(sitter.face.vertices)
-    pods = two_pods(tip + HEAD_FROM_NOSE_MM, reach_mm=HEAD_REACH_MM)
-    axis = tip + HEAD_AXIS_FROM_NOSE_MM
+    pods, axis = portrait_pods(tip), tip + HEAD_AXIS_FROM_NOSE_MM
     measured = capture(
         sitter.vertices, sitter.faces, pods, spacing_mm=scanner.spacing_mm, rng=rng, axis_mm=axis
     )
     scan_from_model = random_pose(rng, scanner.rotation_max_deg)
+    size = scanner.picture_size
     texture, exposure = flash_pictures(
-        sitter,
-        pods,
-        flashes,
-        material,
-        size=scanner.picture_size,
-        noise=_PICTURE_NOISE,
-        rng=rng,
-        colors=colors,
-        room=room,
+        sitter, pods, flashes, material, size=size, rng=rng, colors=colors, ambient=ambient
     )
     scan = assembled(measured, pods, texture, scan_from_model, scanner, rng, name)
     image = face_geometry_image(sitter.model, sitter.face, scanner.size)
@@ -184,64 +163,3 @@ def assembled(
 def beside(plane: FloatArray, pod: IntArray, pods: int) -> FloatArray:
     """Return texture coordinates (..., 2) of picture-plane points (..., 2) when all pictures lie in a row."""
     return np.stack([((plane[..., 0] + 1) / 2 + pod) / pods, (plane[..., 1] + 1) / 2], -1)
-
-
-def raw_like(
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    seed: int = 0,
-    *,
-    spacing_mm: float = 2.4,
-    noise_mm: float = 0.2,
-    holes: int = 6,
-    spikes: int = 20,
-    crumbs: int = 4,
-    hair: bool = True,
-    shoulders: bool = True,
-    rotation_max_deg: float = 180.0,
-    translation_max_mm: float = 300.0,
-    scale: float = 1.0,
-) -> tuple[RawScan, FloatArray]:
-    """Return a clean face as a virtual two-pod scanner sees it, untextured, and `scan_from_shape` (4, 4).
-
-    The scan is resampled, noisy, with holes and clutter, and in the frame and unit that `scan_from_shape`
-    maps the clean shape into.
-
-    Parameters
-    ----------
-    vertices : (V, 3) array_like of float
-        Millimetres; the face looks along +z with +y up (only the pods' side of it is measured).
-    faces : (F, 3) array_like of int
-    seed : int
-        Same seed, same scan.
-    spacing_mm : float
-        Distance of neighbouring samples; 2.4 mm gives about 25,000 vertices with shoulders.
-    noise_mm, spikes, rotation_max_deg, translation_max_mm
-        As in `Scanner`.
-    holes, crumbs : int
-        Holes of 3 to 9 mm radius, loose patches in the air.
-    hair, shoulders : bool
-        Add a bumpy shell over the scalp, a sheet of clothes.
-    scale : float
-        Unit of the returned scan: 1 millimetres, 0.1 centimetres, 0.001 metres.
-    """
-    rng = np.random.default_rng(seed)
-    shape, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-    parts = [(shape, index)]
-    if hair:
-        parts.append(hair_shell(shape, index, rng))
-    if shoulders:
-        parts.append(shoulder_sheet(shape, rng))
-    scene = join(parts)
-    center = (scene[0].min(0) + scene[0].max(0)) / 2
-    pods = two_pods(center, reach_mm=1.3 * float(np.linalg.norm(scene[0] - center, axis=1).max()))
-    axis = nose_tip(shape) + HEAD_AXIS_FROM_NOSE_MM
-    measured = capture(*scene, pods, spacing_mm=spacing_mm, rng=rng, axis_mm=axis)
-    points = disturbed(measured.vertices, measured.faces, rng, noise_mm, spikes)
-    centers = points[rng.choice(len(points), holes)]
-    mesh = with_holes((points, measured.faces), centers, rng.uniform(3, 9, holes))
-    mesh = join([mesh, *crumb_meshes(mesh[0], rng, crumbs)])
-    pose = random_pose(rng, rotation_max_deg, translation_max_mm)
-    scan_from_shape = np.diag([scale] * 3 + [1.0]) @ pose
-    scan = RawScan(transform_points(scan_from_shape, mesh[0]), mesh[1], name=f"raw-like {seed}")
-    return scan, scan_from_shape

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
 from scan2albedo.geometry.rigid import compose, random_rotation, rotation_from_vector
 from scan2albedo.synthetic.camera import auto_exposure, photograph, toward
 from scan2albedo.synthetic.renderer import Material, RayScene, render
-from scan2albedo.synthetic.room_light import Room, room_light_on
 from scan2albedo.synthetic.scenes import texel_coordinates
-from scan2albedo.synthetic.sitter import FACE, Sitter
+from scan2albedo.synthetic.sitter import BodyPart, Sitter
 
-_DISTANCE_MM, _YAW_DEG, _ELEVATION_DEG = 1000.0, 35.0, 5.0
-"""Of the pods from the head."""
 _BACKDROP = np.array([0.010, 0.016, 0.030])
 _LEAST_COSINE = 0.12
 """Between a triangle's normal and a ray that still measures it."""
-_SMOOTHINGS = 12
-"""Times that what decides between pods is averaged over neighbouring faces."""
-HEAD_FROM_NOSE_MM, HEAD_REACH_MM = np.array([0.0, -15.0, -70.0]), 205.0
-"""Middle of the pods' pictures of a person, and half of what they span: hair and shoulders are in them."""
+
+AmbientLight = Callable[[Sitter, RayScene, np.random.Generator], FloatArray]
+"""Gives the ambient light (V, 3) on a sitter's vertices."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,13 +80,18 @@ class Pod:
 
 
 def two_pods(center: FloatArray, *, reach_mm: float) -> tuple[Pod, Pod]:
-    """Return the pods at the subject's left and right; pictures span +-`reach_mm` about `center` (3,)."""
-    half_angle = float(np.arctan(reach_mm / _DISTANCE_MM))
+    """Return pods 1 m off, at the subject's left and right; pictures span `center` (3,) +- `reach_mm`."""
+    distance_mm = 1000.0
+    half_angle = float(np.arctan(reach_mm / distance_mm))
     left, right = (
-        Pod(center + _DISTANCE_MM * toward(yaw, _ELEVATION_DEG), center, half_angle)
-        for yaw in (_YAW_DEG, -_YAW_DEG)
+        Pod(center + distance_mm * toward(yaw_deg, 5.0), center, half_angle) for yaw_deg in (35.0, -35.0)
     )
     return left, right
+
+
+def portrait_pods(nose_tip: FloatArray) -> tuple[Pod, Pod]:
+    """Return the pods before a person, whose pictures hold hair and shoulders."""
+    return two_pods(nose_tip + [0.0, -15.0, -70.0], reach_mm=205.0)
 
 
 @dataclass(frozen=True)
@@ -146,36 +147,27 @@ def capture(
     triangles = triangles[np.linalg.norm(edges, axis=2).max(1) < 2.5 * spacing_mm]
     normals = face_normals(points, triangles)
     leaning = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
-    facing = np.stack([_facing(scene, pod, points, triangles, normals) for pod in pods], 1)
+    # The cosine between each triangle's normal and each pod, -1 where the pod cannot see it.
+    facing = np.empty((len(triangles), len(pods)))
+    for k, pod in enumerate(pods):
+        toward_pod = normalized(pod.position_mm - points)
+        hidden = np.asarray((np.abs(pod.project(points)) > 0.995).any(1))
+        hidden[~hidden] = scene.occluded((points + 0.5 * toward_pod)[~hidden], toward_pod[~hidden])
+        cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
+        facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
     kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
     used, renumbered = np.unique(triangles[kept], return_inverse=True)
-    numbered = renumbered.reshape(-1, 3).astype(np.int64)
-    return RangeMesh(points[used], numbered, _best_pod(facing[kept], numbered))
-
-
-def _facing(
-    scene: RayScene, pod: Pod, points: FloatArray, triangles: IntArray, normals: FloatArray
-) -> FloatArray:
-    """Return (F,) cosine between each triangle's normal and the pod, -1 where the pod cannot see it."""
-    toward_pod = normalized(pod.position_mm - points)
-    hidden = np.asarray((np.abs(pod.project(points)) > 0.995).any(1))
-    hidden[~hidden] = scene.occluded((points + 0.5 * toward_pod)[~hidden], toward_pod[~hidden])
-    cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
-    return np.where(hidden[triangles].any(1), -1.0, cosine)
-
-
-def _best_pod(facing: FloatArray, faces: IntArray) -> IntArray:
-    """Return (F,) the pod that sees each face best; averaged around, so that the seam is one line."""
-    pods = range(facing.shape[1])
-    lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in pods], 1)
-    count = np.bincount(faces.ravel(), minlength=faces.max() + 1)
-    for k in pods:
-        for _ in range(_SMOOTHINGS):
-            around = np.bincount(faces.ravel(), np.repeat(lead[:, k], 3), minlength=len(count)) / count
-            lead[:, k] = around[faces].mean(1)
+    numbered, facing = renumbered.reshape(-1, 3).astype(np.int64), facing[kept]
+    # The pod that sees a face best, averaged twelve times around, so that the seam is one line.
+    lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(len(pods))], 1)
+    count = np.bincount(numbered.ravel(), minlength=numbered.max() + 1)
+    for k in range(len(pods)):
+        for _ in range(12):
+            around = np.bincount(numbered.ravel(), np.repeat(lead[:, k], 3), minlength=len(count)) / count
+            lead[:, k] = around[numbered].mean(1)
     best = lead.argmax(1)
-    hidden = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
-    return np.where(hidden, facing.argmax(1), best)
+    unseen = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
+    return RangeMesh(points[used], numbered, np.where(unseen, facing.argmax(1), best))
 
 
 def disturbed(
@@ -211,64 +203,48 @@ def flash_pictures(
     material: Material,
     *,
     size: int,
-    noise: float,
     rng: np.random.Generator,
+    noise: float = 0.004,
     colors: FloatArray | None = None,
-    room: Room | None = None,
+    ambient: AmbientLight | None = None,
 ) -> tuple[NDArray[np.float32], float]:
     """Return both pods' pictures side by side (size, 2 size, 3), linear from 8 bits, and their exposure.
 
     The exposure keeps the face's brightest pixel just below white; clothes may clip, and have no highlight.
-    `noise` is a standard deviation, white = 1; `colors` (1 + L, 3) are those of the ambient light and of each
-    lamp, all white when None. The light of a `room` takes the place of constant ambient light.
+    `noise` is a standard deviation, white = 1, as of a good camera; `colors` (1 + L, 3) are those of the
+    ambient light and of each lamp, white when None; `ambient` replaces the constant ambient light 1.
     """
-    scene = RayScene(sitter.vertices, sitter.faces)
-    soft = None if room is None else room_light_on(sitter, scene, room, rng)
-    seen = [_radiance(sitter, scene, pod, lights, material, size, colors, soft) for pod in pods]
-    exposure = auto_exposure(np.concatenate([radiance[on_face] for radiance, on_face in seen]))
-    both = np.concatenate([radiance for radiance, _ in seen], axis=1)
-    picture = photograph(both, exposure=exposure, noise=noise, bits=8, rng=rng)
-    return picture, exposure
-
-
-def _radiance(
-    sitter: Sitter,
-    scene: RayScene,
-    pod: Pod,
-    lights: tuple[PointLight, ...],
-    material: Material,
-    size: int,
-    colors: FloatArray | None,
-    soft: FloatArray | None,
-) -> tuple[FloatArray, BoolArray]:
-    """Return what one pod sees (H, H, 3) and which pixels show the face (H, H).
-
-    `soft` (V, 3) is the ambient light on the vertices, 1 when None.
-    """
-    rays = pod.directions(2 * texel_coordinates(size) - 1)
-    hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)
-    hit = hits.face >= 0
-    face, barycentric = hits.face[hit], hits.barycentric[hit]
-    corners = sitter.faces[face]
-    under = partial(
-        render,
-        np.einsum("nk,nkc->nc", barycentric, sitter.vertices[corners]),
-        normalized(np.einsum("nk,nkc->nc", barycentric, sitter.normals[corners])),
-        sitter.albedo_at(face, barycentric),
-        material=material,
-        occluder=scene,
-        view_direction=-rays[hit],
-        specular_scale=sitter.specular_scale_at(face),
-    )
-    radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
-    if colors is None and soft is None:
-        radiance[hit] = under(lights).radiance_linear
-    else:
-        tints = np.ones((1 + len(lights), 3)) if colors is None else colors
-        from_room = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
-        ambient = under(()).radiance_linear
-        lamps = [under((light,)).radiance_linear - ambient for light in lights]
-        parts = zip([tints[0] * from_room, *tints[1:]], (ambient, *lamps), strict=True)
-        radiance[hit] = np.asarray(sum(color * part for color, part in parts))
-    on_face[hit] = sitter.part[face] == FACE
-    return radiance.reshape(size, size, 3), on_face.reshape(size, size)
+    scene, radiances, faces_shown = RayScene(sitter.vertices, sitter.faces), [], []
+    soft = None if ambient is None else ambient(sitter, scene, rng)
+    for pod in pods:
+        rays = pod.directions(2 * texel_coordinates(size) - 1)
+        hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)
+        hit = hits.face >= 0
+        face, barycentric = hits.face[hit], hits.barycentric[hit]
+        corners = sitter.faces[face]
+        under = partial(
+            render,
+            np.einsum("nk,nkc->nc", barycentric, sitter.vertices[corners]),
+            normalized(np.einsum("nk,nkc->nc", barycentric, sitter.normals[corners])),
+            sitter.albedo_at(face, barycentric),
+            material=material,
+            occluder=scene,
+            view_direction=-rays[hit],
+            specular_scale=sitter.specular_scale_at(face),
+        )
+        radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
+        if colors is None and soft is None:
+            radiance[hit] = under(lights).radiance_linear
+        else:
+            tints = np.ones((1 + len(lights), 3)) if colors is None else colors
+            around = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
+            unlit = under(()).radiance_linear
+            lamps = [under((light,)).radiance_linear - unlit for light in lights]
+            parts = zip([tints[0] * around, *tints[1:]], (unlit, *lamps), strict=True)
+            radiance[hit] = np.asarray(sum(color * part for color, part in parts))
+        on_face[hit] = sitter.part[face] == BodyPart.FACE
+        radiances.append(radiance.reshape(size, size, 3))
+        faces_shown.append(radiance[on_face])
+    exposure = auto_exposure(np.concatenate(faces_shown))
+    both = np.concatenate(radiances, axis=1)
+    return photograph(both, exposure=exposure, noise=noise, bits=8, rng=rng), exposure

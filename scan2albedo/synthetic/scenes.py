@@ -59,9 +59,7 @@ def light_at(
 
     Parameters
     ----------
-    azimuth_deg, elevation_deg : float
-        From +z toward +x, and toward +y.
-    distance_mm, intensity : float
+    azimuth_deg, elevation_deg, distance_mm, intensity : float
         As in `PointLight`.
     """
     return PointLight(
@@ -173,12 +171,11 @@ def face(
 def with_normal_error(image: GeometryImage, rms_deg: float, rng: np.random.Generator) -> GeometryImage:
     """Return the image with its normals tilted by a smooth random field, as an imperfect fit leaves them.
 
-    The tilt has `rms_deg` root mean square over the surface and bumps of about 1/24 of the chart.
-
     Parameters
     ----------
     image : GeometryImage
     rms_deg : float
+        Of the tilt over the surface; its bumps are about 1/24 of the chart.
     rng : numpy.random.Generator
     """
     mask, normal = image.mask, image.normal[image.mask]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -18,7 +19,15 @@ from scan2albedo.synthetic.textures import skin, smooth_noise
 
 Painter = Callable[[FloatArray], FloatArray]
 
-FACE, HEAD, HAIR, CLOTHES = range(4)
+
+class BodyPart(IntEnum):
+    """Parts of a person."""
+
+    FACE = 0
+    HEAD = 1
+    HAIR = 2
+    CLOTHES = 3
+
 
 _HAIR_COLORS = np.array(
     [[0.035, 0.024, 0.018], [0.085, 0.050, 0.028], [0.22, 0.14, 0.07], [0.12, 0.045, 0.02]]
@@ -31,7 +40,7 @@ class Sitter:
     """A person's surface, part by part, and how to colour any point of it; frame: the model's, mm.
 
     `control_points` (C, 3) are those of the face without its fine relief. `vertices` and `normals` (V, 3) and
-    `faces` (F, 3) hold all parts; `part` (F,) is FACE, HEAD, HAIR or CLOTHES; `corner_uv` (F, 3, 2) are the
+    `faces` (F, 3) hold all parts; `part` (F,) is a `BodyPart`; `corner_uv` (F, 3, 2) are the
     coordinates at which a part's texture is painted, on the face the model's chart. `face_albedo` gives
     linear albedo (N, 3) at chart coordinates (N, 2); `seed` is that of the textures.
     """
@@ -54,7 +63,7 @@ class Sitter:
         """Return (N, 3) linear albedo at surface points given by face (N,) and barycentric (N, 3)."""
         uv = np.einsum("nk,nkc->nc", barycentric, self.corner_uv[face])
         part, albedo = self.part[face], np.zeros((len(face), 3))
-        of_face, head, hair, clothes = (part == name for name in (FACE, HEAD, HAIR, CLOTHES))
+        of_face, head, hair, clothes = (part == name for name in BodyPart)
         albedo[of_face] = self.face_albedo(uv[of_face])
         albedo[head] = skin(uv[head], np.random.default_rng([self.seed, 3]), tone=self.tone)
         # Hair has strands along v, cloth a weave and folds.
@@ -72,7 +81,7 @@ class Sitter:
         """Return (N,) relative strength of highlights on faces (N,)."""
         by_part = np.array([1.0, 0.8, 0.5, 0.0])
         scale = by_part[self.part[face]]
-        on_face = self.part[face] == FACE
+        on_face = self.part[face] == BodyPart.FACE
         scale[on_face] = self.model.region_values("specular_scale")[self.face.region[face[on_face]]]
         return scale
 

@@ -14,24 +14,17 @@ from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_
 from scan2albedo.synthetic.camera import toward
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
-from scan2albedo.synthetic.head import Mesh, compact, join
+from scan2albedo.synthetic.head import compact, join
 from scan2albedo.synthetic.renderer import RayScene
-from scan2albedo.synthetic.sitter import HAIR, Sitter, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 
 _FAR_MM = 300.0
 _CLEARANCE_MM = 0.4
 """Between nose and frame, between head and temples."""
-_TILT_DEG, _BELOW_EYES_MM = 3.0, 3.0
-"""Lower rims lean towards the cheeks, and the frame hangs a little, as opticians fit them."""
 _FRONT_MM = 12.0
 """Vertices this far behind the hinges or less may touch the face."""
-_WIDEST_SPREAD_MM = 16.0
-_BEHIND_MM = 0.5
-"""A point this much behind the surface that a ray meets first is still that surface's."""
 _PLACES_DEG = ((-38.0, 8.0), (0.0, -8.0), (38.0, 8.0))
 """Yaw, positive at the wearer's left, and elevation of each camera around the head."""
-_DISTANCE_MM = 600.0
-"""From each camera to the point that all look at."""
 
 
 def fit_temples(shape: GlassesShape, seed: int, head: RayScene, nose_top: FloatArray) -> GlassesBend:
@@ -54,7 +47,7 @@ def fit_temples(shape: GlassesShape, seed: int, head: RayScene, nose_top: FloatA
     # Near the hinge no spread helps, so that the rest of the temple decides.
     reach = u**2 * (3 - u) / 2
     needed = np.where((hits.face >= 0) & (u > 0.4), lacking / np.maximum(reach, 1e-9), 0.0)
-    spread = float(np.clip(needed.max(initial=0.0), 0.0, _WIDEST_SPREAD_MM))
+    spread = float(np.clip(needed.max(initial=0.0), 0.0, 16.0))
     return replace(bend, temple_spread_mm=spread + rng.uniform(0, 2))
 
 
@@ -63,38 +56,14 @@ def seat(glasses: SyntheticEyeglasses, head: RayScene, eyes: FloatArray) -> Floa
 
     `eyes` (3,) is about the middle between the eyes, mm.
     """
-    tilt = rotation_from_vector([np.deg2rad(_TILT_DEG), 0, 0])
-    start = compose(tilt, eyes + [0.0, -_BELOW_EYES_MM, _FAR_MM])
+    # Lower rims lean towards the cheeks, and the frame hangs a little, as opticians fit them.
+    start = compose(rotation_from_vector([np.deg2rad(3.0), 0, 0]), eyes + [0.0, -3.0, _FAR_MM])
     front = glasses.vertices[:, 2] > glasses.keypoints[:, 2].max() - _FRONT_MM
     points = transform_points(start, glasses.vertices[front])
     hits = head.first_hit(points, np.array([0.0, 0, -1]))
     gap = float(hits.distance[hits.face >= 0].min())
     start[2, 3] -= gap - _CLEARANCE_MM
     return start
-
-
-def worn_glasses(head: Mesh, eyes: FloatArray, seed: int = 0, lens_mm: float = 15.0) -> Mesh:
-    """Return a frame with lenses that sits on a head, mm, that looks along +z.
-
-    `eyes` (3,) is the middle between the eyes' lids; the lenses stand `lens_mm` before it, about 5 mm less
-    before the corneas. `seed` draws the frame. A lens is flat: the triangles from the middle of its outline,
-    which a scanner sees where it is dusted or dark.
-    """
-    scene = RayScene(*head)
-    shape = GlassesShape.drawn(np.random.default_rng(seed))
-    glasses = eyeglasses(shape=shape, bend=fit_temples(shape, seed, scene, eyes))
-    parts = [(glasses.vertices, glasses.faces)]
-    for outline in glasses.lens_outlines:
-        rim = 1 + np.arange(len(outline))
-        fan = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
-        points = np.concatenate([outline.mean(axis=0, keepdims=True), outline])
-        looks_back = np.cross(*(points[fan[0, 1:]] - points[0]))[2] < 0
-        parts.append((points, fan[:, ::-1] if looks_back else fan))
-    vertices, faces = join(parts)
-    world_from_glasses = seat(glasses, scene, eyes)
-    lenses = transform_points(world_from_glasses, glasses.lens_centers)
-    world_from_glasses[2, 3] += eyes[2] + lens_mm - lenses[:, 2].mean()
-    return transform_points(world_from_glasses, vertices), faces
 
 
 @dataclass(frozen=True)
@@ -177,25 +146,47 @@ def wearer(
         The default model when omitted; it needs landmarks.
     """
     sitter = sit_down(seed, expression="neutral", model=model or default_model())
-    head = compact(sitter.vertices, sitter.faces[hair | (sitter.part != HAIR)])
+    head = compact(sitter.vertices, sitter.faces[hair | (sitter.part != BodyPart.HAIR)])
     scene, eyes = RayScene(*head), sitter.face.landmarks[36:48].mean(0)
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
     bend = bend if bend is not None else fit_temples(measures, seed, scene, eyes)
     glasses = eyeglasses(shape=measures, bend=bend)
     world_from_glasses = seat(glasses, scene, eyes)
     vertices = transform_points(world_from_glasses, glasses.vertices)
-    # Cameras look at a point between the lenses and the ears.
+    # Cameras look from 600 mm away at a point between the lenses and the ears.
     target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
     frame = (picture_size, picture_size)
     cameras = np.array(
         [
-            look_at(target + _DISTANCE_MM * toward(*place), target, focal_px=focal_px, shape=frame)
+            look_at(target + 600 * toward(*place), target, focal_px=focal_px, shape=frame)
             for place in _PLACES_DEG
         ]
     )
     rng = np.random.default_rng([seed, 9])
-    hidden = np.stack([scene.hidden(eye, vertices, _BEHIND_MM) for eye in camera_centers(cameras)])
-    masks = [_mask(head, (vertices, glasses.faces), one, picture_size, mask_noise_px, rng) for one in cameras]
+    # Half a millimetre behind what a ray meets first is still the same surface.
+    hidden = np.stack([scene.hidden(eye, vertices, 0.5) for eye in camera_centers(cameras)])
+    masks = np.zeros((len(cameras), picture_size, picture_size), bool)
+    both = RayScene(*join([(vertices, glasses.faces), head]))
+    for mask, camera in zip(masks, cameras, strict=True):
+        # The frame takes a small part of the picture; noise moves its outline by some pixels.
+        margin, seen = 2 + 6 * mask_noise_px, project(camera, vertices)[0]
+        low = np.clip(np.floor(seen.min(0) - margin), 0, picture_size).astype(int)
+        high = np.clip(np.ceil(seen.max(0) + margin) + 1, 0, picture_size).astype(int)
+        window = (high[1] - low[1], high[0] - low[0])
+        if min(window) <= 0:
+            continue
+        rays = pixel_directions(camera, pixel_grid(window) + low)
+        center = camera_centers(camera[None])[0]
+        first = both.first_hit(np.broadcast_to(center, rays.shape), rays).face
+        shown = ((first >= 0) & (first < len(glasses.faces))).reshape(window)
+        if mask_noise_px > 0 and shown.any():
+            # A smooth random field moves the outline.
+            wander = gaussian_filter(rng.normal(size=shown.shape), 3.0, mode="wrap")
+            wander *= mask_noise_px / wander.std()
+            inside = distance_transform_edt(shown) - distance_transform_edt(~shown)
+            inside -= np.where(shown, 0.5, -0.5)
+            shown = np.asarray(inside + wander > 0)
+        mask[low[1] : high[1], low[0] : high[0]] = shown
     # Noisy labels (C, 20, 2), NaN where there is none.
     points = vertices[glasses.keypoint_vertices]
     labels = np.stack([project(camera, points)[0] for camera in cameras])
@@ -207,31 +198,4 @@ def wearer(
         wrong = rng.choice(labelled, min(outliers, len(labelled)), replace=False)
         view[wrong] += rng.uniform(-150, 150, (len(wrong), 2))
     labels[((labels < 0) | (labels > picture_size - 1)).any(2)] = np.nan
-    return Wearer(glasses, world_from_glasses, sitter, *head, cameras, np.stack(masks), labels, hidden)
-
-
-def _mask(
-    head: Mesh, frame: Mesh, camera: FloatArray, size: int, noise_px: float, rng: np.random.Generator
-) -> BoolArray:
-    """Return (S, S) True where the frame is the first thing on a pixel's ray, outline off by noise."""
-    mask = np.zeros((size, size), bool)
-    # The frame takes a small part of the picture; noise moves its outline by some pixels.
-    margin = 2 + 6 * noise_px
-    seen = project(camera, frame[0])[0]
-    low = np.clip(np.floor(seen.min(0) - margin), 0, size).astype(int)
-    high = np.clip(np.ceil(seen.max(0) + margin) + 1, 0, size).astype(int)
-    window = (high[1] - low[1], high[0] - low[0])
-    if min(window) <= 0:
-        return mask
-    rays = pixel_directions(camera, pixel_grid(window) + low)
-    center = camera_centers(camera[None])[0]
-    hits = RayScene(*join([frame, head])).first_hit(np.broadcast_to(center, rays.shape), rays)
-    shown = ((hits.face >= 0) & (hits.face < len(frame[1]))).reshape(window)
-    if noise_px > 0 and shown.any():
-        # A smooth random field moves the outline.
-        wander = gaussian_filter(rng.normal(size=shown.shape), 3.0, mode="wrap")
-        wander *= noise_px / wander.std()
-        inside = distance_transform_edt(shown) - distance_transform_edt(~shown) - np.where(shown, 0.5, -0.5)
-        shown = np.asarray(inside + wander > 0)
-    mask[low[1] : high[1], low[0] : high[0]] = shown
-    return mask
+    return Wearer(glasses, world_from_glasses, sitter, *head, cameras, masks, labels, hidden)

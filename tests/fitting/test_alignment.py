@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from benchmarks.raw_like import raw_like
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.raw_scan import RawScan
@@ -10,7 +11,6 @@ from scan2albedo.fitting.alignment import proportioned
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.synthetic import raw_like
 
 
 def stretched(points: np.ndarray) -> np.ndarray:

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.glasses_on_head import worn_glasses
+from benchmarks.raw_like import raw_like
 
 from scan2albedo import fit
 from scan2albedo.core import Budget, Meter
@@ -14,10 +16,8 @@ from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.synthetic import raw_like
 from scan2albedo.synthetic.face_shape import face_surface, person
 from scan2albedo.synthetic.head import join
-from scan2albedo.synthetic.wearer import worn_glasses
 
 BY_EYES_MM = 25.0
 

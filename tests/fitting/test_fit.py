@@ -3,6 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from benchmarks.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget
@@ -19,7 +20,6 @@ from scan2albedo.geometry.rigid import (
     rotation_from_vector,
     transform_points,
 )
-from scan2albedo.synthetic import raw_like
 
 
 def surface_error_mm(fitted, truth_in_model: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from benchmarks.raw_like import raw_like
 
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
@@ -11,7 +12,6 @@ from scan2albedo.fitting import fit
 from scan2albedo.fitting.mouth_corners import CORNERS, FIRST_MM, FURTHER_MM, MouthCorners, MouthScan
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.synthetic import raw_like
 
 FIT = import_module("scan2albedo.fitting.fit")
 

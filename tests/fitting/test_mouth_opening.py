@@ -3,6 +3,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
+from benchmarks.raw_like import raw_like
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.landmarks import PlacedLandmarks
@@ -14,7 +15,6 @@ from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.fitting.stages import Deformation
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.synthetic import raw_like
 
 FIT = import_module("scan2albedo.fitting.fit")
 

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.raw_like import raw_like
 
 from scan2albedo import fit
 from scan2albedo.fitting.openings import EYES, INNER_LIPS, openings
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.synthetic import raw_like
 
 
 def surface_with_holes(model, *holes):

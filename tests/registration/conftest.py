@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, rotation_angle_rad, transform_points
-from scan2albedo.synthetic import raw_like
 from scan2albedo.synthetic.face_shape import person
 
 FACE_PART = 6706

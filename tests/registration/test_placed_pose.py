@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from benchmarks.stereo_scan import StereoScanner, stereo_scan
 
 from scan2albedo import register
 from scan2albedo.errors import NoFaceError
@@ -15,7 +16,6 @@ from scan2albedo.geometry.rigid import (
     transform_points,
 )
 from scan2albedo.registration.placed_pose import PlacedPose
-from scan2albedo.synthetic import StereoScanner, stereo_scan
 
 FIVE = [36, 45, 30, 48, 54]
 

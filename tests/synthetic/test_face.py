@@ -8,7 +8,7 @@ from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import rasterize_uv
 from scan2albedo.synthetic import Material, face, light_at
-from scan2albedo.synthetic.face_paint import landmark_uv, paint_face
+from scan2albedo.synthetic.face_paint import PaintedFeatures, landmark_uv, paint_face
 from scan2albedo.synthetic.face_shape import (
     EXPRESSION_BUMPS,
     IDENTITY_BUMPS,
@@ -18,6 +18,7 @@ from scan2albedo.synthetic.face_shape import (
     person,
     with_relief,
 )
+from scan2albedo.synthetic.scenes import texel_coordinates
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +146,25 @@ def test_relief_is_fine_and_small(model):
     assert np.sqrt(np.mean(np.sum(offset**2, axis=1))) == pytest.approx(0.1, rel=0.1)
     turned = np.rad2deg(np.arccos(np.clip(np.sum(rough.normals * smooth.normals, axis=1), -1, 1)))
     assert 1 < np.sqrt(np.mean(turned**2)) < 8
+
+
+@pytest.mark.slow
+def test_brows_and_lips_take_their_own_form():
+    model = AnnotatedFaceModel.default()
+    image = face_geometry_image(model, face_surface(model, model.control_vertices), 128)
+    uv = texel_coordinates(128)[image.mask.ravel()]
+
+    def painted(**features):
+        return paint_face(uv, model, np.random.default_rng(0), tone=0.2, features=PaintedFeatures(**features))
+
+    plain = painted()
+    for features, darker in (
+        ({"brow_thickness": 1.4}, True),
+        ({"brow_reach": 0.7}, False),
+        ({"lip_fullness": 0.006}, True),
+    ):
+        change = painted(**features).mean(1) - plain.mean(1)
+        assert (change.sum() < 0) == darker
+        assert 10 < (np.abs(change) > 0.03).sum() < 0.05 * len(uv)
+    lifted = painted(brow_lift=0.02).mean(1) - plain.mean(1)
+    assert uv[lifted < -0.1, 1].mean() > uv[lifted > 0.1, 1].mean() + 0.01

@@ -3,7 +3,7 @@
 import numpy as np
 
 import scan2albedo as s2a
-from scan2albedo.synthetic import Population, population_reflectance
+from scan2albedo.synthetic import population_reflectance
 from scan2albedo.synthetic.sitter import sit_down
 
 
@@ -16,18 +16,6 @@ def test_people_correspond_and_differ():
     assert np.abs(np.log(one.diffuse_linear / two.diffuse_linear)).mean() > 0.1
     assert np.linalg.norm(one.vertices - two.vertices, axis=1).mean() > 0.5
     np.testing.assert_array_equal(population_reflectance(1).diffuse_linear, two.diffuse_linear)
-
-
-def test_shares_of_individuality_make_people_alike():
-    alike = Population(individuality=0.2, tones=(0.3, 0.3))
-    own = Population(individuality=1.0, tones=(0.3, 0.3))
-    spread = [
-        np.log(np.stack([population_reflectance(k, population=o).diffuse_linear for k in range(4)]))
-        .std(0)
-        .mean()
-        for o in (alike, own)
-    ]
-    assert spread[0] < 0.3 * spread[1]
 
 
 def test_the_shape_is_that_of_the_sitter():

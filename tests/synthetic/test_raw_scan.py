@@ -9,10 +9,10 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_components
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import Material, Scanner, raw_scan
+from scan2albedo.synthetic import Material, Scanner, light_at, raw_scan
 from scan2albedo.synthetic.head import head_around
-from scan2albedo.synthetic.scanner import two_pods
-from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, HEAD, sit_down
+from scan2albedo.synthetic.scanner import flash_pictures, two_pods
+from scan2albedo.synthetic.sitter import BodyPart, sit_down
 
 SMALL = Scanner(picture_size=400, size=128, spacing_mm=3.5)
 
@@ -52,13 +52,13 @@ def test_the_head_continues_the_face_without_a_crack(sitter):
 def test_parts_are_coloured_apart(sitter):
     rng = np.random.default_rng(0)
     mean = []
-    for part in (FACE, HEAD, HAIR, CLOTHES):
+    for part in BodyPart:
         faces = rng.choice(np.flatnonzero(sitter.part == part), 500)
         albedo = sitter.albedo_at(faces, np.full((500, 3), 1 / 3))
         assert albedo.min() > 0
         mean.append(albedo.mean(0))
-    assert np.allclose(mean[FACE], mean[HEAD], rtol=0.25)
-    assert np.linalg.norm(mean[HAIR] - mean[FACE]) > 0.1
+    assert np.allclose(mean[BodyPart.FACE], mean[BodyPart.HEAD], rtol=0.25)
+    assert np.linalg.norm(mean[BodyPart.HAIR] - mean[BodyPart.FACE]) > 0.1
 
 
 def test_the_true_pose_lays_the_scan_on_the_true_face(made):
@@ -123,3 +123,26 @@ def test_full_size_scans_have_20_to_40_thousand_vertices(seed):
     assert truth.albedo_linear.shape == (512, 512, 3)
     assert np.bincount(vertex_components(len(scan.vertices), scan.faces)).max() > 0.9 * len(scan.vertices)
     assert len(truth.lights) == (2 if seed % 2 else 1)
+
+
+@pytest.mark.slow
+def test_light_of_several_colors_adds_up():
+    model, lights = AnnotatedFaceModel.default(), (light_at(30), light_at(-40))
+    sitter = sit_down(0, expression="neutral", model=model)
+    pods = two_pods(sitter.face.vertices.mean(0), reach_mm=150.0)
+
+    def pictured(colors):
+        rng = np.random.default_rng(0)
+        finish = Material(0.3, 0.1, 14.0)
+        return flash_pictures(sitter, pods, lights, finish, size=32, noise=0, rng=rng, colors=colors)
+
+    (plain, exposure), (white, same) = pictured(None), pictured(np.ones((3, 3)))
+    assert same == pytest.approx(exposure, rel=1e-6)
+    np.testing.assert_allclose(white, plain, atol=0.02)  # a step of 8 bits
+    _, brighter = pictured(np.full((3, 3), 0.5))
+    assert brighter == pytest.approx(2 * exposure, rel=1e-6)
+    red, _ = pictured(np.array([[1.0, 1, 1], [3.0, 1, 1], [1, 1, 1]]))
+    lit = (plain.min(-1) > 0.05) & (red.min(-1) > 0.02)
+    ratio = np.log(red[lit][:, 0] / red[lit][:, 1]) - np.log(plain[lit][:, 0] / plain[lit][:, 1])
+    assert ratio.max() > 0.5  # in the red lamp's light
+    assert np.percentile(ratio, 5) < 0.15  # in its shadow

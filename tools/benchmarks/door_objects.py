@@ -15,7 +15,7 @@ from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io import load_scan
 from scan2albedo.synthetic.head import Mesh, compact, grid_faces, join, shoulder_sheet
-from scan2albedo.synthetic.sitter import HAIR, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, sit_down
 
 Maker = Callable[[], Mesh]
 
@@ -112,7 +112,7 @@ def _three_bumps(x: FloatArray, y: FloatArray) -> FloatArray:
 
 def _hair() -> Mesh:
     sitter = sit_down(17, expression="neutral", model=AnnotatedFaceModel.default())
-    return compact(sitter.vertices, sitter.faces[sitter.part == HAIR])
+    return compact(sitter.vertices, sitter.faces[sitter.part == BodyPart.HAIR])
 
 
 def _hand() -> Mesh:

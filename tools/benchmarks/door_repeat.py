@@ -11,13 +11,13 @@ from functools import lru_cache
 import numpy as np
 
 from benchmarks.door_scans import UNSEEN, light_stage_head
+from benchmarks.stereo_scan import stereo_scan_of
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.registration import register
-from scan2albedo.synthetic import stereo_scan_of
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.sitter import sit_down
 

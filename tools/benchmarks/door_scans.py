@@ -10,15 +10,14 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 
 from benchmarks.scan_files import face_data
+from benchmarks.stereo_scan import SCRAPS, StereoScanner, StereoTruth, stereo_scan, stereo_scan_of
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.geometry.mesh import boundary_loops
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.synthetic import StereoScanner, StereoTruth, stereo_scan, stereo_scan_of
 from scan2albedo.synthetic.head import Mesh, grid_faces, hair_shell, join
-from scan2albedo.synthetic.stereo_scan import SCRAPS
 
 UNSEEN = 100_000
 """Added to the number of every scan: no calibration draws from there on."""

@@ -12,15 +12,16 @@ import trimesh
 
 from benchmarks.door_objects import machined_part
 from benchmarks.door_scans import light_stage_head, random_relief
+from benchmarks.raw_like import raw_like
 from benchmarks.scan_files import write_obj
+from benchmarks.stereo_scan import scrap_of
 from scan2albedo import process
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
-from scan2albedo.synthetic import Scanner, raw_like, raw_scan
+from scan2albedo.synthetic import Scanner, raw_scan
 from scan2albedo.synthetic.head import join
-from scan2albedo.synthetic.stereo_scan import scrap_of
 
 STRETCHES = (1.5, 0.67)
 NOSE_HOLE_MM = 26.0

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import scan2albedo as s2a
+from benchmarks.raw_like import raw_like
 from benchmarks.scan_files import DATA, face_data
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import raw_like
 
 SHAPE_ALONE = ", colours left out"
 INNER = slice(17, 68)

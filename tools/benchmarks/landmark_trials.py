@@ -10,17 +10,18 @@ from itertools import count
 import numpy as np
 
 import scan2albedo as s2a
+from benchmarks.glasses_on_head import worn_glasses
 from benchmarks.landmark_cases import INNER, LightStage, cases, expressions_of_light_stage, fitted_row
+from benchmarks.raw_like import raw_like
 from scan2albedo.errors import NoFaceError
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.openings import EYES
 from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import raw_like, raw_scan
+from scan2albedo.synthetic import raw_scan
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.head import join
-from scan2albedo.synthetic.wearer import worn_glasses
 
 SHUT = ("cheek_puff", "mouth_frown", "mouth_pucker", "mouth_roll_lower", "mouth_roll_upper", "mouth_upper_up")
 """Expressions that leave the jaw shut; lips may part by some mm."""

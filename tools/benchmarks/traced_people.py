@@ -15,7 +15,7 @@ from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.synthetic.face_paint import landmark_uv
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.scenes import texel_coordinates
-from scan2albedo.synthetic.sitter import CLOTHES, FACE, HAIR, HEAD, Sitter, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 from scan2albedo.synthetic.textures import skin, smooth_noise, smoothstep
 
 Gloss = Literal["matte", "skin", "oily", "coat"]
@@ -157,7 +157,7 @@ def with_open_mouth(sitter: Sitter, angle_deg: float) -> Sitter:
     """Return the sitter with an open jaw: face, head and landmarks."""
     face, before = sitter.face, sitter.face.landmarks
     vertices = sitter.vertices.copy()
-    bare = np.unique(sitter.faces[sitter.part <= HEAD])
+    bare = np.unique(sitter.faces[sitter.part <= BodyPart.HEAD])
     vertices[bare] = opened(vertices[bare], before, angle_deg)
     landmarks = opened(before, before, angle_deg)
     landmarks[61:64] = before[61:64]
@@ -235,7 +235,7 @@ def face_part(person: Person, sitter: Sitter, size: int) -> Part:
 def other_parts(person: Person, sitter: Sitter, *, size: int = 768) -> list[Part]:
     """Return head and neck, hair and clothes; corners are split, as their textures have seams."""
     parts = []
-    for name, number in (("head", HEAD), ("hair", HAIR), ("clothes", CLOTHES)):
+    for name, number in (("head", BodyPart.HEAD), ("hair", BodyPart.HAIR), ("clothes", BodyPart.CLOTHES)):
         chosen = np.flatnonzero(sitter.part == number)
         corners = sitter.faces[chosen].ravel()
         uv = sitter.corner_uv[chosen].reshape(-1, 2)
@@ -243,7 +243,7 @@ def other_parts(person: Person, sitter: Sitter, *, size: int = 768) -> list[Part
         grid = low + texel_coordinates(size)[:, ::1] * span
         anyone = np.full(len(grid), chosen[0])
         albedo = albedo_of_part(sitter, anyone, grid).reshape(size, size, 3)
-        bsdf: Gloss = person.gloss if number == HEAD else "matte"
+        bsdf: Gloss = person.gloss if number == BodyPart.HEAD else "matte"
         vertices, normals = sitter.vertices[corners], sitter.normals[corners]
         faces = np.arange(len(corners)).reshape(-1, 3)
         flat = (uv - low) / span * [1, -1] + [0, 1]
@@ -284,4 +284,4 @@ def bsdf_of(part: Part, *, nearest: bool, mitsuba: Any) -> dict[str, Any]:
     }
 
 
-__all__ = ["FACE", "Part", "Person", "bsdf_of", "face_part", "other_parts", "painted", "seated"]
+__all__ = ["Part", "Person", "bsdf_of", "face_part", "other_parts", "painted", "seated"]

@@ -26,7 +26,7 @@ from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
 from scan2albedo.synthetic.raw_scan import assembled, beside
 from scan2albedo.synthetic.scanner import Pod, RangeMesh, Scanner, capture, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
-from scan2albedo.synthetic.sitter import FACE, HEAD, Sitter
+from scan2albedo.synthetic.sitter import BodyPart, Sitter
 
 CAMERAS_DEG: dict[int, list[tuple[float, float]]] = {
     2: [(35, 5), (-35, 5)],
@@ -136,7 +136,7 @@ def pictured(sitter: Sitter, person: Person, pods: list[Pod], size: int) -> Pict
 def albedo_at(sitter: Sitter, person: Person, face: IntArray, barycentric: FloatArray) -> FloatArray:
     """Return (N, 3) linear albedo at surface points of any part."""
     albedo = sitter.albedo_at(face, barycentric)
-    on_face = sitter.part[face] == FACE
+    on_face = sitter.part[face] == BodyPart.FACE
     uv = np.einsum("nk,nkc->nc", barycentric[on_face], sitter.corner_uv[face[on_face]])
     albedo[on_face] = painted(person, sitter, uv)
     return albedo
@@ -197,7 +197,7 @@ def photographs(
     start = seen.position[used] - _BEFORE_MM * direction
     rig = rig_named(recipe.rig)
     radiance = LightTable(studio, start, direction, paths, 1000 * person.seed).under(rig)
-    skin = sitter.part[seen.face[used]] <= HEAD
+    skin = sitter.part[seen.face[used]] <= BodyPart.HEAD
     gain = exposure_of(radiance[skin])
     light = np.zeros_like(seen.albedo)
     light[used] = gain * radiance / np.maximum(seen.albedo[used], 1e-3)

@@ -9,12 +9,12 @@ from functools import cache
 from pathlib import Path
 
 import scan2albedo
+from recognition_experiment.population import Population
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.core.geometry_image import SMALLEST_SIZE
 from scan2albedo.recognition import TemplateOptions
 from scan2albedo.recognition.similarity import WINDOW
 from scan2albedo.synthetic import Scanner
-from scan2albedo.synthetic.population import Population
 
 _PROCESSING = (
     "albedo",
@@ -98,8 +98,10 @@ class RecognitionExperimentOptions:
 
 @cache
 def _code_hash() -> str:
-    package = Path(scan2albedo.__file__).parent
+    package, here = Path(scan2albedo.__file__).parent, Path(__file__).parent
     digest = hashlib.sha256()
+    for file in (here / "population.py", here.parent / "benchmarks" / "room_light.py"):
+        digest.update(file.name.encode() + file.read_bytes())
     for name in _PROCESSING:
         for file in sorted(f for f in (package / name).rglob("*") if f.suffix in (".py", ".npz", ".json")):
             digest.update(file.relative_to(package).as_posix().encode() + file.read_bytes())

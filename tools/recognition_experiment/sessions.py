@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition_experiment.options import RecognitionExperimentOptions
+from recognition_experiment.population import population_scan
 from scan2albedo.albedo import estimate_albedo
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.pipeline.process import process
-from scan2albedo.synthetic.population import population_scan
 
 TEXTURE = "texture"
 

@@ -9,12 +9,12 @@ from benchmarks.door_repeat import about_their_mean
 from benchmarks.door_rows import Reliability, Row, judged
 from benchmarks.door_scans import Case, random_body, random_relief, relief
 from benchmarks.door_told import false_faces
+from benchmarks.stereo_scan import SCRAPS
 
 from scan2albedo import RawScan
 from scan2albedo.errors import NoFaceError
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.synthetic.stereo_scan import SCRAPS
 
 SCAN = RawScan(*random_body(np.random.default_rng(0)))
 

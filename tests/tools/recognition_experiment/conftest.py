@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from recognition_experiment import RecognitionExperimentOptions
+from recognition_experiment.population import Population
 from recognition_experiment.sessions import TEXTURE, Session, keep_session
 
 from scan2albedo.synthetic import Scanner, face, light_at
-from scan2albedo.synthetic.population import Population
 
 PERSONS, SIZE = 4, 128
 

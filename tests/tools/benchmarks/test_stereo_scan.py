@@ -2,13 +2,19 @@
 
 import numpy as np
 import pytest
+from benchmarks.stereo_scan import (
+    FEATURE_LANDMARKS,
+    FEATURES,
+    SCRAPS,
+    StereoScanner,
+    stereo_scan,
+    stereo_scan_of,
+)
 
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic import StereoScanner, stereo_scan, stereo_scan_of
 from scan2albedo.synthetic.sitter import sit_down
-from scan2albedo.synthetic.stereo_scan import FEATURE_LANDMARKS, FEATURES, SCRAPS
 
 
 @pytest.fixture(scope="module")

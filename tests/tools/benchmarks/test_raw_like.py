@@ -2,11 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from benchmarks.raw_like import raw_like
 
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_components
 from scan2albedo.geometry.rigid import rotation_angle_rad, transform_points
-from scan2albedo.synthetic import raw_like
 
 BARE = {"hair": False, "shoulders": False, "crumbs": 0, "spikes": 0, "holes": 0, "spacing_mm": 4.0}
 

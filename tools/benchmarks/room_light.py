@@ -1,7 +1,6 @@
 """Soft light of several colours from all around, as in a room: windows, lit walls, a ceiling.
 
-Rays and shading are the renderer's own. The sources are not spherical harmonics, as which the estimator
-represents soft light.
+The sources are not spherical harmonics, as which the estimator represents soft light.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ def random_colors(count: int, rng: np.random.Generator, deviation: float) -> Flo
     return np.exp(logarithms)
 
 
-def room_light_on(sitter: Sitter, scene: RayScene, room: Room, rng: np.random.Generator) -> FloatArray:
+def room_light_on(sitter: Sitter, scene: RayScene, rng: np.random.Generator, room: Room) -> FloatArray:
     """Return (V, 3) the light of a room on the sitter's vertices: shadowed by the sitter, with one bounce.
 
     A white surface that nothing hides from a room of radiance 1 has the light 1. Rays differ from vertex to

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from benchmarks.raw_like import with_holes
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
@@ -25,15 +26,12 @@ from scan2albedo.synthetic.head import (
     grid_faces,
     join,
     nose_tip,
-    with_holes,
 )
 from scan2albedo.synthetic.scanner import (
-    HEAD_FROM_NOSE_MM,
-    HEAD_REACH_MM,
     capture,
     disturbed,
+    portrait_pods,
     random_pose,
-    two_pods,
 )
 from scan2albedo.synthetic.sitter import sit_down
 from scan2albedo.synthetic.textures import smoothstep
@@ -229,7 +227,7 @@ def _scanned(
     measured = capture(
         transform_points(turn, vertices),
         faces,
-        two_pods(tip + HEAD_FROM_NOSE_MM, reach_mm=HEAD_REACH_MM),
+        portrait_pods(tip),
         spacing_mm=rng.uniform(*scanner.spacing_mm),
         rng=rng,
         axis_mm=axis,

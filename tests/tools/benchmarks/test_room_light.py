@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.room_light import Room, random_room, room_light_on
 
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.synthetic.renderer import RayScene
-from scan2albedo.synthetic.room_light import Room, random_room, room_light_on
 
 EVEN = Room(np.ones(3), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
 
@@ -18,7 +18,7 @@ def lit(vertices, faces, normals, room, albedo=(0.5, 0.5, 0.5)):
         return np.tile(albedo, (len(face), 1))
 
     shape = SimpleNamespace(vertices=vertices, faces=faces, normals=normals, albedo_at=painted)
-    return room_light_on(shape, RayScene(vertices, faces), room, np.random.default_rng(0))
+    return room_light_on(shape, RayScene(vertices, faces), np.random.default_rng(0), room)
 
 
 @pytest.fixture(scope="module")
