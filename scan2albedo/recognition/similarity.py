@@ -19,8 +19,6 @@ WINDOW = 3
 """Side of the square windows in coefficients. Charts of fitted faces are misaligned unevenly, and within a
 small window the phases still turn alike: 3 tells people who are alike apart better than the usual 7
 (`tools/experiment_recognition.py --other-templates`)."""
-_ROWS = 1024
-"""Templates of the first set that are prepared at once; bounds the memory, about 0.2 MB a template."""
 
 
 def cw_ssim(
@@ -193,11 +191,28 @@ def comparable_similarities(a: Templates, b: Templates, window: int) -> FloatArr
         )
     common_chart(a.chart, b.chart, "the first set of templates", "the second")
     _check_window(a.mask.shape[1:], window)
-    rows = [
-        _similarity_rows(a.select(range(start, min(start + _ROWS, len(a)))), b, window)
-        for start in range(0, len(a), _ROWS)
-    ]
-    totals, windows = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    from scan2albedo.recognition.similarity_kernels import LANES, add_window_similarities
+
+    # Sums of similarities over orientations and windows, and the numbers of windows, of all pairs. Templates
+    # of the first set are prepared in parts, which bounds the memory: 0.5 MB a template of 256 pixels.
+    totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
+    for top in range(0, len(a), 16 * LANES):
+        part = a.select(range(top, min(top + 16 * LANES, len(a))))
+        rows, row_inside = _planes(part, window)
+        for left in range(0, len(b), LANES):
+            block = b.select(range(left, min(left + LANES, len(b))))
+            columns, inside = _planes(block, window)
+            total, lane_inside = np.zeros((len(part), LANES)), _lanes(inside.astype(np.float32), LANES)
+            for o in range(len(rows[0])):
+                own, lanes = [plane[o] for plane in rows], [_lanes(plane[o], LANES) for plane in columns]
+                add_window_similarities(
+                    *own, row_inside, *lanes, lane_inside, window, np.float32(STABILIZER), total
+                )
+            here = slice(top, top + len(part)), slice(left, left + len(block))
+            totals[here] = total[:, : len(block)]
+            # float32 counts exactly up to 2^24 windows
+            flat, flat_block = (x.reshape(len(x), -1).astype(np.float32) for x in (row_inside, inside))
+            windows[here] = flat @ flat_block.T
     bands = a.coefficients.shape[1]
     return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
 
@@ -212,30 +227,6 @@ def _planes(templates: Templates, window: int) -> tuple[list[NDArray[np.float32]
     planes = [np.ascontiguousarray(part) for part in (values.real, values.imag)]
     inside = np.asarray(_window_sums(templates.mask, window) == window**2)
     return [*planes, np.maximum(energy, 0).astype(np.float32)], inside
-
-
-def _similarity_rows(a: Templates, b: Templates, window: int) -> tuple[FloatArray, FloatArray]:
-    """Return the sums of similarities over orientations and windows, and the numbers of windows, (A, B)."""
-    from scan2albedo.recognition.similarity_kernels import LANES, add_window_similarities
-
-    rows, row_inside = _planes(a, window)
-    totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
-    for start in range(0, len(b), LANES):
-        block = b.select(range(start, min(start + LANES, len(b))))
-        columns, inside = _planes(block, window)
-        here, total = slice(start, start + len(block)), np.zeros((len(a), LANES))
-        lane_inside = _lanes(inside.astype(np.float32), LANES)
-        for o in range(len(rows[0])):
-            own = [plane[o] for plane in rows]
-            lanes = [_lanes(plane[o], LANES) for plane in columns]
-            add_window_similarities(
-                *own, row_inside, *lanes, lane_inside, window, np.float32(STABILIZER), total
-            )
-        totals[:, here] = total[:, : len(block)]
-        # float32 counts exactly up to 2^24 windows
-        flat, flat_block = (x.reshape(len(x), -1).astype(np.float32) for x in (row_inside, inside))
-        windows[:, here] = flat @ flat_block.T
-    return totals, windows
 
 
 def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:

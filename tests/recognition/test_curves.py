@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binomtest, mannwhitneyu
 
 from scan2albedo.recognition import cmc_curve, identify_by_similarity, roc_curve
-from scan2albedo.recognition.curves import _Claims
+from scan2albedo.recognition.curves import _rates_of_draw
 from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
 
 
@@ -70,7 +70,7 @@ def test_a_resample_counts_claims_as_if_they_were_repeated():
                 own += [found.similarities[i, j]] * times[prober]
             else:
                 others += [found.similarities[i, j]] * (times[prober] * claimed)
-    area = _Claims.of(found).rates(times.astype(float), np.array([0.1]))[0]
+    area = _rates_of_draw(found)(times.astype(float), np.array([0.1]))[0]
     assert area == pytest.approx(mannwhitneyu(own, others).statistic / (len(own) * len(others)))
 
 
