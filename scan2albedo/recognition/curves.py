@@ -164,7 +164,7 @@ def roc_curve(
         raise ValueError(f"confidence is {confidence} and resamples {resamples}, expected in (0, 1) and >= 0")
     rates_of_draw = _rates_of_draw(identification)
     found = rates_of_draw(np.ones(persons), rates)
-    random, drawn = np.random.default_rng(seed), []
+    random, drawn = np.random.default_rng(seed), list[FloatArray]()
     while len(drawn) < resamples:
         times = np.bincount(random.integers(persons, size=persons), minlength=persons)
         values = rates_of_draw(times.astype(np.float64), rates)

@@ -21,14 +21,6 @@ from scan2albedo.report.html.texts import is_share, label_of, number_text, unit_
 
 _ROOM = 0.04
 """Beyond the outermost values, in parts of their span."""
-_LEAST_SPAN = 0.002
-"""Of an axis, in parts of its greatest value."""
-_BINS = 20
-"""Bars of a distribution at most; whole numbers of a smaller range get a bar each."""
-_LOG_RATIO = 10.0
-"""Of greatest to least, from which an axis is logarithmic."""
-MOST_POINTS = 400
-"""Points that a chart of 300 pixels can show; of more, every n-th."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +37,11 @@ class Axis:
     def around(cls, values: Sequence[float], start: float, end: float) -> Axis:
         """Return the axis that holds all values, with some room; logarithmic from a decade on."""
         low, high = min(values), max(values)
-        if low > 0 and high / low >= _LOG_RATIO:
+        if low > 0 and high >= 10 * low:
             margin = (high / low) ** _ROOM
             return cls(low / margin, high * margin, start, end, True)
         # What hardly changes is drawn as a line that hardly rises.
-        margin = max(_ROOM * (high - low), (_LEAST_SPAN * abs(high) - (high - low)) / 2) or 1.0
+        margin = _ROOM * max(high - low, _ROOM * abs(high)) or 1.0
         return cls(low - margin, high + margin, start, end)
 
     def place(self, value: float) -> float:
@@ -73,9 +65,10 @@ class Axis:
                 return inside
         return linear_ticks(self.low, self.high, count)
 
-    def labels(self, values: Sequence[float]) -> list[tuple[float, str]]:
-        """Return place and label of ticks."""
-        return [(self.place(value), tick_text(value)) for value in values]
+    def labels(self, count: int, *, whole: bool = False) -> list[tuple[float, str]]:
+        """Return place and label of `ticks`; of whole numbers alone where asked."""
+        ticks = [value for value in self.ticks(count) if not whole or value == int(value)]
+        return [(self.place(value), tick_text(value)) for value in ticks]
 
 
 def linear_ticks(low: float, high: float, count: int = 5) -> list[float]:
@@ -113,11 +106,12 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
     if len(known) < 2:
         return None
     low, high = float(known.min()), float(known.max())
-    whole, log = bool((known == np.round(known)).all() and high - low < _BINS), False
-    bins = int(np.clip(2 * np.sqrt(len(known)), 5, _BINS))
+    # Bars by Sturges' rule; whole numbers of a smaller range get a bar each.
+    bins, log = math.ceil(math.log2(len(known))) + 1, False
+    whole = bool((known == np.round(known)).all() and high - low < 2 * bins)
     if whole:
         edges = np.arange(low - 0.5, high + 1)
-    elif low > 0 and high / low >= _LOG_RATIO:
+    elif Axis.around((low, high), 0, 1).log:
         edges, log = np.geomspace(low, high, bins + 1), True
     elif high - low <= 1e-9 * max(abs(high), 1e-300):
         half = 0.05 * abs(high) or 0.5
@@ -141,15 +135,14 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
         bars.append({**place, "height": round(drawing["bottom"] - top, 2), "count": count, "text": text})
     p5, median, p95 = (float(v) for v in np.percentile(known, (5, 50, 95)))
     summary = f"median {number_text(median)}, 90 % within {number_text(p5)} … {number_text(p95)}"
-    ticks = [value for value in axis.ticks(4) if not whole or value == int(value)]
     return {
         **drawing,
         "column": column,
         "label": label_of(column),
         "unit": unit,
         "bars": bars,
-        "ticks": axis.labels(ticks),
-        "count_ticks": upward.labels([value for value in upward.ticks(3) if value == int(value)]),
+        "ticks": axis.labels(4, whole=whole),
+        "count_ticks": upward.labels(3, whole=True),
         "median_at": axis.place(median),
         "summary": f"all {number_text(median)}" if low == high else summary,
         "missing": len(values) - len(known),
@@ -185,10 +178,8 @@ def read_trace(file: Path) -> list[TraceRow]:
 
 def stage_charts(rows: Sequence[TraceRow]) -> list[dict[str, Any]]:
     """Return a chart for each stage, in the order in which they ran; of a single row only the summary."""
-    stages: dict[str, list[TraceRow]] = {}
-    for row in rows:
-        stages.setdefault(row.stage, []).append(row)
-    return [_stage_chart(stage, found) for stage, found in stages.items()]
+    stages = dict.fromkeys(row.stage for row in rows)
+    return [_stage_chart(stage, [row for row in rows if row.stage == stage]) for stage in stages]
 
 
 def _stage_chart(stage: str, rows: list[TraceRow]) -> dict[str, Any]:
@@ -196,9 +187,9 @@ def _stage_chart(stage: str, rows: list[TraceRow]) -> dict[str, Any]:
     summary = f"{number_text(last.error)} {last.unit} after {last.evaluations:,} evaluations"
     if len(rows) > 1:
         summary = f"{number_text(first.error)} → {summary}"
-    step = -(-len(rows) // MOST_POINTS)
-    shown = rows if step == 1 else [*rows[:-1:step], last]
     drawing = {"width": 360, "height": 230, "left": 58, "right": 348, "top": 12, "bottom": 190}
+    step = -(-len(rows) // drawing["width"])  # a point for each pixel at most
+    shown = rows if step == 1 else [*rows[:-1:step], last]
     times, errors = [row.elapsed_s for row in shown], [row.error for row in shown]
     time = Axis.around(times, drawing["left"], drawing["right"])
     error = Axis.around(errors, drawing["bottom"], drawing["top"])
@@ -216,8 +207,8 @@ def _stage_chart(stage: str, rows: list[TraceRow]) -> dict[str, Any]:
         "summary": summary,
         "time": time,
         "error": error,
-        "time_ticks": time.labels(time.ticks(4)),
-        "error_ticks": error.labels(error.ticks(4)),
+        "time_ticks": time.labels(4),
+        "error_ticks": error.labels(4),
         "places": places,
         "line": " ".join(f"{x:g},{y:g}" for x, y in places),
         "points_json": json.dumps([[x, y, text] for (x, y), text in zip(places, texts, strict=True)]),

@@ -18,27 +18,9 @@ from scan2albedo.core.geometry_image import GeometryImage, wound_like
 from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.report.overview import white_level
 
 _LEVELS = np.iinfo(np.uint16).max
-MOST_VERTICES = 60_000
-"""Of a chart's mesh; finer ones are thinned."""
-_BRIGHT_PERCENTILE = 99.9
-"""Linear values above this percentile are clipped in the 8 bits of a texture."""
-
-
-@dataclass(frozen=True)
-class ViewMesh:
-    """A mesh for the viewer: vertices (V, 3) mm, faces (F, 3), uv (V, 2), unit normals (V, 3)."""
-
-    vertices: FloatArray
-    faces: IntArray
-    uv: FloatArray
-    normals: FloatArray
-
-    @classmethod
-    def of(cls, mesh: FaceMesh) -> ViewMesh:
-        """Return a face's mesh with its normals."""
-        return cls(mesh.vertices, mesh.faces, mesh.uv, mesh.normals)
 
 
 @dataclass
@@ -80,7 +62,7 @@ def octahedral(normals: FloatArray) -> NDArray[np.int16]:
     return np.round(np.clip(folded, -1, 1) * 32767).astype("<i2")
 
 
-def mesh_entry(mesh: ViewMesh, topologies: Topologies) -> dict[str, Any]:
+def mesh_entry(mesh: FaceMesh, topologies: Topologies) -> dict[str, Any]:
     """Return a mesh as the viewer reads it; positions are off by half of a 65535th of the box at most."""
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     return {
@@ -92,7 +74,7 @@ def mesh_entry(mesh: ViewMesh, topologies: Topologies) -> dict[str, Any]:
     }
 
 
-def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
+def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
     """Return the texel grid as a mesh of about `most` vertices or fewer.
 
     Blocks inside the mask become two triangles; those at the rim and at seams keep all their triangles, so
@@ -103,7 +85,7 @@ def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
     while int(image.mask.sum()) / step**2 > most:
         step += 1
     if step == 1:
-        return ViewMesh.of(full)
+        return full
     index = np.full(image.shape, -1, np.int64)
     index[image.mask] = np.arange(len(full.vertices))
     rows, columns = (np.arange(0, size - step, step) for size in image.shape)
@@ -122,7 +104,7 @@ def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
     covered[inside] = whole[row[inside], column[inside]]
     agreed = wound_like(full.vertices, np.concatenate([coarse, full.faces[~covered]]), full.normals)
     used, place = np.unique(agreed, return_inverse=True)
-    return ViewMesh(full.vertices[used], place.reshape(-1, 3), full.uv[used], full.normals[used])
+    return FaceMesh(full.vertices[used], place.reshape(-1, 3), full.uv[used])
 
 
 @dataclass(frozen=True)
@@ -138,12 +120,9 @@ def texture_entry(
 ) -> dict[str, Any]:
     """Return a linear texture (H, W, 3) as 8-bit sRGB for the viewer, continued beyond the mask (H, W).
 
-    The texture is multiplied by `factor`, by which the viewer divides; when None, by the one that uses the 8
-    bits well.
+    The texture is multiplied by `factor`, by which the viewer divides; when None, its `white_level` is 1.
     """
-    if factor is None:
-        bright = float(np.percentile(linear[mask].max(-1), _BRIGHT_PERCENTILE)) if mask.any() else 0.0
-        factor = 1 / bright if bright > 0 else 1.0
+    factor = 1 / white_level(linear, mask) if factor is None else factor
     return {"factor": factor, **picture_entry(_pixels(linear, mask, style, factor), style.quality)}
 
 
@@ -187,7 +166,7 @@ def picture_entry(pixels: NDArray[np.uint8], quality: int | None) -> dict[str, A
     return {"type": "image/png" if quality is None else "image/jpeg", "data": encoded(data.getvalue())}
 
 
-def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | None:
+def picture_url(file: Path, width: int) -> tuple[str, int, int] | None:
     """Return a picture file as the data URL of a JPEG at most `width` wide, and its size; None if damaged."""
     from PIL import Image
 
@@ -202,7 +181,7 @@ def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | 
         height = max(1, round(picture.height * width / picture.width))
         picture = picture.resize((width, height), Image.Resampling.LANCZOS)
     data = io.BytesIO()
-    picture.save(data, "JPEG", quality=quality, optimize=True, progressive=True)
+    picture.save(data, "JPEG", quality=80, optimize=True, progressive=True)
     return f"data:image/jpeg;base64,{encoded(data.getvalue())}", picture.width, picture.height
 
 

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -25,22 +25,18 @@ from scan2albedo.report.html.batch_section import (
     DONE,
     FAILED,
     RESULT_FILE,
-    ScanRow,
     batch_section,
-    result_folders,
     rows_of_catalogue,
     rows_of_folders,
     selected_rows,
 )
 from scan2albedo.report.html.encoding import Topologies
-from scan2albedo.report.html.scan_section import ONE_OF_MANY, SINGLE, scan_section
+from scan2albedo.report.html.scan_section import scan_section
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 REPORT_FILE = "report.html"
-MOST_ROWS = 10_000
-"""Scans in the table of a batch at most: browsers become slow beyond."""
 _SCRIPTS = (
     "elements",
     "viewer_math",
@@ -119,47 +115,38 @@ def write_report(
                 f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or "
                 "give -o with another name"
             )
-    say = on_progress or (lambda line: None)
-    if (folder / CATALOGUE_FILE).is_file():
-        return _write_batch(folder, rows_of_catalogue(folder / CATALOGUE_FILE), target, scans, say)
-    if (folder / RESULT_FILE).is_file():
-        record, topologies = read_record(folder / RESULT_FILE, ResultRecord), Topologies()
-        section = scan_section(folder, record, target, topologies, SINGLE, anchor="scan", name=record.name)
-        content = {"title": record.name, "scans": [section], "topologies": topologies.of_key, "batch": None}
-        return WrittenReport(target, 1, 1, 0, 1, _write_page(content, target))
-    folders = result_folders(folder)
-    if not folders:
-        raise Scan2AlbedoError(
-            f"{folder}: holds no {RESULT_FILE}, no folder with one and no {CATALOGUE_FILE}; "
-            "process scans into it first"
+    topologies, sections, not_shown = Topologies(), list[dict[str, Any]](), list[tuple[str, str]]()
+    if (folder / RESULT_FILE).is_file() and not (folder / CATALOGUE_FILE).is_file():
+        record = read_record(folder / RESULT_FILE, ResultRecord)
+        sections.append(
+            scan_section(folder, record, target, topologies, single=True, anchor="scan", name=record.name)
         )
-    return _write_batch(folder, rows_of_folders(folders), target, scans, say)
-
-
-def _write_batch(
-    folder: Path, rows: Sequence[ScanRow], target: Path, scans: int, say: Callable[[str], None]
-) -> WrittenReport:
+        content = {"title": record.name, "scans": sections, "topologies": topologies.of_key, "batch": None}
+        return WrittenReport(target, 1, 1, 0, 1, _write_page(content, target))
+    if (folder / CATALOGUE_FILE).is_file():
+        rows = rows_of_catalogue(folder / CATALOGUE_FILE)
+    else:
+        rows = rows_of_folders(folder)
     chosen, reason = selected_rows(rows, scans)
-    topologies, sections = Topologies(), list[dict[str, Any]]()
     anchors: dict[int, str] = {}
-    not_shown: list[tuple[str, str]] = []
     for k in chosen:
         where, name, anchor = rows[k].folder, rows[k].name, f"scan-{k + 1}"
         assert where is not None
-        say(f"{name}: {len(sections) + 1} of {len(chosen)}")
+        if on_progress is not None:
+            on_progress(f"{name}: {len(sections) + 1} of {len(chosen)}")
         try:
             record = read_record(where / RESULT_FILE, ResultRecord)
-            section = scan_section(where, record, target, topologies, ONE_OF_MANY, anchor=anchor, name=name)
+            section = scan_section(where, record, target, topologies, single=False, anchor=anchor, name=name)
         except Scan2AlbedoError as error:
             not_shown.append((name, one_line(error)))
             continue
         anchors[k] = anchor
         sections.append(section)
-    content = {
+    content: dict[str, Any] = {
         "title": folder.resolve().name or str(folder),
         "scans": sections,
         "topologies": topologies.of_key,
-        "batch": batch_section(rows, anchors, target, MOST_ROWS),
+        "batch": batch_section(rows, anchors, target),
         "selection": reason,
         "not_shown": not_shown,
     }
