@@ -90,7 +90,8 @@ def result_panels(
             fitted.vertices, fitted.faces, vertex_color_srgb=colors, view=view, shaded=False
         )
         known = fitted.residual_mm[np.isfinite(fitted.residual_mm)]
-        heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {np.mean(known) if len(known) else np.nan:.2f}, grey: no scan)"
+        mean = np.mean(known) if len(known) else np.nan
+        heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)"
         panels.append(Panel(heat, residual))
 
     # On the chart: texture, skin, light, albedo, normals.

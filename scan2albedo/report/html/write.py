@@ -115,6 +115,7 @@ def write_report(
                 f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or "
                 "give -o with another name"
             )
+    content: dict[str, Any]
     topologies, sections, not_shown = Topologies(), list[dict[str, Any]](), list[tuple[str, str]]()
     if (folder / RESULT_FILE).is_file() and not (folder / CATALOGUE_FILE).is_file():
         record = read_record(folder / RESULT_FILE, ResultRecord)
@@ -142,7 +143,7 @@ def write_report(
             continue
         anchors[k] = anchor
         sections.append(section)
-    content: dict[str, Any] = {
+    content = {
         "title": folder.resolve().name or str(folder),
         "scans": sections,
         "topologies": topologies.of_key,
