@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
-
-if TYPE_CHECKING:
-    from scan2albedo.runs.recognition.files import IdentificationRecord
 
 
 def identify(
@@ -98,11 +95,9 @@ def identify(
             progress.say(f"identify: {len(known)} templates in {' and '.join(map(str, written))}")
         if probes is None:
             if json_summary:
-                counts = {
-                    "gallery_images": len(known),
-                    "persons": sorted({person for person in known.persons if person is not None}),
-                }
-                echo_json({"templates": str(save_templates), **counts})
+                people = sorted({person for person in known.persons if person is not None})
+                shown = {"templates": str(save_templates), "gallery_images": len(known), "persons": people}
+                echo_json(shown)
             return
         found = identify_results(
             known,
@@ -114,7 +109,16 @@ def identify(
         for note in found.notes:
             progress.say(f"identify: {note}")
         record = write_identification(found, out)
-        progress.say(f"identify: {_summary(record)}{'' if out is None else f'; files in {out}'}")
+        counts = {"probe": len(record.results), "person": len(record.persons), "image": record.gallery_images}
+        shown_probes, persons, images = (f"{n} {what}{'' if n == 1 else 's'}" for what, n in counts.items())
+        text = f"{shown_probes}, {persons} on {images}, by {' and '.join(record.use)}"
+        if (rates := record.rates) is not None:
+            low, high = rates.rank_1_interval
+            text += (
+                f"; right at rank 1: {rates.rank_1_rate:.1%} of {rates.probes} named probes "
+                f"({low:.1%} to {high:.1%} at {rates.confidence:.0%})"
+            )
+        progress.say(f"identify: {text}{'' if out is None else f'; files in {out}'}")
     if json_summary:
         echo_json(record.model_dump(mode="json"))
         return
@@ -126,17 +130,3 @@ def identify(
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         typer.echo("  ".join(map(str.ljust, row, widths)).rstrip())
-
-
-def _summary(record: IdentificationRecord) -> str:
-    counts = (len(record.results), "probe"), (len(record.persons), "person"), (record.gallery_images, "image")
-    probes, persons, images = (f"{count} {what}{'' if count == 1 else 's'}" for count, what in counts)
-    text = f"{probes}, {persons} on {images}, by {' and '.join(record.use)}"
-    rates = record.rates
-    if rates is None:
-        return text
-    low, high = rates.rank_1_interval
-    return (
-        f"{text}; right at rank 1: {rates.rank_1_rate:.1%} of {rates.probes} named probes "
-        f"({low:.1%} to {high:.1%} at {rates.confidence:.0%})"
-    )

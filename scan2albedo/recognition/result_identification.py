@@ -94,10 +94,6 @@ def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CA
     return found
 
 
-StageCallback = Callable[[str, int, int], None]
-"""Called with "gallery" or "probes", how many results are read, and of how many."""
-
-
 @dataclass(frozen=True)
 class ResultIdentification:
     """What `identify_results` found."""
@@ -121,19 +117,18 @@ def identify_results(
     use: Sequence[Kind] = DEFAULT_USE,
     combine: Combine = "best",
     options: TemplateOptions | None = None,
-    on_count: StageCallback | None = None,
+    on_count: Callable[[str, int, int], None] | None = None,
 ) -> ResultIdentification:
     """Return which persons of a gallery of processed scans other processed scans show.
 
+    A gallery and the probes are each given as a CSV file with the columns person and result, each result the
+    folder of a processed scan (see `read_face`); as the folder of a batch (see `read_manifest`); as a file of
+    templates; or as what `read_labelled_templates` returned. Several results may show one person; of the
+    probes a cell of person may be empty. A probe whose person is not known, or not in the gallery, is
+    identified, but counts in no rate. Results that have nothing to compare are left out; `notes` name them.
+
     Parameters
     ----------
-    gallery : path or LabelledTemplates
-        A CSV file with the columns person and result, each result the folder of a processed scan (see
-        `read_face`); the folder of a batch (see `read_manifest`); or a file of templates. Several
-        results may show one person.
-    probes : path or LabelledTemplates
-        The same; a cell of person may be empty. A probe whose person is not known, or not in the gallery, is
-        identified, but counts in no rate.
     use : sequence of {"albedo", "shape"}
         What is compared; similarities by both are taken together as `fused` says. A result that lacks one of
         them, as a scan without colour lacks the albedo, is compared by the other.
@@ -142,7 +137,7 @@ def identify_results(
     options : TemplateOptions, optional
         Those of a file of templates, otherwise the default ones, when omitted.
     on_count : callable, optional
-        Called after each result that was read.
+        Called after each result with "gallery" or "probes", how many are read, and of how many.
 
     Raises
     ------
@@ -150,10 +145,6 @@ def identify_results(
         When `combine` or a name of `use` is unknown.
     RecognitionError
         When a file cannot be read or used, sizes or models differ, or nothing is left to compare.
-
-    Notes
-    -----
-    Results that have nothing to compare are left out, and `notes` name them.
     """
     if combine not in ("best", "mean"):
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")

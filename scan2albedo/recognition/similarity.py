@@ -44,11 +44,9 @@ def cw_ssim(
     ----------
     a, b : (H, W) or (H, W, 3)
         Linear images of the same size.
-    mask : (H, W) bool, optional
-        Pixels that count, in both images, or in the first one.
-    mask_b : (H, W) bool, optional
-        Pixels that count in the second image; those of `mask` when omitted.
-    options : TemplateOptions
+    mask, mask_b : (H, W) bool, optional
+        Pixels that count in the first and in the second image, where `mask` counts too when `mask_b` is
+        omitted.
     window : int
         Side of the windows in coefficients.
 
@@ -137,18 +135,8 @@ def _no_window_message(what: str, window: int) -> str:
 def similarity_matrix(templates_a: Templates, templates_b: Templates, *, window: int = WINDOW) -> FloatArray:
     """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks.
 
-    Parameters
-    ----------
-    templates_a, templates_b : Templates
-        A and B templates.
-    window : int
-        As in `cw_ssim`.
-
-    Raises
-    ------
-    RecognitionError
-        When the sets were made with other options, sizes or charts, are empty, or the masks of a pair have no
-        window in common; names it.
+    RecognitionError, which names them, when the sets were made with other options, sizes or charts, are
+    empty, or the masks of a pair have no window in common.
 
     Notes
     -----

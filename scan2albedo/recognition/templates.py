@@ -205,12 +205,8 @@ def shape_templates(
 ) -> Templates:
     """Return the templates of surfaces by their normals; `unit_mean` does not apply.
 
-    Parameters
-    ----------
-    normals : N of (H, W, 3)
-        Unit normals in one chart and in one frame, as `GeometryImage.normal` in the model's.
-    names, masks, options
-        As in `albedo_templates`, whose errors are raised.
+    `normals` are N of (H, W, 3), unit, in one chart and in one frame, as `GeometryImage.normal` in the
+    model's. The rest is as in `albedo_templates`, whose errors are raised.
     """
     return _templates("shape", normals, names, masks, options)
 

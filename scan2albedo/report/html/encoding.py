@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage, wound_like
 from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
@@ -21,22 +20,6 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.report.overview import white_level
 
 _LEVELS = np.iinfo(np.uint16).max
-
-
-@dataclass
-class Topologies:
-    """Triangles and charts of a report's meshes, each once: {key: {"faces", "uv", "wide"}}."""
-
-    of_key: dict[str, dict[str, Any]] = field(default_factory=dict)
-
-    def add(self, faces: IntArray, uv: FloatArray) -> str:
-        """Keep triangles (F, 3) and chart coordinates (V, 2) and return their key."""
-        wide = len(uv) > _LEVELS
-        index = np.ascontiguousarray(faces, "<u4" if wide else "<u2").tobytes()
-        chart = quantized(np.clip(uv, 0, 1), np.zeros(2), np.ones(2)).tobytes()
-        key = hashlib.sha256(index + chart).hexdigest()[:12]
-        self.of_key[key] = {"faces": encoded(index), "uv": encoded(chart), "wide": wide}
-        return key
 
 
 def encoded(data: bytes) -> str:
@@ -62,11 +45,20 @@ def octahedral(normals: FloatArray) -> NDArray[np.int16]:
     return np.round(np.clip(folded, -1, 1) * 32767).astype("<i2")
 
 
-def mesh_entry(mesh: FaceMesh, topologies: Topologies) -> dict[str, Any]:
-    """Return a mesh as the viewer reads it; positions are off by half of a 65535th of the box at most."""
+def mesh_entry(mesh: FaceMesh, topologies: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return a mesh as the viewer reads it; positions are off by half of a 65535th of the box at most.
+
+    Its triangles and chart coordinates go to `topologies`, {key: {"faces", "uv", "wide"}}, once for all
+    scans of a report.
+    """
+    wide = len(mesh.uv) > _LEVELS
+    index = np.ascontiguousarray(mesh.faces, "<u4" if wide else "<u2").tobytes()
+    chart = quantized(np.clip(mesh.uv, 0, 1), np.zeros(2), np.ones(2)).tobytes()
+    key = hashlib.sha256(index + chart).hexdigest()[:12]
+    topologies[key] = {"faces": encoded(index), "uv": encoded(chart), "wide": wide}
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     return {
-        "topology": topologies.add(mesh.faces, mesh.uv),
+        "topology": key,
         "positions": encoded(quantized(mesh.vertices, low, high - low).tobytes()),
         "normals": encoded(octahedral(mesh.normals).tobytes()),
         "low": low.tolist(),
@@ -107,51 +99,41 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
     return FaceMesh(full.vertices[used], place.reshape(-1, 3), full.uv[used])
 
 
-@dataclass(frozen=True)
-class TextureStyle:
-    """How textures are stored: longest side in texels, and a JPEG's quality or None for PNG without loss."""
-
-    size: int
-    quality: int | None
-
-
 def texture_entry(
-    linear: NDArray[np.floating], mask: BoolArray, style: TextureStyle, *, factor: float | None = None
+    linear: NDArray[np.floating],
+    mask: BoolArray,
+    size: int,
+    *,
+    quality: int | None = None,
+    factor: float | None = None,
 ) -> dict[str, Any]:
     """Return a linear texture (H, W, 3) as 8-bit sRGB for the viewer, continued beyond the mask (H, W).
 
-    The texture is multiplied by `factor`, by which the viewer divides; when None, its `white_level` is 1.
+    Its longest side has at most `size` texels; a JPEG of a quality, or PNG without loss. The texture is
+    multiplied by `factor`, by which the viewer divides; when None, its `white_level` is 1.
     """
     factor = 1 / white_level(linear, mask) if factor is None else factor
-    return {"factor": factor, **picture_entry(_pixels(linear, mask, style, factor), style.quality)}
+    return {"factor": factor, **picture_entry(_pixels(linear, mask, size, factor), quality)}
 
 
 def patch_entry(
-    linear: NDArray[np.floating],
-    under: NDArray[np.floating],
-    mask: BoolArray,
-    style: TextureStyle,
-    factor: float,
+    linear: NDArray[np.floating], under: NDArray[np.floating], mask: BoolArray, size: int, factor: float
 ) -> dict[str, Any]:
     """Return a texture (H, W, 3) as what is to be drawn over that of `under`, clear where the two agree."""
-    over, below = (_pixels(texture, mask, style, factor) for texture in (linear, under))
+    over, below = (_pixels(texture, mask, size, factor) for texture in (linear, under))
     differs = (over != below).any(-1, keepdims=True)
     return picture_entry(np.concatenate([over, np.full_like(over[..., :1], 255)], -1) * differs, None)
 
 
-def _pixels(
-    linear: NDArray[np.floating], mask: BoolArray, style: TextureStyle, factor: float
-) -> NDArray[np.uint8]:
-    fitted = _fitted(filled_from_nearest(linear, mask), style.size)
-    return encode_srgb_bytes(np.clip(factor * fitted, 0, 1))
+def _pixels(linear: NDArray[np.floating], mask: BoolArray, size: int, factor: float) -> NDArray[np.uint8]:
+    return encode_srgb_bytes(np.clip(factor * _fitted(filled_from_nearest(linear, mask), size), 0, 1))
 
 
-def gray_entry(values: FloatArray, mask: BoolArray, style: TextureStyle) -> dict[str, Any]:
+def gray_entry(values: FloatArray, mask: BoolArray, size: int) -> dict[str, Any]:
     """Return values (H, W) as 8 bits of their greatest, without loss; the viewer multiplies by `scale`."""
     scale = float(values[mask].max()) if mask.any() else 0.0
-    parts = filled_from_nearest(values[..., None], mask) / (scale or 1.0)
-    pixels = np.round(255 * np.clip(_fitted(np.repeat(parts, 3, 2), style.size)[..., 0], 0, 1))
-    return {"scale": scale, **picture_entry(pixels.astype(np.uint8), None)}
+    parts = _fitted(filled_from_nearest(values[..., None], mask) / (scale or 1.0), size)[..., 0]
+    return {"scale": scale, **picture_entry(np.round(255 * np.clip(parts, 0, 1)).astype(np.uint8), None)}
 
 
 def picture_entry(pixels: NDArray[np.uint8], quality: int | None) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures
 from scan2albedo.report.html.charts import read_trace, stage_charts
-from scan2albedo.report.html.encoding import TextureStyle, Topologies, picture_url
+from scan2albedo.report.html.encoding import picture_url
 from scan2albedo.report.html.texts import (
     angle_text,
     label_of,
@@ -35,7 +35,7 @@ def scan_section(
     folder: Path,
     record: ResultRecord,
     page: Path,
-    topologies: Topologies,
+    topologies: dict[str, dict[str, Any]],
     *,
     single: bool,
     anchor: str,
@@ -48,7 +48,7 @@ def scan_section(
     would show is left out, and the page names the file and the reason. Raises Scan2AlbedoError when figures
     in the record are of other kinds than those of a run.
     """
-    style = TextureStyle(1024, None) if single else TextureStyle(256, 80)
+    size, quality = (1024, None) if single else (256, 80)
     viewer, viewer_missing, residual, measured = None, "", None, ""
     charts: list[dict[str, Any]] = []
     trace_missing = "no iterative stage ran"
@@ -57,7 +57,9 @@ def scan_section(
             face = load_result(folder, need_albedo=False)
             if single:
                 residual, measured = residual_of_result(folder, record, face.mesh)
-            viewer = viewer_entry(face, record, topologies, style, residual, soft_shadows=single)
+            viewer = viewer_entry(
+                face, record, topologies, residual, size=size, quality=quality, soft_shadows=single
+            )
         except Scan2AlbedoError as error:
             viewer_missing, measured = one_line(error), ""
         try:
@@ -68,8 +70,8 @@ def scan_section(
         files = []
         for file in record.files:
             try:
-                size = size_text((folder / file).stat().st_size)
-                files.append((file, relative_link(folder / file, page), size))
+                there = size_text((folder / file).stat().st_size)
+                files.append((file, relative_link(folder / file, page), there))
             except OSError:
                 files.append((file, "", "missing"))
         total = sum(record.timings_s.values())

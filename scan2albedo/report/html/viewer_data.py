@@ -19,8 +19,6 @@ from scan2albedo.lighting.environment_light import environment_light_on, open_sh
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 from scan2albedo.rendering.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.report.html.encoding import (
-    TextureStyle,
-    Topologies,
     encoded,
     gray_entry,
     mesh_entry,
@@ -73,17 +71,19 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> tu
 def viewer_entry(
     face: ProcessedFace,
     record: ResultRecord,
-    topologies: Topologies,
-    style: TextureStyle,
+    topologies: dict[str, dict[str, Any]],
     residual_mm: FloatArray | None = None,
+    *,
+    size: int,
+    quality: int | None = None,
     soft_shadows: bool = False,
 ) -> dict[str, Any]:
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
     Relit pictures show the face as `relight` lights it, without gaps and with skin's usual gloss: "filled" is
-    its albedo where that differs, "assumed" tells what was done. `residual_mm` (V,) is that of the mesh's
-    vertices, NaN where there is no scan. `soft_shadows` computes at each vertex what the face hides from
-    itself of the scan's soft light.
+    its albedo where that differs, "assumed" what was done. `residual_mm` (V,) is that of the mesh's vertices,
+    NaN where there is no scan; `size` and `quality` are as in `texture_entry`. `soft_shadows` computes at
+    each vertex what the face hides from itself of the scan's soft light.
     """
     image = face.image
     mesh = thinned_chart(image) if face.mesh.from_chart else face.mesh
@@ -100,7 +100,7 @@ def viewer_entry(
     entry = {
         **mesh_entry(mesh, topologies),
         "hasAlbedo": face.has_albedo,
-        "albedo": texture_entry(face.albedo_linear, image.mask, style),
+        "albedo": texture_entry(face.albedo_linear, image.mask, size, quality=quality),
         "albedoExposure": preview_factor(face.albedo_linear, face.mask),
         "albedoLevel": face.level(),
         "reflectance": {
@@ -137,13 +137,13 @@ def viewer_entry(
         },
     }
     if image.texture_linear is not None:
-        entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
+        entry["texture"] = texture_entry(image.texture_linear, image.mask, size, quality=quality, factor=1.0)
     if (lit.albedo_linear != face.albedo_linear).any():
         entry["filled"] = patch_entry(
-            lit.albedo_linear, face.albedo_linear, image.mask, style, entry["albedo"]["factor"]
+            lit.albedo_linear, face.albedo_linear, image.mask, size, entry["albedo"]["factor"]
         )
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
-        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, style)
+        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, size)
     if soft_shadows and face.environment is not None and face.environment.occluded:
         # Red, green, blue of the soft light on each vertex as 16-bit parts of a scale.
         caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows else None

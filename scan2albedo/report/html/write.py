@@ -30,7 +30,6 @@ from scan2albedo.report.html.batch_section import (
     rows_of_folders,
     selected_rows,
 )
-from scan2albedo.report.html.encoding import Topologies
 from scan2albedo.report.html.scan_section import scan_section
 
 if TYPE_CHECKING:
@@ -57,12 +56,10 @@ class WrittenReport:
     """Where a report is, and what it holds."""
 
     path: Path
-    """Of the page."""
     scans: int
-    """In the table, or 1."""
+    """In the table, or 1; `done` and `failed` of them."""
     done: int
     failed: int
-    """`done`, `failed`: of them."""
     sections: int
     """Scans that have a section of their own."""
     size_bytes: int
@@ -116,20 +113,21 @@ def write_report(
                 "give -o with another name"
             )
     content: dict[str, Any]
-    topologies, sections, not_shown = Topologies(), list[dict[str, Any]](), list[tuple[str, str]]()
+    topologies: dict[str, dict[str, Any]] = {}
+    sections: list[dict[str, Any]] = []
     if (folder / RESULT_FILE).is_file() and not (folder / CATALOGUE_FILE).is_file():
         record = read_record(folder / RESULT_FILE, ResultRecord)
         sections.append(
             scan_section(folder, record, target, topologies, single=True, anchor="scan", name=record.name)
         )
-        content = {"title": record.name, "scans": sections, "topologies": topologies.of_key, "batch": None}
+        content = {"title": record.name, "scans": sections, "topologies": topologies, "batch": None}
         return WrittenReport(target, 1, 1, 0, 1, _write_page(content, target))
     if (folder / CATALOGUE_FILE).is_file():
         rows = rows_of_catalogue(folder / CATALOGUE_FILE)
     else:
         rows = rows_of_folders(folder)
     chosen, reason = selected_rows(rows, scans)
-    anchors: dict[int, str] = {}
+    anchors, not_shown = dict[int, str](), list[tuple[str, str]]()
     for k in chosen:
         where, name, anchor = rows[k].folder, rows[k].name, f"scan-{k + 1}"
         assert where is not None
@@ -146,7 +144,7 @@ def write_report(
     content = {
         "title": folder.resolve().name or str(folder),
         "scans": sections,
-        "topologies": topologies.of_key,
+        "topologies": topologies,
         "batch": batch_section(rows, anchors, target),
         "selection": reason,
         "not_shown": not_shown,
