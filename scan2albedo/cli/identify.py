@@ -78,7 +78,7 @@ def identify(
         read_labelled_templates,
         write_labelled_templates,
     )
-    from scan2albedo.runs.recognition.files import FILES, write_identification
+    from scan2albedo.runs.recognition import FILES, write_identification
 
     with removed_if_empty(out), ProgressLines("identify") as progress:
         if out is not None:

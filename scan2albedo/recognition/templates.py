@@ -178,7 +178,6 @@ def albedo_templates(
         Of the persons.
     masks : N of (H, W) bool, or None
         Where the albedo is known; everywhere when omitted.
-    options : TemplateOptions
 
     Raises
     ------

@@ -181,13 +181,12 @@ def selected_rows(rows: Sequence[ScanRow], count: int) -> tuple[tuple[int, ...],
     ranked += [k for k in there if rows[k].number(column) is None]
     if not known:
         return (tuple(ranked[:count]), f"the first {count} of {len(there)} scans that have results")
+    text = f"scans of {len(there)} with the greatest {what}"
     if count < 4 or len(known) < count:
-        chosen = ranked[:count]
-        return (tuple(chosen), f"the {count} scans of {len(there)} with the greatest {what}")
+        return (tuple(ranked[:count]), f"the {count} {text}")
     compared = (ranked[len(known) // 2], ranked[len(known) - 1])
     worst = [k for k in ranked if k not in compared][: count - 2]
-    text = f"the {count - 2} scans of {len(there)} with the greatest {what}, then the median and the best one"
-    return ((*worst, *compared), text)
+    return ((*worst, *compared), f"the {count - 2} {text}, then the median and the best one")
 
 
 def batch_section(

@@ -86,15 +86,15 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
     # Bars by Sturges' rule; whole numbers of a smaller range get a bar each.
     bins, log = math.ceil(math.log2(len(known))) + 1, False
     whole = bool((known == np.round(known)).all() and high - low < 2 * bins)
+    around = Axis.around((low, high), 0, 1)
     if whole:
         edges = np.arange(low - 0.5, high + 1)
-    elif Axis.around((low, high), 0, 1).log:
+    elif around.log:
         edges, log = np.geomspace(low, high, bins + 1), True
-    elif high - low <= 1e-9 * max(abs(high), 1e-300):
-        half = 0.05 * abs(high) or 0.5
-        edges = np.linspace(low - half, high + half, 4)
-    else:
+    elif low < high:
         edges = np.linspace(low, high, bins + 1)
+    else:
+        edges = np.linspace(around.low, around.high, 4)
     counts, _ = np.histogram(known, edges)
     drawing = {"width": 300, "height": 170, "left": 34, "right": 288, "top": 18, "bottom": 140}
     axis = Axis(float(edges[0]), float(edges[-1]), drawing["left"], drawing["right"], log)
