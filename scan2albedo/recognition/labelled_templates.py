@@ -151,15 +151,15 @@ def _of_manifest(
     entries = manifest.entries
     made: dict[Kind, dict[int, Any]] = {kind: {} for kind in kinds}
     reasons: list[dict[Kind, str]] = [{} for _ in entries]
-    charts: list[tuple[str, Chart]] = []
+    chart, first = None, ""
     for k, entry in enumerate(entries):
         where = manifest.where(entry)
         for kind in kinds:
             try:
                 face = read_face(entry.path, kind)
                 made[kind][k] = kind_coefficients(kind, face.values, face.seen, options, entry.result)
-                for other, earlier in charts:
-                    common_chart(earlier, face.chart, other, where)
+                before, chart = chart, common_chart(chart, face.chart, first, where)
+                first = entry.result if chart != before else first
             except RecognitionError as error:
                 # What is wrong, after the place where the entry is named; nothing is named twice.
                 text = str(error)
@@ -169,9 +169,6 @@ def _of_manifest(
                 if not isinstance(error, NothingToCompareError):
                     raise RecognitionError(text) from error
                 reasons[k][kind] = text
-            else:
-                if not charts or (face.chart.model is not None and charts[-1][1].model is None):
-                    charts.append((entry.result, face.chart))
         if on_count is not None:
             on_count(k + 1, len(entries))
     sets = {
@@ -180,7 +177,7 @@ def _of_manifest(
             np.stack([mask for _, mask in of_kind.values()]),
             tuple(entries[k].person or entries[k].result for k in of_kind),
             options,
-            charts[-1][1],
+            chart,
             kind,
         )
         for kind, of_kind in made.items()

@@ -104,20 +104,19 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     return Manifest(file, tuple(entries), tuple(notes))
 
 
-def holds_result(folder: Path) -> bool:
-    """Return whether a folder is that of one processed scan, or of a face that an application wrote."""
-    return any((folder / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE))
-
-
 def _of_folder(folder: Path, persons_required: bool) -> Manifest:
+    def holds_result(of: Path) -> bool:
+        """Whether it is the folder of one processed scan, or of a face that an application wrote."""
+        return any((of / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE))
+
+    def folders(of: Path) -> list[Path]:
+        return sorted(path for path in of.iterdir() if path.is_dir() and not path.name.startswith("."))
+
     if holds_result(folder):
         raise RecognitionError(
             f"{folder}: is one result; give the folder that holds the folders of results, or a CSV file with "
             "the columns person and result"
         )
-
-    def folders(of: Path) -> list[Path]:
-        return sorted(path for path in of.iterdir() if path.is_dir() and not path.name.startswith("."))
 
     # The persons of a batch's catalogue by the scan's name, where it has that column.
     named, catalogue = None, folder / CATALOGUE_FILE

@@ -25,6 +25,7 @@ from scan2albedo.report.html.batch_section import (
     DONE,
     FAILED,
     RESULT_FILE,
+    ScanRow,
     batch_section,
     rows_of_catalogue,
     rows_of_folders,
@@ -96,69 +97,65 @@ def write_report(
         raise Scan2AlbedoError(f"{folder}: no such folder; give OUT of process or batch, or OUT/<scan name>")
     if path is None and os.path.lexists(target):
         own = False
-        with suppress(OSError), target.open("rb") as page:
-            title = next((line for line in page if b"</title>" in line), b"")
+        with suppress(OSError), target.open("rb") as opened:
+            title = next((line for line in opened if b"</title>" in line), b"")
             own = not target.is_symlink() and title.rstrip().endswith("· scan2albedo</title>".encode())
         if not own:
             raise OutputError(
                 f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or "
                 "give -o with another name"
             )
-    content: dict[str, Any]
-    topologies: dict[str, dict[str, Any]] = {}
-    sections: list[dict[str, Any]] = []
-    if (folder / RESULT_FILE).is_file() and not (folder / CATALOGUE_FILE).is_file():
-        record = read_record(folder / RESULT_FILE, ResultRecord)
-        sections.append(
-            scan_section(folder, record, target, topologies, single=True, anchor="scan", name=record.name)
-        )
-        content = {"title": record.name, "scans": sections, "topologies": topologies, "batch": None}
-        return WrittenReport(target, 1, 1, 0, 1, _write_page(content, target))
-    if (folder / CATALOGUE_FILE).is_file():
-        rows = rows_of_catalogue(folder / CATALOGUE_FILE)
+    single = (folder / RESULT_FILE).is_file() and not (folder / CATALOGUE_FILE).is_file()
+    chosen: tuple[int, ...] = (0,)
+    if single:
+        name = read_record(folder / RESULT_FILE, ResultRecord).name
+        rows, reason = [ScanRow(name, DONE, folder=folder)], ""
     else:
-        rows = rows_of_folders(folder)
-    chosen, reason = selected_rows(rows, scans)
-    anchors, not_shown = dict[int, str](), list[tuple[str, str]]()
+        catalogue = folder / CATALOGUE_FILE
+        rows = rows_of_catalogue(catalogue) if catalogue.is_file() else rows_of_folders(folder)
+        name = folder.resolve().name or str(folder)
+        chosen, reason = selected_rows(rows, scans)
+    topologies: dict[str, dict[str, Any]] = {}
+    anchors, sections, not_shown = dict[int, str](), list[dict[str, Any]](), list[tuple[str, str]]()
     for k in chosen:
-        where, name, anchor = rows[k].folder, rows[k].name, f"scan-{k + 1}"
+        scan, where = rows[k].name, rows[k].folder
         assert where is not None
-        if on_progress is not None:
-            on_progress(f"{name}: {len(sections) + 1} of {len(chosen)}")
+        anchor = "scan" if single else f"scan-{k + 1}"
+        if on_progress is not None and not single:
+            on_progress(f"{scan}: {len(sections) + 1} of {len(chosen)}")
         try:
             record = read_record(where / RESULT_FILE, ResultRecord)
-            section = scan_section(where, record, target, topologies, single=False, anchor=anchor, name=name)
+            sections.append(
+                scan_section(where, record, target, topologies, single=single, anchor=anchor, name=scan)
+            )
+            anchors[k] = anchor
         except Scan2AlbedoError as error:
-            not_shown.append((name, one_line(error)))
-            continue
-        anchors[k] = anchor
-        sections.append(section)
-    content = {
-        "title": folder.resolve().name or str(folder),
-        "scans": sections,
-        "topologies": topologies,
-        "batch": batch_section(rows, anchors, target),
-        "selection": reason,
-        "not_shown": not_shown,
-    }
-    done, failed = (sum(row.status == status for row in rows) for status in (DONE, FAILED))
-    return WrittenReport(target, len(rows), done, failed, len(sections), _write_page(content, target))
+            if single:
+                raise
+            not_shown.append((scan, one_line(error)))
 
-
-def _write_page(content: dict[str, Any], target: Path) -> int:
-    """Write the page, whose policy forbids all but its own style and script, and return its size in bytes."""
-    style, scripts = _static("report.css"), "\n".join(_static(f"{name}.js") for name in _SCRIPTS)
+    # The page's policy forbids all but its own style and script.
+    style, scripts = _static("report.css"), "\n".join(_static(f"{file}.js") for file in _SCRIPTS)
     script = f'\n(() => {{\n"use strict";\n{scripts}}})();\n'
     hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script))
     policy = (
         "default-src 'none'; img-src data:; style-src 'sha256-{}'; script-src 'sha256-{}'; "
         "base-uri 'none'; form-action 'none'"
     ).format(*hashes)
-    content["written"] = datetime.now().astimezone().isoformat(" ", "minutes")
+    page = {
+        "title": name,
+        "written": datetime.now().astimezone().isoformat(" ", "minutes"),
+        "scans": sections,
+        "topologies": topologies,
+        "batch": None if single else batch_section(rows, anchors, target),
+        "selection": reason,
+        "not_shown": not_shown,
+    }
     template = _environment().get_template("page.html")
-    text = template.render(page=content, style=style, script=script, policy=policy, version=VERSION)
+    text = template.render(page=page, style=style, script=script, policy=policy, version=VERSION)
     write_text(target, text)
-    return len(text.encode())
+    done, failed = (sum(row.status == status for row in rows) for status in (DONE, FAILED))
+    return WrittenReport(target, len(rows), done, failed, len(sections), len(text.encode()))
 
 
 def data_json(value: Any) -> str:
