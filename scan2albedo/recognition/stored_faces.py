@@ -46,13 +46,7 @@ def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
     if source.is_file() and (source.parent / IMAGE_FILE).is_file():
         source = source.parent
     try:
-        if source.is_dir():
-            return _of_folder(source, kind)
-        if kind == "shape":
-            raise NothingToCompareError(
-                f"{source}: is an image, which has no shape; give the folder of the scan"
-            )
-        return _of_image(source)
+        return _of_folder(source, kind) if source.is_dir() else _of_image(source, kind)
     except RecognitionError:
         raise
     except Scan2AlbedoError as error:
@@ -84,7 +78,9 @@ def _of_folder(folder: Path, kind: Kind) -> StoredFace:
     return StoredFace(albedo, image.seen, Chart(model, image.shape))
 
 
-def _of_image(file: Path) -> StoredFace:
+def _of_image(file: Path, kind: Kind) -> StoredFace:
+    if kind == "shape":
+        raise NothingToCompareError(f"{file}: is an image, which has no shape; give the folder of the scan")
     if file.suffix.lower() not in SUPPORTED_IMAGES:
         raise RecognitionError(
             f"{file}: is neither the folder of a processed scan nor an image "

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh
@@ -81,10 +82,8 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
     index = np.full(image.shape, -1, np.int64)
     index[image.mask] = np.arange(len(full.vertices))
     rows, columns = (np.arange(0, size - step, step) for size in image.shape)
-    whole = np.ones((len(rows), len(columns)), bool)
-    for down in range(step + 1):
-        for right in range(step + 1):
-            whole &= image.mask[np.ix_(rows + down, columns + right)]
+    blocks = sliding_window_view(image.mask, (step + 1, step + 1))[::step, ::step]
+    whole = blocks.all(axis=(2, 3))
     a, b, c, d = (
         index[np.ix_(rows + down, columns + right)][whole] for down in (0, step) for right in (0, step)
     )
