@@ -83,7 +83,7 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
     index[image.mask] = np.arange(len(full.vertices))
     rows, columns = (np.arange(0, size - step, step) for size in image.shape)
     blocks = sliding_window_view(image.mask, (step + 1, step + 1))[::step, ::step]
-    whole = blocks.all(axis=(2, 3))
+    whole = np.asarray(blocks.all(axis=(2, 3)))
     a, b, c, d = (
         index[np.ix_(rows + down, columns + right)][whole] for down in (0, step) for right in (0, step)
     )
