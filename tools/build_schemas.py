@@ -27,7 +27,7 @@ from scan2albedo.reflectance.shape_model import ShapeModelHeader
 from scan2albedo.runs.eyeglasses.canonicalize_run import CanonicalFrameRecord, CanonicalSetRecord
 from scan2albedo.runs.eyeglasses.lenses_run import LensesRecord
 from scan2albedo.runs.eyeglasses.register_run import RegisteredFrameRecord
-from scan2albedo.runs.recognition.files import IdentificationRecord
+from scan2albedo.runs.recognition import IdentificationRecord
 from scan2albedo.runs.reflectance import ReflectanceRecord
 
 FOLDER = Path(__file__).resolve().parents[1] / "data_schemas"

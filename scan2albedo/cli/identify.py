@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
-
-if TYPE_CHECKING:
-    from scan2albedo.recognition.templates import Kind
-    from scan2albedo.runs.recognition.files import IdentificationRecord
-
-COMBINATIONS = ("best", "mean")
-TEMPLATES = ".npz"
 
 
 def identify(
@@ -63,13 +56,18 @@ def identify(
     Somebody of the gallery is always the most similar: how similar, and by how much more than the next
     person, shows how reliable that is. Where probes name their person, the rate of right answers is printed.
     """
-    if combine not in COMBINATIONS:
-        raise typer.BadParameter(f"--combine is {combine!r}, expected {' or '.join(COMBINATIONS)}")
-    if save_templates is not None and save_templates.suffix != TEMPLATES:
+    if combine not in ("best", "mean"):
+        raise typer.BadParameter(f"--combine is {combine!r}, expected best or mean")
+    if save_templates is not None and save_templates.suffix != ".npz":
         raise typer.BadParameter(f"--save-templates is {save_templates}, expected a name that ends in .npz")
     if probes is None and (save_templates is None or out is not None):
         raise typer.BadParameter("there are no probes; give --probes (or --save-templates alone)")
-    kinds = _kinds(use)
+    from scan2albedo.recognition.labelled_templates import checked_use
+
+    try:
+        kinds = checked_use([name.strip() for name in use.split(",")])  # type: ignore[misc]
+    except ValueError as error:
+        raise typer.BadParameter(f"--use is {use!r}, expected albedo, shape or albedo,shape") from error
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
@@ -80,7 +78,7 @@ def identify(
         read_labelled_templates,
         write_labelled_templates,
     )
-    from scan2albedo.runs.recognition.files import FILES, identification_record, write_identification
+    from scan2albedo.runs.recognition import FILES, write_identification
 
     with removed_if_empty(out), ProgressLines("identify") as progress:
         if out is not None:
@@ -97,11 +95,9 @@ def identify(
             progress.say(f"identify: {len(known)} templates in {' and '.join(map(str, written))}")
         if probes is None:
             if json_summary:
-                counts = {
-                    "gallery_images": len(known),
-                    "persons": sorted({person for person in known.persons if person is not None}),
-                }
-                echo_json({"templates": str(save_templates), **counts})
+                people = sorted({person for person in known.persons if person is not None})
+                shown = {"templates": str(save_templates), "gallery_images": len(known), "persons": people}
+                echo_json(shown)
             return
         found = identify_results(
             known,
@@ -112,54 +108,25 @@ def identify(
         )
         for note in found.notes:
             progress.say(f"identify: {note}")
-        record = identification_record(found) if out is None else write_identification(found, out)
-        progress.say(f"identify: {_summary(record)}{'' if out is None else f'; files in {out}'}")
+        record = write_identification(found, out)
+        counts = {"probe": len(record.results), "person": len(record.persons), "image": record.gallery_images}
+        shown_probes, persons, images = (f"{n} {what}{'' if n == 1 else 's'}" for what, n in counts.items())
+        text = f"{shown_probes}, {persons} on {images}, by {' and '.join(record.use)}"
+        if (rates := record.rates) is not None:
+            low, high = rates.rank_1_interval
+            text += (
+                f"; right at rank 1: {rates.rank_1_rate:.1%} of {rates.probes} named probes "
+                f"({low:.1%} to {high:.1%} at {rates.confidence:.0%})"
+            )
+        progress.say(f"identify: {text}{'' if out is None else f'; files in {out}'}")
     if json_summary:
         echo_json(record.model_dump(mode="json"))
-    else:
-        typer.echo(_table(record))
-
-
-def _kinds(use: str) -> tuple[Kind, ...]:
-    from scan2albedo.recognition.labelled_templates import checked_use
-
-    try:
-        return checked_use([name.strip() for name in use.split(",")])  # type: ignore[misc]
-    except ValueError as error:
-        raise typer.BadParameter(f"--use is {use!r}, expected albedo, shape or albedo,shape") from error
-
-
-def _summary(record: IdentificationRecord) -> str:
-    counts = (len(record.results), "probe"), (len(record.persons), "person"), (record.gallery_images, "image")
-    probes, persons, images = (f"{count} {what}{'' if count == 1 else 's'}" for count, what in counts)
-    text = f"{probes}, {persons} on {images}, by {' and '.join(record.use)}"
-    rates = record.rates
-    if rates is None:
-        return text
-    low, high = rates.rank_1_interval
-    return (
-        f"{text}; right at rank 1: {rates.rank_1_rate:.1%} of {rates.probes} named probes "
-        f"({low:.1%} to {high:.1%} at {rates.confidence:.0%})"
-    )
-
-
-def _table(record: IdentificationRecord) -> str:
-    """Return the probes as aligned text."""
-    head = ("probe", "person", "predicted", "similarity", "rank", "next", "similarity")
-    rows = [
-        (
-            probe.probe,
-            probe.person or "?",
-            probe.predicted,
-            f"{probe.similarity:.3f}",
-            str(probe.rank or "?"),
-            probe.next_person or "",
-            "" if probe.next_similarity is None else f"{probe.next_similarity:.3f}",
-        )
-        for probe in record.results
-    ]
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    lines = (
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in (head, *rows)
-    )
-    return "\n".join(line.rstrip() for line in lines)
+        return
+    rows = [("probe", "person", "predicted", "similarity", "rank", "next", "similarity")]
+    for probe in record.results:
+        following = "" if probe.next_similarity is None else f"{probe.next_similarity:.3f}"
+        own = probe.probe, probe.person or "?", probe.predicted, f"{probe.similarity:.3f}"
+        rows.append((*own, str(probe.rank or "?"), probe.next_person or "", following))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        typer.echo("  ".join(map(str.ljust, row, widths)).rstrip())

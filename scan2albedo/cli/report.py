@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -33,14 +34,5 @@ def report(
     written = write_report(out, path, scans=scans, on_progress=say)
     say(f"{written.path}: {written.scans} scans, {size_text(written.size_bytes)}")
     if json_summary:
-        echo_json(
-            {
-                "status": "done",
-                "out": str(written.path),
-                "scans": written.scans,
-                "done": written.done,
-                "failed": written.failed,
-                "sections": written.sections,
-                "size_bytes": written.size_bytes,
-            }
-        )
+        figures = asdict(written)
+        echo_json({"status": "done", "out": str(figures.pop("path")), **figures})

@@ -1,13 +1,7 @@
 """Recognition of persons by their albedo: templates, similarity, identification and its curves."""
 
 from scan2albedo.recognition.curves import CmcCurve, RocCurve, cmc_curve, roc_curve
-from scan2albedo.recognition.identification import (
-    Identification,
-    ProbeMatches,
-    identify,
-    identify_by_similarity,
-    match_probes,
-)
+from scan2albedo.recognition.identification import Identification, identify, identify_by_similarity
 from scan2albedo.recognition.labelled_templates import (
     LabelledTemplates,
     read_labelled_templates,
@@ -31,23 +25,19 @@ from scan2albedo.recognition.templates import (
     albedo_templates,
     shape_templates,
 )
-from scan2albedo.recognition.transformers import DistanceTransformer, TemplateTransformer
 
 __all__ = [
     "Calibration",
     "Chart",
     "CmcCurve",
-    "DistanceTransformer",
     "Identification",
     "LabelledTemplates",
     "Manifest",
     "ManifestEntry",
-    "ProbeMatches",
     "ResultIdentification",
     "RocCurve",
     "StoredFace",
     "TemplateOptions",
-    "TemplateTransformer",
     "Templates",
     "albedo_templates",
     "cmc_curve",
@@ -56,7 +46,6 @@ __all__ = [
     "identify",
     "identify_by_similarity",
     "identify_results",
-    "match_probes",
     "read_face",
     "read_labelled_templates",
     "read_manifest",

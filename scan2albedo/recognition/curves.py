@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,9 +33,11 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
     """Return the cumulative match characteristic of an identification, with Clopper and Pearson's intervals.
 
     They take the probes as independent; of several probes of one person they are too short. The curve is that
-    of Phillips et al., IEEE PAMI 22(10), 2000; the intervals are from Biometrika 26(4), 1934.
+    of Phillips et al., IEEE PAMI 22(10), 2000; the intervals are from Biometrika 26(4), 1934. Probes of
+    unknown persons do not count.
 
-    `confidence` is that of the two-sided intervals; ValueError outside (0, 1).
+    `confidence` is that of the two-sided intervals; ValueError outside (0, 1), RecognitionError when no
+    probe's person is known.
 
     Examples
     --------
@@ -46,8 +49,11 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
     if not 0 < confidence < 1:
         raise ValueError(f"confidence is {confidence}, expected within (0, 1)")
     rank = np.arange(1, len(identification.persons) + 1)
-    hits = (identification.ranks[:, None] <= rank).sum(axis=0)
-    probes = len(identification.ranks)
+    ranks = identification.ranks[identification.known]
+    if len(ranks) == 0:
+        raise RecognitionError("no probe's person is known, so there is no rate; name the persons")
+    hits = (ranks[:, None] <= rank).sum(axis=0)
+    probes = len(ranks)
     low, high = _rate_interval(hits, probes, confidence)
     return CmcCurve(rank, hits / probes, low, high, probes, confidence)
 
@@ -61,10 +67,6 @@ def _rate_interval(hits: ArrayLike, trials: int, confidence: float) -> tuple[Flo
     low = np.where(found > 0, betaincinv(np.where(found > 0, found, 1), missed + 1, tail), 0.0)
     high = np.where(missed > 0, betaincinv(found + 1, np.where(missed > 0, missed, 1), 1 - tail), 1.0)
     return low, high
-
-
-_RATES, _LEAST_RATE = 61, 1e-6
-"""Number of false accept rates of a curve, and the least."""
 
 
 @dataclass(frozen=True)
@@ -115,23 +117,16 @@ def roc_curve(
     and the few that do err much alike: intervals of true accept rates and of the equal error rate are never
     shorter than Clopper and Pearson's for as many independent genuine claims.
 
-    Parameters
-    ----------
-    identification : Identification
-    false_accept_rates : (F,)
-        Ascending, within [0, 1]; evenly spaced logarithms from that of one impostor's claim when omitted.
-    confidence : float
-        Of the two-sided intervals, within (0, 1).
-    resamples : int
-        With 0 the bounds of the intervals are the values themselves.
-    seed : int or numpy.random.Generator
+    `false_accept_rates` (F,) ascend within [0, 1]; when omitted, 61 of evenly spaced logarithms from that of
+    one impostor's claim. `confidence` is that of the two-sided intervals, within (0, 1); without `resamples`
+    their bounds are the values themselves.
 
     Raises
     ------
     ValueError
         When an option is out of range.
     RecognitionError
-        When the gallery has one person only: then nobody is an impostor.
+        When no probe's person is known, or the gallery has one person only: then nobody is an impostor.
 
     Notes
     -----
@@ -147,27 +142,31 @@ def roc_curve(
     """
     if len(identification.persons) < 2:
         raise RecognitionError("the gallery has one person only, so nobody is an impostor; add persons")
-    claims = _Claims.of(identification)
+    persons, genuine = len(identification.persons), int(identification.known.sum())
+    if genuine == 0:
+        raise RecognitionError("no probe's person is known, so there is no rate; name the persons")
+    impostors = genuine * (persons - 1)
     if false_accept_rates is None:
-        one_claim = 1 / int((~claims.genuine).sum())
-        false_accept_rates = np.geomspace(max(one_claim, _LEAST_RATE), 1.0, _RATES)
+        false_accept_rates = np.geomspace(1 / impostors, 1.0, 61)
     rates = np.asarray(false_accept_rates, np.float64)
     inside = rates.ndim == 1 and len(rates) > 0 and ((rates >= 0) & (rates <= 1)).all()
     if not inside or (np.diff(rates) < 0).any():
         raise ValueError("false_accept_rates are expected to be (F,), ascending, within [0, 1]")
     if not 0 < confidence < 1 or resamples < 0:
         raise ValueError(f"confidence is {confidence} and resamples {resamples}, expected in (0, 1) and >= 0")
-    found = claims.rates(np.ones(len(identification.persons)), rates)
-    random = np.random.default_rng(seed)
-    drawn = [found] if resamples == 0 else [claims.resampled(random, rates) for _ in range(resamples)]
+    rates_of_draw = _rates_of_draw(identification)
+    found = rates_of_draw(np.ones(persons), rates)
+    random, drawn = np.random.default_rng(seed), list[FloatArray]()
+    while len(drawn) < resamples:
+        times = np.bincount(random.integers(persons, size=persons), minlength=persons)
+        values = rates_of_draw(times.astype(np.float64), rates)
+        if np.isfinite(values).all():  # draws that leave claims of both kinds
+            drawn.append(values)
     tail = 50 * (1 - confidence)
-    low, high = np.percentile(drawn, [tail, 100 - tail], axis=0)
-    genuine = int(claims.genuine.sum())
+    low, high = np.percentile(drawn or [found], [tail, 100 - tail], axis=0)
     if resamples > 0:
-        least, most = _rate_interval(found[2:] * genuine, genuine, confidence)
-        low[2:], high[2:] = np.minimum(low[2:], least), np.maximum(high[2:], most)
-        least, most = _rate_interval(found[1] * genuine, genuine, confidence)
-        low[1], high[1] = min(low[1], least), max(high[1], most)
+        least, most = _rate_interval(found[1:] * genuine, genuine, confidence)
+        low[1:], high[1:] = np.minimum(low[1:], least), np.maximum(high[1:], most)
     return RocCurve(
         rates,
         found[2:],
@@ -178,44 +177,34 @@ def roc_curve(
         float(found[1]),
         (float(low[1]), float(high[1])),
         genuine,
-        len(claims.genuine) - genuine,
-        len(identification.persons),
+        impostors,
+        persons,
         resamples,
         confidence,
     )
 
 
-@dataclass(frozen=True)
-class _Claims:
-    """All claims in order of falling similarity."""
+def _rates_of_draw(identification: Identification) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Return a function of how often each person was drawn (G,) and of false accept rates (F,).
 
-    genuine: BoolArray
-    prober: IntArray
-    """Index of the person on the probe."""
-    claimed: IntArray
-    last: IntArray
-    """Of each run of equal similarities, which a threshold takes whole."""
-    persons: int
+    It gives area, equal error rate and true accept rates (2 + F,): NaN when no genuine claim, or no
+    impostor's, is left.
+    """
+    # All claims in order of falling similarity: the probe's person and the claimed one, by index.
+    known = identification.known
+    scores, own = identification.similarities[known], identification.genuine[known].argmax(axis=1)
+    order = np.argsort(-scores, axis=None, kind="stable")
+    probe, claimed = np.unravel_index(order, scores.shape)
+    falling, prober = scores[probe, claimed], own[probe]
+    genuine = prober == claimed
+    # The last of each run of equal similarities, which a threshold takes whole.
+    last = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
 
-    @classmethod
-    def of(cls, identification: Identification) -> _Claims:
-        scores = identification.similarities
-        own = np.searchsorted(identification.persons, identification.probe_names)
-        order = np.argsort(-scores, axis=None, kind="stable")
-        probe, claimed = np.unravel_index(order, scores.shape)
-        falling = scores[probe, claimed]
-        last = np.flatnonzero(np.append(falling[1:] != falling[:-1], True))
-        return cls(own[probe] == claimed, own[probe], claimed, last, len(identification.persons))
-
-    def rates(self, times: FloatArray, false_accept_rates: FloatArray) -> FloatArray:
-        """Return area, equal error rate and true accept rates when person p was drawn `times[p]` times.
-
-        NaN when no genuine claim, or no impostor's, is left.
-        """
-        own = times[self.prober]
-        weight = np.where(self.genuine, own, own * times[self.claimed])
-        accepted = np.cumsum(np.where(self.genuine, weight, 0.0))[self.last]
-        fooled = np.cumsum(np.where(self.genuine, 0.0, weight))[self.last]
+    def rates(times: FloatArray, false_accept_rates: FloatArray) -> FloatArray:
+        drawn = times[prober]
+        weight = np.where(genuine, drawn, drawn * times[claimed])
+        accepted = np.cumsum(np.where(genuine, weight, 0.0))[last]
+        fooled = np.cumsum(np.where(genuine, 0.0, weight))[last]
         if not (accepted[-1] > 0 and fooled[-1] > 0):
             return np.full(2 + len(false_accept_rates), np.nan)
         true_rate = np.concatenate([[0.0], accepted / accepted[-1]])
@@ -229,10 +218,4 @@ class _Claims:
         equal = false_rate[after - 1] + share * (false_rate[after] - false_rate[after - 1])
         return np.concatenate([[area, equal], true_rate[within]])
 
-    def resampled(self, random: np.random.Generator, false_accept_rates: FloatArray) -> FloatArray:
-        """Return `rates` of a draw of the persons that leaves claims of both kinds."""
-        while True:
-            drawn = np.bincount(random.integers(self.persons, size=self.persons), minlength=self.persons)
-            values = self.rates(drawn.astype(np.float64), false_accept_rates)
-            if np.isfinite(values).all():
-                return values
+    return rates

@@ -19,32 +19,52 @@ Combine = Literal["best", "mean"]
 
 @dataclass(frozen=True)
 class Identification:
-    """The persons that probes were identified as."""
+    """Persons of a gallery by their similarity to each probe."""
 
     persons: tuple[str, ...]
     """(G,): of the gallery, in alphabetical order."""
-    probe_names: tuple[str, ...]
-    """(P,): who the probes show."""
+    probe_names: tuple[str | None, ...]
+    """(P,): who the probes show; None where that is unknown."""
     similarities: FloatArray
     """(P, G): of each probe to each person."""
     ranks: IntArray
     """(P,): place of the right person, 1 for the most similar; persons as similar as the right one count
-    before."""
-    predicted: tuple[str, ...]
-    """(P,): the most similar person, the first in the alphabet of several."""
-    tied: BoolArray
-    """(P,): whether several persons are the most similar, or as similar as the right one."""
+    before. 0 where the person is unknown."""
     combine: Combine
     """What is taken of a person's several gallery images."""
 
-    def rate(self, rank: int = 1) -> float:
-        """Return the share of probes whose person is among the first `rank`."""
-        return float((self.ranks <= rank).mean())
+    @property
+    def known(self) -> BoolArray:
+        """(P,): whether the probe's person is known; others count in no rate."""
+        return self.ranks > 0
+
+    @property
+    def order(self) -> IntArray:
+        """(P, G): indices of persons, the most similar first, in alphabetical order among equals."""
+        return np.argsort(-self.similarities, axis=1, kind="stable")
+
+    @property
+    def predicted(self) -> tuple[str, ...]:
+        """(P,): the most similar person, the first in the alphabet of several."""
+        return tuple(self.persons[k] for k in self.similarities.argmax(axis=1))
 
     @property
     def genuine(self) -> BoolArray:
         """(P, G): whether the probe shows the person."""
-        return np.array(self.probe_names)[:, None] == np.array(self.persons)[None]
+        return np.asarray(np.array(self.probe_names, object)[:, None] == np.array(self.persons, object))
+
+    @property
+    def tied(self) -> BoolArray:
+        """(P,): whether several persons are the most similar, or as similar as the right one."""
+        scores = self.similarities
+        own = np.where(self.genuine, scores, np.nan)
+        right = np.nanmax(np.where(self.known[:, None], own, np.inf), axis=1, keepdims=True)
+        best = scores.max(axis=1, keepdims=True)
+        return ((scores == best).sum(axis=1) > 1) | ((scores == right).sum(axis=1) > 1)
+
+    def rate(self, rank: int = 1) -> float:
+        """Return the share of probes of known persons whose person is among the first `rank`."""
+        return float((self.ranks[self.known] <= rank).mean())
 
 
 def identify(
@@ -58,23 +78,10 @@ def identify(
 
     As Toderici et al.: a closed set, compared by CW-SSIM of the coarsest of three scales.
 
-    Parameters
-    ----------
-    gallery : Templates
-        Of the known persons, one or more each.
-    probes : Templates
-        Their names do not influence the prediction; they only show whether it is right.
-    combine : {"best", "mean"}
-        A person's similarity is the best of, or the mean over, the images in the gallery.
-    window : int
-        As in `cw_ssim`.
-
-    Raises
-    ------
-    ValueError
-        For another `combine`.
-    RecognitionError
-        When a set is empty, a probe's person is not in the gallery, or templates cannot be compared.
+    The gallery has one template or more of each person, whose similarity is the best of, or the mean over,
+    these, as `combine` says. Names of probes only show whether the prediction is right; `window` is as in
+    `cw_ssim`. ValueError for another `combine`; RecognitionError when a set is empty, a probe's person is not
+    in the gallery, or templates cannot be compared.
 
     Examples
     --------
@@ -94,45 +101,45 @@ def identify(
 def identify_by_similarity(
     similarities: ArrayLike,
     gallery_names: Sequence[str],
-    probe_names: Sequence[str],
+    probe_names: Sequence[str | None],
     *,
     combine: Combine = "best",
 ) -> Identification:
     """Return the identification by given similarities of any kind; larger is more alike.
 
-    ValueError when the shape does not fit the names or `combine` is unknown, RecognitionError when a set is
-    empty, a probe's person is not in the gallery, or a similarity is not finite.
+    The set is closed: a probe whose person is unknown gets the most similar person too.
 
-    Parameters
-    ----------
-    similarities : (P, images) array_like
-        Those of probes to gallery images.
-    gallery_names, probe_names : sequence of str
-        Persons of the gallery's images and of the probes.
-    combine : {"best", "mean"}
-        As in `identify`.
+    `similarities` (P, images) are those of probes to gallery images, of which the names are given: None for
+    probes whose person is unknown. `combine` is as in `identify`. ValueError when the shape does not fit the
+    names or `combine` is unknown; RecognitionError when a set is empty, a probe's person is not in the
+    gallery, or a similarity is not finite.
 
     Examples
     --------
-    >>> found = identify_by_similarity(np.array([[0.9, 0.2], [0.6, 0.4]]), ["ann", "bob"], ["ann", "bob"])
-    >>> found.ranks.tolist(), found.rate(1)
-    ([1, 2], 0.5)
+    >>> found = identify_by_similarity(np.array([[0.9, 0.2], [0.6, 0.4]]), ["ann", "bob"], [None, "bob"])
+    >>> found.predicted, found.ranks.tolist(), found.rate(1)
+    (('ann', 'ann'), [0, 2], 0.0)
     """
-    scores = _checked(similarities, gallery_names, probe_names)
+    scores = np.asarray(similarities, np.float64)
+    _check_closed(gallery_names, probe_names)
+    if scores.shape != (len(probe_names), len(gallery_names)):
+        raise ValueError(
+            f"similarities have shape {scores.shape}, expected ({len(probe_names)}, {len(gallery_names)}): "
+            "probes by gallery images"
+        )
+    if not np.isfinite(scores).all():
+        i, j = np.argwhere(~np.isfinite(scores))[0]
+        raise RecognitionError(
+            f"the similarity of probe {i} ({probe_names[i] or 'nobody named'}) and gallery image {j} "
+            f"({gallery_names[j]}) is {scores[i, j]}; leave one of them out"
+        )
     persons, scores = similarities_by_person(scores, gallery_names, combine)
-    right = np.searchsorted(persons, probe_names)
-    own = scores[np.arange(len(scores)), right]
-    best = scores.max(axis=1, keepdims=True)
-    tied = ((scores == best).sum(axis=1) > 1) | ((scores == own[:, None]).sum(axis=1) > 1)
-    return Identification(
-        persons,
-        tuple(probe_names),
-        scores,
-        (scores >= own[:, None]).sum(axis=1),
-        tuple(persons[k] for k in scores.argmax(axis=1)),
-        tied,
-        combine,
+    place = {person: k for k, person in enumerate(persons)}
+    own = np.array(
+        [np.inf if name is None else row[place[name]] for name, row in zip(probe_names, scores, strict=True)]
     )
+    ranks = (scores >= own[:, None]).sum(axis=1)
+    return Identification(persons, tuple(probe_names), scores, ranks, combine)
 
 
 def similarities_by_person(
@@ -155,26 +162,6 @@ def similarities_by_person(
     raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
 
 
-def _checked(
-    similarities: ArrayLike, gallery_names: Sequence[str], probe_names: Sequence[str | None]
-) -> FloatArray:
-    """Return similarities (probes, images) as floats; errors when they do not fit, or one is not finite."""
-    scores = np.asarray(similarities, np.float64)
-    _check_closed(gallery_names, probe_names)
-    if scores.shape != (len(probe_names), len(gallery_names)):
-        raise ValueError(
-            f"similarities have shape {scores.shape}, expected ({len(probe_names)}, {len(gallery_names)}): "
-            "probes by gallery images"
-        )
-    if not np.isfinite(scores).all():
-        i, j = np.argwhere(~np.isfinite(scores))[0]
-        raise RecognitionError(
-            f"the similarity of probe {i} ({probe_names[i] or 'nobody named'}) and gallery image {j} "
-            f"({gallery_names[j]}) is {scores[i, j]}; leave one of them out"
-        )
-    return scores
-
-
 def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str | None]) -> None:
     if len(gallery_names) == 0:
         raise RecognitionError("the gallery is empty; give one image or more of each person")
@@ -188,65 +175,3 @@ def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str | None
             f"the gallery has no image of the person of probe {shown}; identification is among the "
             "persons of the gallery: add their images, or leave these probes out"
         )
-
-
-@dataclass(frozen=True)
-class ProbeMatches:
-    """Persons by similarity to each probe."""
-
-    persons: tuple[str, ...]
-    """(G,): of the gallery, in alphabetical order."""
-    probe_persons: tuple[str | None, ...]
-    """(P,): who the probes show; None where that is unknown."""
-    similarities: FloatArray
-    """(P, G): of each probe to each person."""
-    ranks: IntArray
-    """(P,): place of the right person, as in `Identification`; 0 where that is unknown."""
-    order: IntArray
-    """(P, G): indices of persons, the most similar first, in alphabetical order among equals."""
-    named: Identification | None
-    """Of the probes whose person is known, in their order; None when there is none."""
-
-    def predicted(self, place: int = 1) -> tuple[str, ...]:
-        """Return (P,) the person at a place, 1 for the most similar."""
-        return tuple(self.persons[k] for k in self.order[:, place - 1])
-
-    def similarity(self, place: int = 1) -> FloatArray:
-        """Return (P,) the similarity of the person at a place."""
-        return np.take_along_axis(self.similarities, self.order[:, place - 1 : place], 1)[:, 0]
-
-
-def match_probes(
-    similarities: ArrayLike,
-    gallery_names: Sequence[str],
-    probe_persons: Sequence[str | None],
-    *,
-    combine: Combine = "best",
-) -> ProbeMatches:
-    """Return the persons of a gallery, ranked by their similarity to each probe.
-
-    The set is closed: a probe of a stranger gets the most similar person too.
-
-    Parameters
-    ----------
-    similarities, gallery_names, combine
-        As in `identify_by_similarity`.
-    probe_persons : sequence of str or None
-        None for probes whose person is unknown.
-
-    Examples
-    --------
-    >>> found = match_probes(np.array([[0.9, 0.2], [0.6, 0.4]]), ["ann", "bob"], [None, "bob"])
-    >>> found.predicted(), found.ranks.tolist()
-    (('ann', 'ann'), [0, 2])
-    """
-    checked = _checked(similarities, gallery_names, probe_persons)
-    persons, scores = similarities_by_person(checked, gallery_names, combine)
-    rows = [k for k, person in enumerate(probe_persons) if person is not None]
-    named, ranks = None, np.zeros(len(probe_persons), np.int64)
-    if rows:
-        names = [person for person in probe_persons if person is not None]
-        named = identify_by_similarity(np.asarray(similarities)[rows], gallery_names, names, combine=combine)
-        ranks[rows] = named.ranks
-    order = np.argsort(-scores, axis=1, kind="stable")
-    return ProbeMatches(persons, tuple(probe_persons), scores, ranks, order, named)

@@ -31,8 +31,6 @@ from scan2albedo.recognition.templates import (
 
 DEFAULT_USE: tuple[Kind, ...] = ("albedo", "shape")
 """Both together recognise best, see docs/recognition.md."""
-CountCallback = Callable[[int, int], None]
-"""Called with how many are done, of how many."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ def read_labelled_templates(
     use: Sequence[Kind] = DEFAULT_USE,
     persons_required: bool = True,
     options: TemplateOptions | None = None,
-    on_count: CountCallback | None = None,
+    on_count: Callable[[int, int], None] | None = None,
 ) -> LabelledTemplates:
     """Return the templates of a file (.npz), or of the results that a CSV file or a folder names.
 
@@ -96,12 +94,11 @@ def read_labelled_templates(
     Parameters
     ----------
     source : path
-        From `write_labelled_templates` or `write_templates`, or a manifest as `read_manifest` takes it.
+        From `write_labelled_templates` or `write_templates`, or a manifest as `read_manifest` takes it; every
+        line of it has to name a person where `persons_required`.
     use : sequence of {"albedo", "shape"}
         What templates are made of. Results that lack one of them, or have nothing to compare, go on without,
         and a note says so.
-    persons_required : bool
-        Whether every line of a manifest has to name a person.
     options : TemplateOptions, optional
         The default ones, or those of the file, when omitted.
     on_count : callable, optional
@@ -123,7 +120,7 @@ def read_labelled_templates(
 
 
 def _of_file(file: Path, kinds: tuple[Kind, ...], options: TemplateOptions | None) -> LabelledTemplates:
-    beside = shape_file(file)
+    beside = file.with_suffix(".shape.npz")
     read = map(read_templates, [file, beside] if beside.is_file() else [file])
     found = {templates.kind: templates for templates in read if templates.kind in kinds}
     if not found:
@@ -146,20 +143,23 @@ def _of_file(file: Path, kinds: tuple[Kind, ...], options: TemplateOptions | Non
 
 
 def _of_manifest(
-    manifest: Manifest, kinds: tuple[Kind, ...], options: TemplateOptions, on_count: CountCallback | None
+    manifest: Manifest,
+    kinds: tuple[Kind, ...],
+    options: TemplateOptions,
+    on_count: Callable[[int, int], None] | None,
 ) -> LabelledTemplates:
     entries = manifest.entries
     made: dict[Kind, dict[int, Any]] = {kind: {} for kind in kinds}
     reasons: list[dict[Kind, str]] = [{} for _ in entries]
-    charts: list[tuple[str, Chart]] = []
+    chart, first = None, ""
     for k, entry in enumerate(entries):
         where = manifest.where(entry)
         for kind in kinds:
             try:
                 face = read_face(entry.path, kind)
                 made[kind][k] = kind_coefficients(kind, face.values, face.seen, options, entry.result)
-                for other, earlier in charts:
-                    common_chart(earlier, face.chart, other, where)
+                before, chart = chart, common_chart(chart, face.chart, first, where)
+                first = entry.result if chart != before else first
             except RecognitionError as error:
                 # What is wrong, after the place where the entry is named; nothing is named twice.
                 text = str(error)
@@ -169,9 +169,6 @@ def _of_manifest(
                 if not isinstance(error, NothingToCompareError):
                     raise RecognitionError(text) from error
                 reasons[k][kind] = text
-            else:
-                if not charts or (face.chart.model is not None and charts[-1][1].model is None):
-                    charts.append((entry.result, face.chart))
         if on_count is not None:
             on_count(k + 1, len(entries))
     sets = {
@@ -180,7 +177,7 @@ def _of_manifest(
             np.stack([mask for _, mask in of_kind.values()]),
             tuple(entries[k].person or entries[k].result for k in of_kind),
             options,
-            charts[-1][1],
+            chart,
             kind,
         )
         for kind, of_kind in made.items()
@@ -210,57 +207,24 @@ def _of_manifest(
     return whole.select([k for k, lacking in enumerate(reasons) if len(lacking) < len(kinds)])
 
 
-def shape_file(file: Path) -> Path:
-    """Return the file of the shapes' templates beside that of the albedos'.
-
-    >>> shape_file(Path("out/gallery.npz")).name
-    'gallery.shape.npz'
-    """
-    return file.with_suffix(".shape.npz")
-
-
 def write_labelled_templates(path: str | Path, labelled: LabelledTemplates) -> tuple[Path, ...]:
     """Write templates as NPZ files, each whole or not at all.
 
-    Their names are NAME.npz, and NAME.shape.npz where there are both albedo and shape.
-
-    Parameters
-    ----------
-    path : path
-        Ends in .npz.
-    labelled : LabelledTemplates
-
-    Returns
-    -------
-    tuple of path
-        The files.
-
-    Raises
-    ------
-    ValueError
-        When the name does not end in .npz.
-    RecognitionError
-        When some results have both albedo and shape and others only one of them.
-    OutputError
-        When a file cannot be written.
+    Return them: NAME.npz, and NAME.shape.npz where there are both albedo and shape. ValueError when the name
+    does not end in .npz, RecognitionError when some results have both albedo and shape and others only one
+    of them, OutputError when a file cannot be written.
     """
     file = Path(path)
-    lacking = {
-        labelled.labels[k] for rows in labelled.rows.values() for k in set(range(len(labelled))) - set(rows)
-    }
-    if lacking:
+    everybody = set(range(len(labelled)))
+    if lacking := {labelled.labels[k] for rows in labelled.rows.values() for k in everybody - set(rows)}:
         raise RecognitionError(
             f"{labelled.source}: {', '.join(sorted(lacking)[:5])} lack albedo or shape, which others have; "
             "use one of the two for all, or leave them out"
         )
-    files = [file] if len(labelled.sets) == 1 else [file, shape_file(file)]
+    files = [file] if len(labelled.sets) == 1 else [file, file.with_suffix(".shape.npz")]
     for name, templates in zip(files, labelled.sets.values(), strict=True):
         write_templates(name, templates)
     return tuple(files)
-
-
-_ARRAYS = {"coefficients": "c", "mask": "b"}
-"""Names of the arrays in a file and their kinds."""
 
 
 class TemplateOptionsRecord(BaseModel):
@@ -302,7 +266,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     header = TemplatesHeader(
         names=templates.names, options=options, chart=templates.chart, kind=templates.kind
     )
-    arrays = {name: getattr(templates, name) for name in _ARRAYS}
+    arrays = {"coefficients": templates.coefficients, "mask": templates.mask}
     write_npz_record(path, header, arrays, what="template")
 
 
@@ -315,7 +279,7 @@ def read_templates(path: str | Path) -> Templates:
     header, arrays = read_npz_record(
         path,
         TemplatesHeader,
-        _ARRAYS,
+        {"coefficients": "c", "mask": "b"},
         what="templates",
         advice="give a file that write_templates wrote (data_schemas/template_set.schema.json)",
         error=RecognitionError,

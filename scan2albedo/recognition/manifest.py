@@ -10,7 +10,6 @@ from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.result_records import APPLICATION_FILE
 
-COLUMNS = ("person", "result")
 RESULT_FILE, CATALOGUE_FILE = "result.json", "catalogue.parquet"
 
 
@@ -53,32 +52,24 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     PERSON, and `FOLDER/SCAN` the person that the column `person` of the batch's catalogue names or, without
     that column, a person called SCAN.
 
-    Parameters
-    ----------
-    path : path
-    persons_required : bool
-        Whether every line has to name a person.
+    Every line has to name a person where `persons_required`.
 
-    Raises
-    ------
-    RecognitionError
-        When the file is missing, no text, lacks a column or has no entry; when an entry lacks person or
-        result, a result does not exist or is named with two persons. Names file and line.
-    MissingDependencyError
-        When a folder holds a catalogue, and pyarrow, which reads it, is not installed.
+    RecognitionError, which names file and line, when the file is missing, no text, lacks a column or has no
+    entry; when an entry lacks person or result, a result does not exist or is named with two persons.
+    MissingDependencyError when a folder holds a catalogue, and pyarrow, which reads it, is not installed.
     """
     file = Path(path)
     if file.is_dir():
         return _of_folder(file, persons_required)
-    advice = f"give a CSV file with the columns {' and '.join(COLUMNS)}"
+    advice = "give a CSV file with the columns person and result"
     text = read_text(file, what=str(file), advice=advice, error=RecognitionError)
     rows = [(line, [cell.strip() for cell in row]) for line, row in table_rows(text, file, RecognitionError)]
     header = [cell.lower() for cell in rows[0][1]] if rows else []
-    if missing := [name for name in COLUMNS if name not in header]:
+    if missing := [name for name in ("person", "result") if name not in header]:
         found = f"its first line has {', '.join(rows[0][1])}" if rows else "it is empty"
         raise RecognitionError(
             f"{file} lacks the column{'s' * (len(missing) > 1)} {' and '.join(missing)} ({found}); begin it "
-            f"with a header of {','.join(COLUMNS)}"
+            f"with a header of person,result"
         )
     entries: list[ManifestEntry] = []
     for line, row in rows[1:]:
@@ -113,22 +104,37 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     return Manifest(file, tuple(entries), tuple(notes))
 
 
-def holds_result(folder: Path) -> bool:
-    """Return whether a folder is that of one processed scan, or of a face that an application wrote."""
-    return any((folder / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE))
-
-
 def _of_folder(folder: Path, persons_required: bool) -> Manifest:
-    if holds_result(folder):
-        raise RecognitionError(
-            f"{folder}: is one result; give the folder that holds the folders of results, or a CSV file with "
-            f"the columns {' and '.join(COLUMNS)}"
-        )
+    def holds_result(of: Path) -> bool:
+        """Whether it is the folder of one processed scan, or of a face that an application wrote."""
+        return any((of / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE))
 
     def folders(of: Path) -> list[Path]:
         return sorted(path for path in of.iterdir() if path.is_dir() and not path.name.startswith("."))
 
-    named = _persons_of_catalogue(folder / CATALOGUE_FILE)
+    if holds_result(folder):
+        raise RecognitionError(
+            f"{folder}: is one result; give the folder that holds the folders of results, or a CSV file with "
+            "the columns person and result"
+        )
+
+    # The persons of a batch's catalogue by the scan's name, where it has that column.
+    named, catalogue = None, folder / CATALOGUE_FILE
+    if catalogue.is_file():
+        with needs_extra("batch"):
+            import pyarrow
+            import pyarrow.parquet as parquet
+
+        try:
+            if {"name", "person"} <= set(parquet.read_schema(catalogue).names):
+                rows = parquet.read_table(catalogue, columns=["name", "person"]).to_pylist()
+                named = {
+                    row["name"]: unicodedata.normalize("NFC", (row["person"] or "").strip()) for row in rows
+                }
+        except (OSError, pyarrow.ArrowException) as error:
+            raise RecognitionError(
+                f"{catalogue}: cannot be read ({error}); move it away, or repair the batch"
+            ) from error
     entries = []
     for first in folders(folder):
         if holds_result(first):
@@ -144,27 +150,7 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
         )
     if persons_required and (nameless := [entry.result for entry in entries if entry.person is None]):
         raise RecognitionError(
-            f"{folder / CATALOGUE_FILE}: names no person for {', '.join(nameless[:5])}; fill the column "
+            f"{catalogue}: names no person for {', '.join(nameless[:5])}; fill the column "
             "person of the batch's manifest"
         )
     return Manifest(folder, tuple(entries))
-
-
-def _persons_of_catalogue(file: Path) -> dict[str, str] | None:
-    """Return the persons of a batch's catalogue by the scan's name; None without such a column."""
-    if not file.is_file():
-        return None
-    with needs_extra("batch"):
-        import pyarrow
-        import pyarrow.parquet as parquet
-
-    try:
-        columns = set(parquet.read_schema(file).names)
-        if not {"name", "person"} <= columns:
-            return None
-        rows = parquet.read_table(file, columns=["name", "person"]).to_pylist()
-    except (OSError, pyarrow.ArrowException) as error:
-        raise RecognitionError(
-            f"{file}: cannot be read ({error}); move it away, or repair the batch"
-        ) from error
-    return {row["name"]: unicodedata.normalize("NFC", (row["person"] or "").strip()) for row in rows}

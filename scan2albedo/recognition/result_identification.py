@@ -5,16 +5,21 @@ Similarities by albedo and by shape are taken together, weighted by how well eac
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.identification import Combine, ProbeMatches, match_probes, similarities_by_person
+from scan2albedo.recognition.identification import (
+    Combine,
+    Identification,
+    identify_by_similarity,
+    similarities_by_person,
+)
 from scan2albedo.recognition.labelled_templates import (
     DEFAULT_USE,
     LabelledTemplates,
@@ -89,10 +94,6 @@ def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CA
     return found
 
 
-StageCallback = Callable[[str, int, int], None]
-"""Called with "gallery" or "probes", how many results are read, and of how many."""
-
-
 @dataclass(frozen=True)
 class ResultIdentification:
     """What `identify_results` found."""
@@ -100,13 +101,11 @@ class ResultIdentification:
     gallery: LabelledTemplates
     probes: LabelledTemplates
     """`gallery`, `probes`: what was compared."""
-    matches: ProbeMatches
+    matches: Identification
     """Of the probes, in their order."""
     by_kind: Mapping[Kind, FloatArray]
     """(P, G) of each kind that was used: similarities of each probe to each person by it alone, NaN where one
     of them lacks it."""
-    combine: Combine
-    """What is taken of a person's several gallery images."""
     notes: tuple[str, ...]
     """What is odd about the input, one sentence each."""
 
@@ -118,19 +117,18 @@ def identify_results(
     use: Sequence[Kind] = DEFAULT_USE,
     combine: Combine = "best",
     options: TemplateOptions | None = None,
-    on_count: StageCallback | None = None,
+    on_count: Callable[[str, int, int], None] | None = None,
 ) -> ResultIdentification:
     """Return which persons of a gallery of processed scans other processed scans show.
 
+    A gallery and the probes are each given as a CSV file with the columns person and result, each result the
+    folder of a processed scan (see `read_face`); as the folder of a batch (see `read_manifest`); as a file of
+    templates; or as what `read_labelled_templates` returned. Several results may show one person; of the
+    probes a cell of person may be empty. A probe whose person is not known, or not in the gallery, is
+    identified, but counts in no rate. Results that have nothing to compare are left out; `notes` name them.
+
     Parameters
     ----------
-    gallery : path or LabelledTemplates
-        A CSV file with the columns person and result, each result the folder of a processed scan (see
-        `read_face`); the folder of a batch (see `read_manifest`); or a file of templates. Several
-        results may show one person.
-    probes : path or LabelledTemplates
-        The same; a cell of person may be empty. A probe whose person is not known, or not in the gallery, is
-        identified, but counts in no rate.
     use : sequence of {"albedo", "shape"}
         What is compared; similarities by both are taken together as `fused` says. A result that lacks one of
         them, as a scan without colour lacks the albedo, is compared by the other.
@@ -139,7 +137,7 @@ def identify_results(
     options : TemplateOptions, optional
         Those of a file of templates, otherwise the default ones, when omitted.
     on_count : callable, optional
-        Called after each result that was read.
+        Called after each result with "gallery" or "probes", how many are read, and of how many.
 
     Raises
     ------
@@ -147,15 +145,23 @@ def identify_results(
         When `combine` or a name of `use` is unknown.
     RecognitionError
         When a file cannot be read or used, sizes or models differ, or nothing is left to compare.
-
-    Notes
-    -----
-    Results that have nothing to compare are left out, and `notes` name them.
     """
     if combine not in ("best", "mean"):
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
-    known = _read(gallery, "gallery", use, options, on_count)
-    shown = _read(probes, "probes", use, known.templates.options, on_count)
+
+    def read(
+        source: str | Path | LabelledTemplates, stage: str, like: TemplateOptions | None
+    ) -> LabelledTemplates:
+        if isinstance(source, LabelledTemplates):
+            checked_use(use)
+            return source
+        count = None if on_count is None else lambda done, total: on_count(stage, done, total)
+        return read_labelled_templates(
+            source, use=use, persons_required=stage == "gallery", options=like, on_count=count
+        )
+
+    known = read(gallery, "gallery", options)
+    shown = read(probes, "probes", known.templates.options)
     kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
     if not kinds:
         raise RecognitionError(
@@ -174,32 +180,44 @@ def identify_results(
             here = np.ix_(shown.rows[kind], known.rows[kind])
             found = comparable_similarities(a, b, WINDOW)
             scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
-    total, gallery_names = fused(scores), [person or "" for person in known.persons]
-    unlike = np.isnan(total)
-    named = set(known.persons)
-    persons = tuple(person if person in named else None for person in shown.persons)
-    matches = match_probes(np.where(unlike, 0.0, total), gallery_names, persons, combine=combine)
-    by_kind = {
-        kind: similarities_by_person(values, gallery_names, combine)[1] for kind, values in scores.items()
-    }
-    notes = (*known.notes, *shown.notes, *_notes(known, shown, scores, apart, unlike))
-    return ResultIdentification(known, shown, matches, by_kind, combine, notes)
+    total, names = fused(scores), [person or "" for person in known.persons]
+    persons = [person if person in known.persons else None for person in shown.persons]
+    matches = identify_by_similarity(np.nan_to_num(total, nan=0.0), names, persons, combine=combine)
+    by_kind = {kind: similarities_by_person(values, names, combine)[1] for kind, values in scores.items()}
 
-
-def _read(
-    source: str | Path | LabelledTemplates,
-    stage: str,
-    use: Sequence[Kind],
-    options: TemplateOptions | None,
-    on_count: StageCallback | None,
-) -> LabelledTemplates:
-    if isinstance(source, LabelledTemplates):
-        checked_use(use)
-        return source
-    count = None if on_count is None else lambda done, total: on_count(stage, done, total)
-    return read_labelled_templates(
-        source, use=use, persons_required=stage == "gallery", options=options, on_count=count
-    )
+    # What limits the comparison. First probes that are compared by one of two kinds alone, see `fused`.
+    notes = [*known.notes, *shown.notes]
+    for kind, other in zip(kinds, reversed(kinds), strict=True):
+        alone = np.isfinite(scores[other]).all(1) & ~np.isfinite(scores[kind]).all(1)
+        if alone.any():
+            lacking = sorted(set(range(len(known))) - set(known.rows.get(kind, ())))
+            images = _few([known.labels[k] for k in lacking])
+            reason = f"; of the gallery {images} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
+            notes.append(
+                f"{alone.sum()} of {alone.size} probes are compared by {other} alone, for {kind} counts "
+                f"where the probe and all images of the gallery have it{reason}"
+            )
+    people = zip(shown.labels, shown.persons, strict=True)
+    if strangers := [f"{label} ({one})" for label, one in people if one not in (None, *known.persons)]:
+        notes.append(
+            f"{known.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
+            "they are identified, but count in no rate"
+        )
+    for pairs, lack in ((np.isnan(total), "have neither albedo nor shape"), (apart, "have no window")):
+        if pairs.any():
+            notes.append(
+                f"{pairs.sum()} of {pairs.size} pairs of a probe and an image {lack} in common: they count "
+                "as similarity 0"
+            )
+    kind = next(kind for kind in shown.sets if kind in known.sets)
+    stored = {values.tobytes() for values in known.sets[kind].coefficients}
+    rows = zip(shown.rows[kind], shown.sets[kind].coefficients, strict=True)
+    if same := [shown.labels[row] for row, values in rows if values.tobytes() in stored]:
+        notes.append(
+            f"{len(same)} of {len(shown)} probes are in the gallery themselves ({_few(same)}): that they are "
+            "recognised means nothing"
+        )
+    return ResultIdentification(known, shown, matches, by_kind, tuple(notes))
 
 
 def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> LabelledTemplates:
@@ -227,50 +245,3 @@ def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> Labelle
 
 def _few(names: Sequence[str]) -> str:
     return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
-
-
-def _notes(
-    gallery: LabelledTemplates,
-    probes: LabelledTemplates,
-    scores: Mapping[Kind, FloatArray],
-    apart: BoolArray,
-    unlike: BoolArray,
-) -> Iterator[str]:
-    """Give notes on what limits the comparison."""
-    whole = {kind: np.isfinite(values).all(1) for kind, values in scores.items()}
-    for kind in scores if len(scores) > 1 else ():
-        # Probes that are compared by one of two kinds alone, see `fused`.
-        other = next(name for name in scores if name != kind)
-        alone = np.asarray(whole[other] & ~whole[kind])
-        if alone.any():
-            lacking = sorted(set(range(len(gallery))) - set(gallery.rows[kind].tolist()))
-            images = _few([gallery.labels[k] for k in lacking])
-            reason = f"; of the gallery {images} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
-            yield (
-                f"{alone.sum()} of {alone.size} probes are compared by {other} alone, for {kind} counts "
-                f"where the probe and all images of the gallery have it{reason}"
-            )
-    strangers = [
-        f"{label} ({person})"
-        for label, person in zip(probes.labels, probes.persons, strict=True)
-        if person not in (None, *gallery.persons)
-    ]
-    if strangers:
-        yield (
-            f"{gallery.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
-            "they are identified, but count in no rate"
-        )
-    for pairs, lack in ((unlike, "have neither albedo nor shape"), (apart, "have no window")):
-        if pairs.any():
-            yield (
-                f"{pairs.sum()} of {pairs.size} pairs of a probe and an image {lack} in common: they count "
-                "as similarity 0"
-            )
-    kind = next(kind for kind in probes.sets if kind in gallery.sets)
-    stored = {values.tobytes() for values in gallery.sets[kind].coefficients}
-    rows = zip(probes.rows[kind], probes.sets[kind].coefficients, strict=True)
-    if same := [probes.labels[row] for row, values in rows if values.tobytes() in stored]:
-        yield (
-            f"{len(same)} of {len(probes.labels)} probes are in the gallery themselves ({_few(same)}): that "
-            "they are recognised means nothing"
-        )

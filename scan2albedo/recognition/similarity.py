@@ -6,6 +6,7 @@ from numbers import Integral
 from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -19,8 +20,9 @@ WINDOW = 3
 """Side of the square windows in coefficients. Charts of fitted faces are misaligned unevenly, and within a
 small window the phases still turn alike: 3 tells people who are alike apart better than the usual 7
 (`tools/experiment_recognition.py --other-templates`)."""
-_ROWS = 1024
-"""Templates of the first set that are prepared at once; bounds the memory, about 0.2 MB a template."""
+LANES = 64
+"""Templates of a block of the compiled loop; they lie next to each other, so that every step is a vector
+operation."""
 
 
 def cw_ssim(
@@ -46,11 +48,9 @@ def cw_ssim(
     ----------
     a, b : (H, W) or (H, W, 3)
         Linear images of the same size.
-    mask : (H, W) bool, optional
-        Pixels that count, in both images, or in the first one.
-    mask_b : (H, W) bool, optional
-        Pixels that count in the second image; those of `mask` when omitted.
-    options : TemplateOptions
+    mask, mask_b : (H, W) bool, optional
+        Pixels that count in the first and in the second image, where `mask` counts too when `mask_b` is
+        omitted.
     window : int
         Side of the windows in coefficients.
 
@@ -139,18 +139,8 @@ def _no_window_message(what: str, window: int) -> str:
 def similarity_matrix(templates_a: Templates, templates_b: Templates, *, window: int = WINDOW) -> FloatArray:
     """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks.
 
-    Parameters
-    ----------
-    templates_a, templates_b : Templates
-        A and B templates.
-    window : int
-        As in `cw_ssim`.
-
-    Raises
-    ------
-    RecognitionError
-        When the sets were made with other options, sizes or charts, are empty, or the masks of a pair have no
-        window in common; names it.
+    RecognitionError, which names them, when the sets were made with other options, sizes or charts, are
+    empty, or the masks of a pair have no window in common.
 
     Notes
     -----
@@ -193,11 +183,26 @@ def comparable_similarities(a: Templates, b: Templates, window: int) -> FloatArr
         )
     common_chart(a.chart, b.chart, "the first set of templates", "the second")
     _check_window(a.mask.shape[1:], window)
-    rows = [
-        _similarity_rows(a.select(range(start, min(start + _ROWS, len(a)))), b, window)
-        for start in range(0, len(a), _ROWS)
-    ]
-    totals, windows = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    # Sums of similarities over orientations and windows, and the numbers of windows, of all pairs. Templates
+    # of the first set are prepared in parts, which bounds the memory: 0.5 MB a template of 256 pixels.
+    totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
+    for top in range(0, len(a), 16 * LANES):
+        part = a.select(range(top, min(top + 16 * LANES, len(a))))
+        rows, row_inside = _planes(part, window)
+        for left in range(0, len(b), LANES):
+            block = b.select(range(left, min(left + LANES, len(b))))
+            columns, inside = _planes(block, window)
+            total, lane_inside = np.zeros((len(part), LANES)), _lanes(inside.astype(np.float32), LANES)
+            for o in range(len(rows[0])):
+                own, lanes = [plane[o] for plane in rows], [_lanes(plane[o], LANES) for plane in columns]
+                _add_window_similarities(
+                    *own, row_inside, *lanes, lane_inside, window, np.float32(STABILIZER), total
+                )
+            here = slice(top, top + len(part)), slice(left, left + len(block))
+            totals[here] = total[:, : len(block)]
+            # float32 counts exactly up to 2^24 windows
+            flat, flat_block = (x.reshape(len(x), -1).astype(np.float32) for x in (row_inside, inside))
+            windows[here] = flat @ flat_block.T
     bands = a.coefficients.shape[1]
     return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
 
@@ -214,32 +219,81 @@ def _planes(templates: Templates, window: int) -> tuple[list[NDArray[np.float32]
     return [*planes, np.maximum(energy, 0).astype(np.float32)], inside
 
 
-def _similarity_rows(a: Templates, b: Templates, window: int) -> tuple[FloatArray, FloatArray]:
-    """Return the sums of similarities over orientations and windows, and the numbers of windows, (A, B)."""
-    from scan2albedo.recognition.similarity_kernels import LANES, add_window_similarities
-
-    rows, row_inside = _planes(a, window)
-    totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
-    for start in range(0, len(b), LANES):
-        block = b.select(range(start, min(start + LANES, len(b))))
-        columns, inside = _planes(block, window)
-        here, total = slice(start, start + len(block)), np.zeros((len(a), LANES))
-        lane_inside = _lanes(inside.astype(np.float32), LANES)
-        for o in range(len(rows[0])):
-            own = [plane[o] for plane in rows]
-            lanes = [_lanes(plane[o], LANES) for plane in columns]
-            add_window_similarities(
-                *own, row_inside, *lanes, lane_inside, window, np.float32(STABILIZER), total
-            )
-        totals[:, here] = total[:, : len(block)]
-        # float32 counts exactly up to 2^24 windows
-        flat, flat_block = (x.reshape(len(x), -1).astype(np.float32) for x in (row_inside, inside))
-        windows[:, here] = flat @ flat_block.T
-    return totals, windows
-
-
 def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:
     """Return (h, w, lanes) of (N <= lanes, h, w), 0 in the lanes left over."""
     result = np.zeros((*plane.shape[1:], lanes), np.float32)
     result[..., : len(plane)] = np.moveaxis(plane, 0, -1)
     return result
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+def _add_window_similarities(  # type: ignore[no-untyped-def]
+    real, imag, energy, valid, lane_real, lane_imag, lane_energy, lane_valid, window, stabilizer, total
+):
+    """Add to total (A, LANES) the similarity of one orientation, summed over windows valid in both.
+
+    `real`, `imag` (A, h, w) float32 are the coefficients of A templates, and (h, w, LANES) those of the
+    lanes. `energy` is a window's sum of squared magnitudes, float32, and `valid` whether it lies inside the
+    mask: (A, h - window + 1, w - window + 1), lanes last. Sums run down columns of `window` coefficients,
+    then along rows of these, both by adding what comes in and subtracting what goes out.
+    """
+    count, height, width = real.shape
+    column_real = np.empty((width, LANES), np.float32)
+    column_imag = np.empty((width, LANES), np.float32)
+    sum_real, sum_imag = np.empty(LANES, np.float32), np.empty(LANES, np.float32)
+    similarity = np.empty(LANES, np.float32)
+    two = np.float32(2.0)
+    for n in range(count):
+        column_real[:] = 0.0
+        column_imag[:] = 0.0
+        similarity[:] = 0.0
+        for y in range(height):
+            gone = y - window
+            for x in range(width):
+                a, b = real[n, y, x], imag[n, y, x]
+                if gone < 0:
+                    for k in range(LANES):
+                        column_real[x, k] += a * lane_real[y, x, k] + b * lane_imag[y, x, k]
+                        column_imag[x, k] += b * lane_real[y, x, k] - a * lane_imag[y, x, k]
+                    continue
+                c, d = real[n, gone, x], imag[n, gone, x]
+                for k in range(LANES):
+                    column_real[x, k] += (
+                        a * lane_real[y, x, k]
+                        + b * lane_imag[y, x, k]
+                        - c * lane_real[gone, x, k]
+                        - d * lane_imag[gone, x, k]
+                    )
+                    column_imag[x, k] += (
+                        b * lane_real[y, x, k]
+                        - a * lane_imag[y, x, k]
+                        - d * lane_real[gone, x, k]
+                        + c * lane_imag[gone, x, k]
+                    )
+            if gone < -1:
+                continue
+            row = gone + 1
+            sum_real[:] = 0.0
+            sum_imag[:] = 0.0
+            for x in range(window - 1):
+                for k in range(LANES):
+                    sum_real[k] += column_real[x, k]
+                    sum_imag[k] += column_imag[x, k]
+            for x in range(width - window + 1):
+                for k in range(LANES):
+                    sum_real[k] += column_real[x + window - 1, k]
+                    sum_imag[k] += column_imag[x + window - 1, k]
+                if valid[n, row, x]:
+                    own = energy[n, row, x] + stabilizer
+                    for k in range(LANES):
+                        shared = np.sqrt(sum_real[k] * sum_real[k] + sum_imag[k] * sum_imag[k])
+                        similarity[k] += (
+                            lane_valid[row, x, k]
+                            * (two * shared + stabilizer)
+                            / (own + lane_energy[row, x, k])
+                        )
+                for k in range(LANES):
+                    sum_real[k] -= column_real[x, k]
+                    sum_imag[k] -= column_imag[x, k]
+        for k in range(LANES):
+            total[n, k] += similarity[k]

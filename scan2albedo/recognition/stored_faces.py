@@ -18,7 +18,6 @@ from scan2albedo.recognition.manifest import RESULT_FILE
 from scan2albedo.recognition.templates import Chart, Kind, NothingToCompareError
 
 IMAGE_FILE, ALBEDO_FILE = "geometry_image.npz", "albedo.exr"
-_NO_MODEL = "none"
 
 
 @dataclass(frozen=True)
@@ -36,32 +35,18 @@ class StoredFace:
 def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
     """Return the albedo or the shape of a processed scan, of what an application wrote, or of an image.
 
-    Parameters
-    ----------
-    path : path
-        A folder with result.json or application.json, geometry_image.npz and, for an albedo, albedo.exr; a
-        file in such a folder means the folder. Any other image is an albedo and must be on the model's chart:
-        its texels count where alpha is half or more or, without alpha, where they are not black.
-    kind : {"albedo", "shape"}
+    `path` is a folder with result.json or application.json, geometry_image.npz and, for an albedo,
+    albedo.exr; a file in such a folder means the folder. Any other image is an albedo and must be on the
+    model's chart: its texels count where alpha is half or more or, without alpha, where they are not black.
 
-    Raises
-    ------
-    RecognitionError
-        When something is missing, cannot be read, or is not on a model's chart; names it.
-    NothingToCompareError
-        A RecognitionError: for the shape of an image, and the albedo of a scan without colour.
+    RecognitionError, which names the file, when something is missing, cannot be read, or is not on a model's
+    chart: a `NothingToCompareError` for the shape of an image and the albedo of a scan without colour.
     """
     source = Path(path)
     if source.is_file() and (source.parent / IMAGE_FILE).is_file():
         source = source.parent
     try:
-        if source.is_dir():
-            return _of_folder(source, kind)
-        if kind == "shape":
-            raise NothingToCompareError(
-                f"{source}: is an image, which has no shape; give the folder of the scan"
-            )
-        return _of_image(source)
+        return _of_folder(source, kind) if source.is_dir() else _of_image(source, kind)
     except RecognitionError:
         raise
     except Scan2AlbedoError as error:
@@ -71,14 +56,14 @@ def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
 
 def _of_folder(folder: Path, kind: Kind) -> StoredFace:
     if (folder / RESULT_FILE).is_file():
-        model = str(read_record(folder / RESULT_FILE, ResultRecord).options.get("model", _NO_MODEL))
+        model = str(read_record(folder / RESULT_FILE, ResultRecord).options.get("model", "none"))
     elif (folder / APPLICATION_FILE).is_file():
         model = read_record(folder / APPLICATION_FILE, ApplicationRecord).model
     else:
         raise RecognitionError(
             f"{folder}: holds no {RESULT_FILE}; give the folder of one processed scan, OUT/<scan name>"
         )
-    if model == _NO_MODEL:
+    if model == "none":
         raise RecognitionError(
             f"{folder}: was processed without a model, so its chart is its own and texels do not correspond "
             "to those of others; process the scan with a model"
@@ -93,15 +78,14 @@ def _of_folder(folder: Path, kind: Kind) -> StoredFace:
     return StoredFace(albedo, image.seen, Chart(model, image.shape))
 
 
-def _of_image(file: Path) -> StoredFace:
-    if file.suffix.lower() == ".npz":
-        raise RecognitionError(
-            f"{file}: is a NumPy archive; a file of templates stands for a whole gallery, in place of the "
-            "CSV file"
-        )
+def _of_image(file: Path, kind: Kind) -> StoredFace:
+    if kind == "shape":
+        raise NothingToCompareError(f"{file}: is an image, which has no shape; give the folder of the scan")
     if file.suffix.lower() not in SUPPORTED_IMAGES:
         raise RecognitionError(
-            f"{file}: is neither the folder of a processed scan nor an image ({', '.join(SUPPORTED_IMAGES)})"
+            f"{file}: is neither the folder of a processed scan nor an image "
+            f"({', '.join(SUPPORTED_IMAGES)}); "
+            "a file of templates (.npz) stands for a whole gallery, in place of the CSV file"
         )
     albedo = read_image_linear(file)
     alpha: NDArray[np.floating] | None

@@ -20,8 +20,6 @@ from scan2albedo.geometry.rasterization import filled_from_nearest
 
 Kind = Literal["albedo", "shape"]
 """What is compared: the albedo, or the normals of the fitted surface."""
-COMPONENTS: dict[Kind, int] = {"albedo": 1, "shape": 3}
-"""Images that a template holds: the luminance of the albedo; x, y and z of the normals."""
 SCALES: Final = 3
 ORIENTATIONS: Final = 10
 """`SCALES`, `ORIENTATIONS`: of the pyramid."""
@@ -97,7 +95,8 @@ class Templates:
     """
 
     coefficients: NDArray[np.complex64]
-    """(N, O, h, w): of O orientations, of one component after the other; 0 outside the mask."""
+    """(N, O, h, w): of O orientations, of one component after the other; 0 outside the mask. Components are
+    the luminance of the albedo, or x, y and z of the normals."""
     mask: NDArray[np.bool_]
     """(N, h, w)."""
     names: tuple[str, ...]
@@ -111,7 +110,7 @@ class Templates:
 
     def __post_init__(self) -> None:
         coefficients, mask = self.coefficients, self.mask
-        bands = ORIENTATIONS * COMPONENTS[self.kind]
+        bands = ORIENTATIONS * (1 if self.kind == "albedo" else 3)
         if coefficients.ndim != 4 or coefficients.shape[1] != bands:
             raise ValueError(
                 f"{self.kind} coefficients have shape {coefficients.shape}, expected (N, {bands}, h, w)"
@@ -138,24 +137,21 @@ class Templates:
     def joined(cls, parts: Sequence[Templates]) -> Templates:
         """Return the templates of several sets one after the other.
 
-        RecognitionError when there is no set, or they were made with other options or from images of another
-        size.
+        RecognitionError when there is no set, or they are of different kinds, options or sizes.
         """
         if not parts:
             raise RecognitionError("no set of templates was given; give one or more")
-        first = parts[0]
-        for k, part in enumerate(parts):
-            if part.kind != first.kind:
-                raise RecognitionError(f"set {k} is of the {part.kind}, set 0 of the {first.kind}")
-            if part.options != first.options or part.mask.shape[1:] != first.mask.shape[1:]:
+        first, *others = [(part.kind, part.mask.shape[1:], part.options) for part in parts]
+        for k, (kind, size, options) in enumerate(others, 1):
+            if (kind, size, options) != first:
                 raise RecognitionError(
-                    f"set {k} has templates of {part.mask.shape[1:]} made with {part.options}, set 0 of "
-                    f"{first.mask.shape[1:]} with {first.options}; make them alike"
+                    f"set {k} has templates of the {kind} of {size} made with {options}, set 0 of the "
+                    f"{first[0]} of {first[1]} with {first[2]}; make them alike"
                 )
         coefficients = np.concatenate([part.coefficients for part in parts])
         names = tuple(name for part in parts for name in part.names)
         mask = np.concatenate([part.mask for part in parts])
-        return cls(coefficients, mask, names, first.options, kind=first.kind)
+        return cls(coefficients, mask, names, parts[0].options, kind=parts[0].kind)
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
@@ -182,7 +178,6 @@ def albedo_templates(
         Of the persons.
     masks : N of (H, W) bool, or None
         Where the albedo is known; everywhere when omitted.
-    options : TemplateOptions
 
     Raises
     ------
@@ -209,12 +204,8 @@ def shape_templates(
 ) -> Templates:
     """Return the templates of surfaces by their normals; `unit_mean` does not apply.
 
-    Parameters
-    ----------
-    normals : N of (H, W, 3)
-        Unit normals in one chart and in one frame, as `GeometryImage.normal` in the model's.
-    names, masks, options
-        As in `albedo_templates`, whose errors are raised.
+    `normals` are N of (H, W, 3), unit, in one chart and in one frame, as `GeometryImage.normal` in the
+    model's. The rest is as in `albedo_templates`, whose errors are raised.
     """
     return _templates("shape", normals, names, masks, options)
 

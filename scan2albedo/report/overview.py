@@ -27,9 +27,6 @@ Picture = NDArray[np.uint8]
 
 RESIDUAL_SCALE_MM = 2.0
 """Residual shown in the brightest colour of the heat map."""
-_PNG_LEVEL = 3
-_WIDER = 1.35
-"""Pictures of the scan show more around the face than those of the fit."""
 
 
 @dataclass(frozen=True)
@@ -80,77 +77,80 @@ def result_panels(
 
     `unlit` is the scan itself without its light, where that was asked for.
     """
-    charts = _chart_panels(image, estimate, albedo_srgb)
-    if fitted is None:
-        return charts
-    around = View.around(fitted.vertices)
-    view = View(around.center_mm, around.half_width_mm * 1.15)
-    surface = render_mesh(fitted.vertices, fitted.faces, view=view)
-    colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
-    residual = render_mesh(fitted.vertices, fitted.faces, vertex_color_srgb=colors, view=view, shaded=False)
-    mean = float(np.nanmean(fitted.residual_mm)) if np.isfinite(fitted.residual_mm).any() else float("nan")
-    heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)"
-    panels = [_input_panel(scan, fitted, view), Panel("fitted surface", surface), Panel(heat, residual)]
-    panels += charts
-    if image.texture_linear is not None and albedo_srgb is not None:
-        texture_srgb = preview_srgb(image.texture_linear, image.mask)
-        uv = fitted.uv[fitted.faces]
-        for name, texture in (("texture", texture_srgb), ("albedo", albedo_srgb)):
-            picture = render_mesh(
-                fitted.vertices, fitted.faces, texture_srgb=(uv, texture), view=view, shaded=False
-            )
-            panels.append(Panel(f"face with its {name}", picture))
-    if unlit is not None:
-        panels.append(_scan_panel("scan without its light", unlit, fitted, view))
-    return panels
+    view, panels = None, list[Panel]()
+    if fitted is not None:
+        view = View.around(fitted.vertices)
+        panels.append(_scan_panel("registered input, found landmarks", scan, fitted, view))
+        if fitted.landmarks is not None:
+            dots = _wider(view).pixels(fitted.landmarks, len(panels[0].picture))
+            panels[0] = replace(panels[0], dots=dots)
+        panels.append(Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view)))
+        colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
+        residual = render_mesh(
+            fitted.vertices, fitted.faces, vertex_color_srgb=colors, view=view, shaded=False
+        )
+        known = fitted.residual_mm[np.isfinite(fitted.residual_mm)]
+        mean = np.mean(known) if len(known) else np.nan
+        heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)"
+        panels.append(Panel(heat, residual))
 
-
-def _chart_panels(
-    image: GeometryImage, estimate: AlbedoEstimate | None, albedo_srgb: Picture | None
-) -> list[Panel]:
-    """Return the panels that live on the chart: texture, lighting, albedo, normals."""
-    panels = []
-    if image.texture_linear is not None:
-        dimmed = np.where(image.seen[..., None], image.texture_linear, 0.35 * image.texture_linear)
-        panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, image.mask)))
+    # On the chart: texture, skin, light, albedo, normals.
+    texture_linear, mask = image.texture_linear, image.mask
+    if texture_linear is not None:
+        dimmed = np.where(image.seen[..., None], texture_linear, 0.35 * texture_linear)
+        panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, mask)))
     if image.skin is not None:
-        skin = np.where(image.mask, image.skin, 1.0)
-        panels.append(
-            Panel("skin (white): the light is found there", _bytes(np.repeat(skin[..., None], 3, axis=2)))
-        )
+        panels.append(Panel("skin (white): the light is found there", _chart(image.skin, mask)))
     if estimate is not None and albedo_srgb is not None:
-        panels.append(Panel("diffuse light + ambient", _light(estimate.shading, image.mask)))
-        panels.append(
-            Panel("highlights", _light(np.repeat(estimate.specular[..., None], 3, axis=2), image.mask))
-        )
+        lights = {"diffuse light + ambient": estimate.shading, "highlights": estimate.specular}
+        for title, light in lights.items():
+            panels.append(Panel(title, _chart(linear_to_srgb(light / white_level(light, mask)), mask)))
         panels.append(Panel("albedo", albedo_srgb))
-    normal = np.where(image.mask[..., None], (image.normal + 1) / 2, 1.0)
-    panels.append(Panel("normals", _bytes(normal)))
+    panels.append(Panel("normals", _chart((image.normal + 1) / 2, mask)))
+
+    if fitted is not None and view is not None:
+        if texture_linear is not None and albedo_srgb is not None:
+            uv = fitted.uv[fitted.faces]
+            textures = {"texture": preview_srgb(texture_linear, mask), "albedo": albedo_srgb}
+            for name, texture in textures.items():
+                picture = render_mesh(
+                    fitted.vertices, fitted.faces, texture_srgb=(uv, texture), view=view, shaded=False
+                )
+                panels.append(Panel(f"face with its {name}", picture))
+        if unlit is not None:
+            panels.append(_scan_panel("scan without its light", unlit, fitted, view))
     return panels
 
 
 def preview_srgb(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
     """Return (H, W, 3) sRGB bytes of a linear image times its `preview_factor`, white outside the mask."""
-    scaled = np.clip(linear * preview_factor(linear, mask), 0, 1)
-    return _bytes(np.where(mask[..., None], linear_to_srgb(scaled), 1.0))
+    return _chart(linear_to_srgb(np.clip(linear * preview_factor(linear, mask), 0, 1)), mask)
 
 
 def preview_factor(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> float:
-    """Return the factor that puts the 90th percentile of the brightest channel at 0.55; 1 for black images.
+    """Return the factor that puts the 90th percentile of the brightest channel at 0.55.
 
     The albedo's global scale is unknown, and a percentile keeps a few wild texels from darkening the rest.
     """
-    inside = linear[mask]
-    bright = float(np.percentile(inside.max(-1), 90)) if len(inside) else 0.0
-    return 0.55 / bright if bright > 0 else 1.0
+    return 0.55 / white_level(linear, mask, 90)
 
 
-def _input_panel(scan: RawScan, fitted: FittedFace, view: View) -> Panel:
-    panel = _scan_panel("registered input, found landmarks", scan, fitted, view)
-    if fitted.landmarks is None:
-        return panel
-    wide = View(view.center_mm, view.half_width_mm * _WIDER)
-    return replace(panel, dots=wide.pixels(fitted.landmarks, len(panel.picture)))
+def white_level(values: NDArray[np.floating], mask: NDArray[np.bool_], percentile: float = 99.9) -> float:
+    """Return a percentile of an image's brightest channel (H, W) or (H, W, C) in its mask; 1 for black."""
+    inside = values[mask]
+    bright = np.percentile(inside if values.ndim == 2 else inside.max(-1), percentile) if len(inside) else 0
+    return float(bright) if bright > 0 else 1.0
+
+
+def _chart(srgb: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+    """Return (H, W, 3) bytes of an image (H, W) or (H, W, 3) in [0, 1], clipped, white outside the mask."""
+    colors = srgb if srgb.ndim == 3 else np.repeat(srgb[..., None], 3, axis=2)
+    return np.round(np.where(mask[..., None], np.clip(colors, 0, 1), 1.0) * 255).astype(np.uint8)
+
+
+def _wider(view: View) -> View:
+    """Return the view for pictures of the scan, which show more around the face than those of the fit."""
+    return View(view.center_mm, 1.5 * view.half_width_mm)
 
 
 def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Panel:
@@ -166,22 +166,10 @@ def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Pa
         scan.faces[near],
         vertex_color_srgb=color,
         texture_srgb=texture,
-        view=View(view.center_mm, view.half_width_mm * _WIDER),
+        view=_wider(view),
         shaded=not scan.has_color,
     )
     return Panel(title, picture)
-
-
-def _light(values: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
-    """Return (H, W, 3) sRGB bytes in which nearly the brightest texel is white."""
-    inside = values[mask]
-    bright = float(np.percentile(inside.max(-1), 99.5)) if len(inside) else 0.0
-    shown = linear_to_srgb(np.clip(values / bright, 0, 1)) if bright > 0 else np.zeros_like(values)
-    return _bytes(np.where(mask[..., None], shown, 1.0))
-
-
-def _bytes(picture: NDArray[np.floating]) -> Picture:
-    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 
 
 def figure_png(figure: Figure, dpi: float | None = None) -> bytes:
@@ -193,5 +181,5 @@ def figure_png(figure: Figure, dpi: float | None = None) -> bytes:
         layout.execute(figure)
         figure.set_layout_engine("none")
     png = BytesIO()
-    figure.savefig(png, format="png", dpi="figure", pil_kwargs={"compress_level": _PNG_LEVEL})
+    figure.savefig(png, format="png", dpi="figure", pil_kwargs={"compress_level": 3})
     return png.getvalue()

@@ -15,7 +15,7 @@ from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
 from scan2albedo.io.images import write_exr
 from scan2albedo.recognition import TemplateOptions, identify_results
-from scan2albedo.runs.recognition.files import FILES, IdentificationRecord, write_identification
+from scan2albedo.runs.recognition import FILES, IdentificationRecord, write_identification
 from scan2albedo.synthetic import face
 
 

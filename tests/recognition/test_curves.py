@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binomtest, mannwhitneyu
 
 from scan2albedo.recognition import cmc_curve, identify_by_similarity, roc_curve
-from scan2albedo.recognition.curves import _Claims
+from scan2albedo.recognition.curves import _rates_of_draw
 from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
 
 
@@ -70,7 +70,7 @@ def test_a_resample_counts_claims_as_if_they_were_repeated():
                 own += [found.similarities[i, j]] * times[prober]
             else:
                 others += [found.similarities[i, j]] * (times[prober] * claimed)
-    area = _Claims.of(found).rates(times.astype(float), np.array([0.1]))[0]
+    area = _rates_of_draw(found)(times.astype(float), np.array([0.1]))[0]
     assert area == pytest.approx(mannwhitneyu(own, others).statistic / (len(own) * len(others)))
 
 
@@ -130,7 +130,7 @@ def test_figures_show_every_curve_with_its_interval():
         cmc_figure(curves | {"other": cmc_curve(found["albedo"], confidence=0.9)})
 
 
-def test_figures_of_many_methods_have_bars_apart_and_tell_of_few_claims():
+def test_figures_of_many_methods_have_bars_apart_and_name_the_claims():
     found = {str(k): build_identification(k, persons=8, each=2) for k in range(5)}
     cmc = cmc_figure({name: cmc_curve(one) for name, one in found.items()}).axes[0]
     roc = roc_figure({name: roc_curve(one, resamples=5) for name, one in found.items()}).axes[0]
@@ -139,8 +139,9 @@ def test_figures_of_many_methods_have_bars_apart_and_tell_of_few_claims():
         assert len(places) == 5
         assert all(places)
         assert len(set.union(*places)) == sum(len(one) for one in places)
-    assert cmc.texts[0].get_text() == "16 probes: too few to tell much"
-    assert roc.texts[0].get_text() == "16 genuine claims: too few to tell much"
+    legends = [axis.figure.legends[0].get_texts()[0].get_text() for axis in (cmc, roc)]
+    assert legends[0].startswith("0, 16 probes: rank 1 ")
+    assert legends[1].startswith("0, 16 genuine claims: equal error ")
 
 
 def test_equal_curves_are_drawn_once_with_all_their_names():

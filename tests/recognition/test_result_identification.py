@@ -10,9 +10,7 @@ from scan2albedo.errors import RecognitionError
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
 from scan2albedo.io.images import write_exr
 from scan2albedo.recognition import (
-    DistanceTransformer,
     TemplateOptions,
-    TemplateTransformer,
     albedo_templates,
     cw_ssim,
     identify_results,
@@ -25,6 +23,11 @@ from scan2albedo.recognition import (
 from scan2albedo.synthetic import face
 
 OPTIONS = TemplateOptions(size=64)
+
+
+def known_names(found):
+    """The persons on the probes that count in the rates."""
+    return tuple(np.array(found.matches.probe_names)[found.matches.known])
 
 
 def listed(folder, rows, name="list.csv"):
@@ -47,9 +50,9 @@ def probes(people, tmp_path):
 def test_persons_are_recognised_and_unknown_ones_only_predicted(gallery, probes, people):
     counts = []
     found = identify_results(gallery, probes, options=OPTIONS, on_count=lambda *count: counts.append(count))
-    assert found.matches.predicted() == ("bob", "ann", "cy")
+    assert found.matches.predicted == ("bob", "ann", "cy")
     assert found.matches.ranks.tolist() == [1, 0, 1]
-    assert found.matches.named.probe_names == ("bob", "cy")
+    assert known_names(found) == ("bob", "cy")
     assert found.probes.labels[1] == str(people / "ann-2")
     assert found.notes == ()
     assert counts == [(stage, k, 3) for stage in ("gallery", "probes") for k in (1, 2, 3)]
@@ -90,8 +93,8 @@ def test_several_images_of_a_person_are_combined(people, probes, tmp_path):
     rows = [(name, people / f"{name}{end}") for name in ("ann", "bob", "cy") for end in ("", "-2")]
     both = listed(tmp_path, rows, "both.csv")
     best, mean = (identify_results(both, probes, options=OPTIONS, combine=c) for c in ("best", "mean"))
-    assert best.matches.similarity().min() > 0.999
-    assert (mean.matches.similarity() < best.matches.similarity()).all()
+    assert best.matches.similarities.max(1).min() > 0.999
+    assert (mean.matches.similarities.max(1) < best.matches.similarities.max(1)).all()
     assert "3 of 3 probes are in the gallery themselves" in best.notes[0]
     with pytest.raises(ValueError, match="combine is 'worst'"):
         identify_results(both, probes, combine="worst")
@@ -126,15 +129,15 @@ def test_images_of_a_chart_nobody_named_go_with_any_model(people, tmp_path, prob
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     rows = [("ann", "ann.exr"), ("bob", people / "bob"), ("cy", people / "cy")]
     found = identify_results(listed(tmp_path, rows), probes, options=OPTIONS)
-    assert found.matches.predicted() == ("bob", "ann", "cy")
+    assert found.matches.predicted == ("bob", "ann", "cy")
     assert found.gallery.templates.chart.model == "default"
 
 
 def test_whom_the_gallery_does_not_know_is_named(gallery, people, tmp_path):
     strangers = listed(tmp_path, [("zoe", people / "ann-2"), ("bob", people / "bob-2")])
     found = identify_results(gallery, strangers, options=OPTIONS)
-    assert found.matches.predicted() == ("ann", "bob")
-    assert found.matches.named.probe_names == ("bob",)
+    assert found.matches.predicted == ("ann", "bob")
+    assert known_names(found) == ("bob",)
     assert found.probes.persons == ("zoe", "bob")
     assert "no image of the persons on 1 probes: " in found.notes[0]
     assert "ann-2 (zoe); they are identified, but count in no rate" in found.notes[0]
@@ -158,9 +161,8 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
     assert by_albedo.matches.similarities[0, 0] == pytest.approx(expected, abs=1e-5)
     by_both = identify_results(gallery, probes)
     assert by_both.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
-    transformed = [TemplateTransformer(mask=one.seen).fit_transform([one.values]) for one in (known, shown)]
-    distance = DistanceTransformer().fit(transformed[0]).transform(transformed[1])
-    assert distance[0, 0] == pytest.approx(1 - expected, abs=1e-5)
+    templates = [albedo_templates([one.values], ["ann"], masks=[one.seen]) for one in (shown, known)]
+    assert similarity_matrix(*templates)[0, 0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
@@ -169,8 +171,8 @@ def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
     (tmp_path / "nested" / ".batch").mkdir()
     found = identify_results(tmp_path / "nested", people, options=OPTIONS)
     assert found.gallery.labels == ("ann/monday", "bob/monday", "cy/monday")
-    assert found.matches.predicted() == ("ann", "ann", "bob", "bob", "cy", "cy")
-    assert found.matches.named.probe_names == ("ann", "bob", "cy")
+    assert found.matches.predicted == ("ann", "ann", "bob", "bob", "cy", "cy")
+    assert known_names(found) == ("ann", "bob", "cy")
     assert "ann-2 (ann-2)" in found.notes[0]
     with pytest.raises(RecognitionError, match=r"ann: is one result"):
         identify_results(people / "ann", people)
@@ -194,7 +196,7 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     write_geometry_image(gray / "geometry_image.npz", image)
     probes = listed(tmp_path, [("bob", "gray"), ("cy", people / "cy-2")], "probes.csv")
     found = identify_results(gallery, probes, options=OPTIONS)
-    assert found.matches.predicted() == ("bob", "cy")
+    assert found.matches.predicted == ("bob", "cy")
     assert np.isnan(found.by_kind["albedo"][0]).all()
     assert found.notes[0].startswith("compared without albedo: ")
     assert "the scan has no colour" in found.notes[0]
@@ -209,7 +211,7 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     found = identify_results(images, probes, options=OPTIONS)
     assert "probes.csv: gray: no albedo, which is all that both sides can be compared by" in found.notes[-2]
     found = identify_results(gallery, probes, use=["albedo"], options=OPTIONS)
-    assert (found.probes.labels, found.matches.predicted()) == ((str(people / "cy-2"),), ("cy",))
+    assert (found.probes.labels, found.matches.predicted) == ((str(people / "cy-2"),), ("cy",))
     assert found.notes[0].startswith("left out: ")
     for source, named in ((tmp_path / "all", tmp_path / "all" / "gray"), (probes, f"{probes}, line 2: gray")):
         if source.name == "all":
@@ -230,7 +232,7 @@ def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery
     rows = [("bob", people / "bob-2"), ("ann", "masked"), ("ann", "narrow")]
     monkeypatch.setattr("scan2albedo.recognition.templates.HOLE_RADIUS", 0)
     found = identify_results(gallery, listed(tmp_path, rows), options=OPTIONS)
-    assert found.matches.predicted() == ("bob",)
+    assert found.matches.predicted == ("bob",)
     assert "line 3: masked: is masked everywhere" in found.notes[0]
     assert "list.csv: narrow: no window of 3 x 3 coefficients lies inside the mask" in found.notes[1]
     with pytest.raises(RecognitionError, match=r"no result has a shape .*masked: is masked everywhere"):
@@ -246,7 +248,7 @@ def test_halves_of_faces_that_do_not_meet_count_as_unlike(people, stored, tmp_pa
     stored(tmp_path / "right", 1, hidden=half)
     rows = [("ann", "left"), ("bob", people / "bob")]
     found = identify_results(listed(tmp_path, rows), listed(tmp_path, [("bob", "right")], "p.csv"))
-    assert found.matches.predicted() == ("bob",)
+    assert found.matches.predicted == ("bob",)
     assert found.matches.similarities[0, 0] == 0
     assert "1 of 2 pairs of a probe and an image have no window in common" in found.notes[0]
 

@@ -7,7 +7,7 @@ import trimesh
 
 from scan2albedo import RawScan
 from scan2albedo.rendering.views import View, heat_colors, render_mesh
-from scan2albedo.report.overview import Panel, _input_panel, overview_figure, preview_srgb
+from scan2albedo.report.overview import Panel, _scan_panel, overview_figure, preview_srgb
 
 
 def test_a_sphere_covers_the_disc_it_should():
@@ -41,9 +41,9 @@ def test_stray_patches_in_front_hide_nothing():
     vertices = np.concatenate([ball.vertices, patch])
     faces = np.concatenate([ball.faces, [np.arange(3) + len(ball.vertices)]])
     color = np.where(np.arange(len(vertices))[:, None] < len(ball.vertices), [0.0, 0, 1], [1.0, 0, 0])
-    fitted = SimpleNamespace(model_from_scan=np.eye(4), landmarks=None)
+    fitted = SimpleNamespace(model_from_scan=np.eye(4))
     scan = RawScan(vertices, faces, vertex_color_linear=color.astype(np.float32))
-    picture = _input_panel(scan, fitted, View((0, 0, 0), 100.0)).picture
+    picture = _scan_panel("scan", scan, fitted, View((0, 0, 0), 100.0)).picture
     middle = len(picture) // 2
     assert picture[middle, middle].tolist() == [0, 0, 255]
 

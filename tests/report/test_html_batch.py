@@ -168,7 +168,7 @@ def test_distributions_count_the_scans_that_are_done(tmp_path):
 
 
 def test_rows_of_result_files_have_the_columns_of_a_catalogue(one_scan):
-    (row,) = rows_of_folders([one_scan])
+    (row,) = rows_of_folders(one_scan.parent)
     assert row.values["metrics_fit_residual_mean_mm"] == 0.125
     assert row.values["metrics_albedo_uncertainty_direction_deviation_deg"] == 1.25
     assert row.values["seconds"] == 12.5

@@ -131,7 +131,7 @@ def test_warnings_and_notes_are_told_apart(write_scan, tmp_path):
     folder = write_scan(tmp_path / "bad", metrics=metrics, notes=("unit: mm",))
     words = written(folder, tmp_path / "page.html").words()
     assert "Worth a look fit did not converge" in words
-    assert "uncertain by 36 %" in words
+    assert "albedo ± 36 %" in words
     assert "Noted on the way unit: mm" in words
 
 

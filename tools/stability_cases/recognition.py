@@ -18,7 +18,6 @@ from scan2albedo.recognition import (
     cw_ssim,
     identify,
     identify_by_similarity,
-    match_probes,
     roc_curve,
     similarity_matrix,
 )
@@ -265,8 +264,8 @@ def _noise() -> str:
 @CASES.extreme(STAGE, "an unnamed probe")
 def _nobody() -> str:
     names = [None, "person1", None, "person3"]
-    found = match_probes(similarity_matrix(_probes(), _people()), _people().names, names)
-    assert found.predicted() == ("person0", "person1", "person2", "person3")
+    found = identify_by_similarity(similarity_matrix(_probes(), _people()), _people().names, names)
+    assert found.predicted == ("person0", "person1", "person2", "person3")
     return "taken for the most similar person; no rate counts it"
 
 

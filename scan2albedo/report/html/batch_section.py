@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from datetime import date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -42,14 +43,14 @@ _SHOWN_ELSEWHERE = {
     "notes",
 }  # fmt: skip
 _BATCH_PREFIXES = ("metrics_", "seconds_", "path_")
-_EXTREMES = (
-    ("seconds", "Slowest", -1),
-    (RESIDUAL, "Worst fits", -1),
-    (COVERAGE, "Least scanned", 1),
-    (UNCERTAINTY, "Least certain albedos", -1),
-)
-"""Column, title, and whether the greatest (-1) or the least (1) come first."""
-_MOST_EXTREME, _MOST_REASONS = 6, 12
+_EXTREMES = {
+    "Slowest": "seconds",
+    "Worst fits": RESIDUAL,
+    "Least scanned": COVERAGE,
+    "Least certain albedos": UNCERTAINTY,
+}
+"""Columns whose greatest values come first, of the coverage the least."""
+_LONGEST_LIST = 8
 
 
 @dataclass(frozen=True)
@@ -74,17 +75,21 @@ class ScanRow:
         return float(value) if abs(value) < float("inf") else None
 
 
-def result_folders(out: Path) -> list[Path]:
-    """Return the folders in `out` that hold a result.json, by name; hidden ones do not count."""
+def rows_of_folders(out: Path) -> list[ScanRow]:
+    """Return a row for each folder in `out` that holds a result.json, by name; hidden ones do not count.
+
+    A result.json that cannot be read becomes a failure with that reason; Scan2AlbedoError when there is none.
+    """
     try:
         inside = sorted(path for path in out.iterdir() if path.is_dir() and not path.name.startswith("."))
     except OSError as error:
         raise Scan2AlbedoError(f"{out}: cannot be read: {error.strerror or error}") from error
-    return [path for path in inside if (path / RESULT_FILE).is_file()]
-
-
-def rows_of_folders(folders: list[Path]) -> list[ScanRow]:
-    """Return a row for each folder; a result.json that cannot be read becomes a failure with that reason."""
+    folders = [path for path in inside if (path / RESULT_FILE).is_file()]
+    if not folders:
+        raise Scan2AlbedoError(
+            f"{out}: holds no {RESULT_FILE}, no folder with one and no {CATALOGUE_FILE}; "
+            "process scans into it first"
+        )
     rows = []
     for folder in folders:
         try:
@@ -131,37 +136,31 @@ def rows_of_catalogue(file: Path) -> list[ScanRow]:
         raise Scan2AlbedoError(
             f"{file}: has no column {' and no column '.join(missing)}; it is not a catalogue of a batch"
         )
-    return [_row(entry, file.parent) for entry in table.to_pylist()]
+    rows = []
+    for entry in table.to_pylist():
+        status = str(entry["status"] or NOT_RUN).replace("_", " ")
+        folder = file.parent / str(entry["folder"]) if entry.get("folder") else None
+        reason = str(entry.get("reason") or "")
+        if folder is not None and folder.parent != file.parent:
+            reason, folder = "the catalogue names a folder that is not in that of the batch", None
+        if status == DONE and folder is not None and not (folder / RESULT_FILE).is_file():
+            # The catalogue may be carried about without the folders; the row says so.
+            reason, folder = reason or "its files are not here", None
+        if status == FAILED:
+            reason = reason or "no reason was recorded"
+        values = {key: _plain(value) for key, value in entry.items() if key not in _OWN_FIELDS}
+        rows.append(ScanRow(str(entry["name"]), status, reason, folder, values))
+    return rows
 
 
-def _row(entry: Mapping[str, Any], out: Path) -> ScanRow:
-    status = str(entry["status"] or NOT_RUN).replace("_", " ")
-    values = {key: _plain(value) for key, value in entry.items() if key not in _OWN_FIELDS}
-    folder = out / str(entry["folder"]) if entry.get("folder") else None
-    reason = str(entry.get("reason") or "")
-    if folder is not None and folder.parent != out:
-        reason, folder = "the catalogue names a folder that is not in that of the batch", None
-    if status == DONE and folder is not None and not (folder / RESULT_FILE).is_file():
-        # The catalogue may be carried about without the folders; the row says so.
-        reason, folder = reason or "its files are not here", None
-    if status == FAILED:
-        reason = reason or "no reason was recorded"
-    return ScanRow(str(entry["name"]), status, reason, folder, values)
-
-
-def _plain(value: Any) -> Any:
-    """Return a number, text, bool or None."""
+def _plain(value: Any) -> bool | int | float | str | None:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     if isinstance(value, datetime):
         return value.isoformat(" ", "seconds")
-    if isinstance(value, date):
-        return value.isoformat()
     if isinstance(value, list | tuple):
         return ", ".join(str(part) for part in value)
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return str(value)
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
 def selected_rows(rows: Sequence[ScanRow], count: int) -> tuple[tuple[int, ...], str]:
@@ -182,22 +181,21 @@ def selected_rows(rows: Sequence[ScanRow], count: int) -> tuple[tuple[int, ...],
     ranked += [k for k in there if rows[k].number(column) is None]
     if not known:
         return (tuple(ranked[:count]), f"the first {count} of {len(there)} scans that have results")
+    text = f"scans of {len(there)} with the greatest {what}"
     if count < 4 or len(known) < count:
-        chosen = ranked[:count]
-        return (tuple(chosen), f"the {count} scans of {len(there)} with the greatest {what}")
+        return (tuple(ranked[:count]), f"the {count} {text}")
     compared = (ranked[len(known) // 2], ranked[len(known) - 1])
     worst = [k for k in ranked if k not in compared][: count - 2]
-    text = f"the {count - 2} scans of {len(there)} with the greatest {what}, then the median and the best one"
-    return ((*worst, *compared), text)
+    return ((*worst, *compared), f"the {count - 2} {text}, then the median and the best one")
 
 
 def batch_section(
-    rows: Sequence[ScanRow], anchors: Mapping[int, str], page: Path, most_rows: int
+    rows: Sequence[ScanRow], anchors: Mapping[int, str], page: Path, most_rows: int = 10_000
 ) -> dict[str, Any]:
     """Return the section about a batch, as the template shows it, for the page at `page`.
 
-    `anchors` maps the positions of rows with a section to its anchor. The table has at most `most_rows`;
-    scans that failed go first when there are more.
+    `anchors` maps the positions of rows with a section to its anchor. The table has at most `most_rows`, for
+    browsers become slow beyond; scans that failed go first when there are more.
     """
     shown: Sequence[int] = range(len(rows))
     if len(rows) > most_rows:
@@ -228,50 +226,41 @@ def batch_section(
         numeric = bool(known) and all(row.number(name) is not None for row in known)
         unit = unit_of(name) if name in figures else ""
         columns.append({"name": name, "label": label_of(name), "unit": unit, "numeric": numeric})
-    table = [
-        {
-            "name": rows[k].name,
-            "status": rows[k].status,
-            "reason": rows[k].reason,
-            "link": link(k),
-            "cells": [_cell(rows[k], name) for name in (*figures, *own)],
-        }
-        for k in shown
-    ]
+    table = []
+    for k in shown:
+        row, cells = rows[k], []
+        for name in (*figures, *own):
+            # What is shown of a column, and what it is sorted by.
+            value, number = row.values.get(name), row.number(name)
+            text = "" if value is None else value_text(name if name in FIGURES else "", value)
+            cells.append({"text": text, "key": text if number is None else repr(number)})
+        status, reason = row.status, row.reason
+        table.append({"name": row.name, "status": status, "reason": reason, "link": link(k), "cells": cells})
     # The slowest and worst scans: (name, value with unit, link).
     extremes = []
-    for column, title, sign in _EXTREMES:
+    for title, column in _EXTREMES.items():
         there = [k for k, row in enumerate(rows) if row.status == DONE and row.number(column) is not None]
-        there.sort(key=lambda k: sign * (rows[k].number(column) or 0.0))
-        if len(there) > 1:
-            first = [(rows[k].name, _with_unit(rows[k], column), link(k)) for k in there[:_MOST_EXTREME]]
+        there.sort(key=lambda k: rows[k].number(column) or 0.0, reverse=column != COVERAGE)
+        first = []
+        for k in there[:_LONGEST_LIST] if len(there) > 1 else ():
+            text = f"{value_text(column, rows[k].values[column])} {unit_of(column)}"
+            text = seconds_text(rows[k].number(column)) if column == "seconds" else text
+            first.append((rows[k].name, text, link(k)))
+        if first:
             extremes.append({"title": title, "rows": first})
     charts = [histogram(column, [row.number(column) for row in done]) for column in FIGURES]
     return {
         "counts": {state: counts[state] for state in states if counts[state] or state == DONE},
         "total": len(rows),
         "facts": _facts(rows),
-        "reasons": reasons[:_MOST_REASONS],
-        "more_reasons": max(len(reasons) - _MOST_REASONS, 0),
+        "reasons": reasons[:_LONGEST_LIST],
+        "more_reasons": max(len(reasons) - _LONGEST_LIST, 0),
         "columns": columns,
         "rows": table,
         "rows_left_out": len(rows) - len(shown),
         "histograms": [chart for chart in charts if chart is not None],
         "extremes": extremes,
     }
-
-
-def _cell(row: ScanRow, column: str) -> dict[str, str]:
-    """Return what is shown of a column, and what it is sorted by."""
-    value, number = row.values.get(column), row.number(column)
-    text = "" if value is None else value_text(column if column in FIGURES else "", value)
-    return {"text": text, "key": text if number is None else repr(number)}
-
-
-def _with_unit(row: ScanRow, column: str) -> str:
-    if column == "seconds":
-        return seconds_text(row.number(column))
-    return f"{value_text(column, row.values[column])} {unit_of(column)}"
 
 
 def _facts(rows: Sequence[ScanRow]) -> list[tuple[str, str]]:
@@ -287,8 +276,14 @@ def _facts(rows: Sequence[ScanRow]) -> list[tuple[str, str]]:
     if cpu := numbers("cpu_seconds"):
         facts.append(("CPU time", seconds_text(sum(cpu))))
     # From the first start to the last end, where the catalogue holds both.
-    timed = [(_timestamp(row.values.get("finished_at")), row.number("seconds")) for row in rows]
-    spans = [(end - took, end) for end, took in timed if end is not None and took is not None]
+    spans = []
+    for row in rows:
+        took, end = row.number("seconds"), row.number("finished_at")
+        if end is None:
+            with suppress(ValueError):
+                end = datetime.fromisoformat(str(row.values.get("finished_at"))).timestamp()
+        if end is not None and took is not None:
+            spans.append((end - took, end))
     if spans and done and (span := max(end for _, end in spans) - min(start for start, _ in spans)):
         facts.append(("from first start to last end", seconds_text(span)))
         facts.append(("throughput", f"{number_text(3600 * done / span)} scans/h"))
@@ -298,12 +293,3 @@ def _facts(rows: Sequence[ScanRow]) -> list[tuple[str, str]]:
     if memory := numbers("peak_memory_mb"):
         facts.append(("greatest memory", f"{number_text(max(memory))} MB"))
     return facts
-
-
-def _timestamp(value: object) -> float | None:
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    try:
-        return datetime.fromisoformat(str(value)).timestamp()
-    except ValueError:
-        return None

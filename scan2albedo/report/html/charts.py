@@ -21,14 +21,6 @@ from scan2albedo.report.html.texts import is_share, label_of, number_text, unit_
 
 _ROOM = 0.04
 """Beyond the outermost values, in parts of their span."""
-_LEAST_SPAN = 0.002
-"""Of an axis, in parts of its greatest value."""
-_BINS = 20
-"""Bars of a distribution at most; whole numbers of a smaller range get a bar each."""
-_LOG_RATIO = 10.0
-"""Of greatest to least, from which an axis is logarithmic."""
-MOST_POINTS = 400
-"""Points that a chart of 300 pixels can show; of more, every n-th."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +37,11 @@ class Axis:
     def around(cls, values: Sequence[float], start: float, end: float) -> Axis:
         """Return the axis that holds all values, with some room; logarithmic from a decade on."""
         low, high = min(values), max(values)
-        if low > 0 and high / low >= _LOG_RATIO:
+        if low > 0 and high >= 10 * low:
             margin = (high / low) ** _ROOM
             return cls(low / margin, high * margin, start, end, True)
         # What hardly changes is drawn as a line that hardly rises.
-        margin = max(_ROOM * (high - low), (_LEAST_SPAN * abs(high) - (high - low)) / 2) or 1.0
+        margin = _ROOM * max(high - low, _ROOM * abs(high)) or 1.0
         return cls(low - margin, high + margin, start, end)
 
     def place(self, value: float) -> float:
@@ -62,48 +54,26 @@ class Axis:
 
     def ticks(self, count: int = 5) -> list[float]:
         """Return about `count` round values inside the axis."""
+        from matplotlib.ticker import MaxNLocator
+
+        values: list[float] = []
         if self.log:
             first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
             decades = last - first
             factors = (1, 2, 5) if decades <= 2 else (1, 3) if decades <= 3 else (1,)
             powers = range(first, last + 1, max(1, -(-decades // (2 * count))))
             values = [factor * 10.0**power for power in powers for factor in factors]
-            inside = [value for value in values if self.low <= value <= self.high]
-            if len(inside) > 1:
-                return inside
-        return linear_ticks(self.low, self.high, count)
+        inside = [value for value in values if self.low <= value <= self.high]
+        if len(inside) > 1:
+            return inside
+        locator = MaxNLocator(count, steps=[1, 2, 2.5, 5, 10])
+        values = [round(float(value), 12) for value in locator.tick_values(self.low, self.high)]
+        return [value for value in values if self.low <= value <= self.high] or [self.low]
 
-    def labels(self, values: Sequence[float]) -> list[tuple[float, str]]:
-        """Return place and label of ticks."""
-        return [(self.place(value), tick_text(value)) for value in values]
-
-
-def linear_ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Return about `count` multiples of 1, 2, 2.5 or 5 times a power of ten between two values.
-
-    >>> linear_ticks(0.0, 1.04)
-    [0.0, 0.25, 0.5, 0.75, 1.0]
-    """
-    span = high - low
-    if not span > 0:
-        return [low]
-    rough = span / count
-    power = 10.0 ** math.floor(math.log10(rough))
-    step = next(factor * power for factor in (1, 2, 2.5, 5, 10) if factor * power >= rough * 0.999)
-    first = math.ceil(low / step - 1e-9)
-    return [round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]
-
-
-def tick_text(value: float) -> str:
-    """Return a tick's label.
-
-    >>> [tick_text(v) for v in (0.0, 0.25, 1500.0, 3e-05, 2e7)]
-    ['0', '0.25', '1,500', '3e-05', '2e+07']
-    """
-    size = abs(value)
-    if size and (size >= 1e6 or size < 1e-3):
-        return f"{value:.3g}"
-    return f"{value:,.10g}" if size < 1 else f"{round(value, 6):,.10g}"
+    def labels(self, count: int, *, whole: bool = False) -> list[tuple[float, str]]:
+        """Return place and label of `ticks`; of whole numbers alone where asked."""
+        ticks = [value for value in self.ticks(count) if not whole or value == int(value)]
+        return [(self.place(value), number_text(value, 6)) for value in ticks]
 
 
 def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | None:
@@ -113,17 +83,18 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
     if len(known) < 2:
         return None
     low, high = float(known.min()), float(known.max())
-    whole, log = bool((known == np.round(known)).all() and high - low < _BINS), False
-    bins = int(np.clip(2 * np.sqrt(len(known)), 5, _BINS))
+    # Bars by Sturges' rule; whole numbers of a smaller range get a bar each.
+    bins, log = math.ceil(math.log2(len(known))) + 1, False
+    whole = bool((known == np.round(known)).all() and high - low < 2 * bins)
+    around = Axis.around((low, high), 0, 1)
     if whole:
         edges = np.arange(low - 0.5, high + 1)
-    elif low > 0 and high / low >= _LOG_RATIO:
+    elif around.log:
         edges, log = np.geomspace(low, high, bins + 1), True
-    elif high - low <= 1e-9 * max(abs(high), 1e-300):
-        half = 0.05 * abs(high) or 0.5
-        edges = np.linspace(low - half, high + half, 4)
-    else:
+    elif low < high:
         edges = np.linspace(low, high, bins + 1)
+    else:
+        edges = np.linspace(around.low, around.high, 4)
     counts, _ = np.histogram(known, edges)
     drawing = {"width": 300, "height": 170, "left": 34, "right": 288, "top": 18, "bottom": 140}
     axis = Axis(float(edges[0]), float(edges[-1]), drawing["left"], drawing["right"], log)
@@ -141,15 +112,14 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
         bars.append({**place, "height": round(drawing["bottom"] - top, 2), "count": count, "text": text})
     p5, median, p95 = (float(v) for v in np.percentile(known, (5, 50, 95)))
     summary = f"median {number_text(median)}, 90 % within {number_text(p5)} … {number_text(p95)}"
-    ticks = [value for value in axis.ticks(4) if not whole or value == int(value)]
     return {
         **drawing,
         "column": column,
         "label": label_of(column),
         "unit": unit,
         "bars": bars,
-        "ticks": axis.labels(ticks),
-        "count_ticks": upward.labels([value for value in upward.ticks(3) if value == int(value)]),
+        "ticks": axis.labels(4, whole=whole),
+        "count_ticks": upward.labels(3, whole=True),
         "median_at": axis.place(median),
         "summary": f"all {number_text(median)}" if low == high else summary,
         "missing": len(values) - len(known),
@@ -183,42 +153,41 @@ def read_trace(file: Path) -> list[TraceRow]:
     return rows
 
 
-def stage_charts(rows: Sequence[TraceRow]) -> list[dict[str, Any]]:
+def stage_charts(trace: Sequence[TraceRow]) -> list[dict[str, Any]]:
     """Return a chart for each stage, in the order in which they ran; of a single row only the summary."""
-    stages: dict[str, list[TraceRow]] = {}
-    for row in rows:
-        stages.setdefault(row.stage, []).append(row)
-    return [_stage_chart(stage, found) for stage, found in stages.items()]
-
-
-def _stage_chart(stage: str, rows: list[TraceRow]) -> dict[str, Any]:
-    first, last = rows[0], rows[-1]
-    summary = f"{number_text(last.error)} {last.unit} after {last.evaluations:,} evaluations"
-    if len(rows) > 1:
-        summary = f"{number_text(first.error)} → {summary}"
-    step = -(-len(rows) // MOST_POINTS)
-    shown = rows if step == 1 else [*rows[:-1:step], last]
-    drawing = {"width": 360, "height": 230, "left": 58, "right": 348, "top": 12, "bottom": 190}
-    times, errors = [row.elapsed_s for row in shown], [row.error for row in shown]
-    time = Axis.around(times, drawing["left"], drawing["right"])
-    error = Axis.around(errors, drawing["bottom"], drawing["top"])
-    places = [(time.place(row.elapsed_s), error.place(row.error)) for row in shown]
-    texts = [
-        f"{number_text(row.error, 4)} {last.unit} · {number_text(row.elapsed_s, 4)} s · "
-        f"{number_text(row.cpu_s, 4)} s CPU · evaluation {row.evaluations:,}"
-        for row in shown
-    ]
-    return {
-        **drawing,
-        "stage": stage,
-        "unit": last.unit,
-        "rows": shown,
-        "summary": summary,
-        "time": time,
-        "error": error,
-        "time_ticks": time.labels(time.ticks(4)),
-        "error_ticks": error.labels(error.ticks(4)),
-        "places": places,
-        "line": " ".join(f"{x:g},{y:g}" for x, y in places),
-        "points_json": json.dumps([[x, y, text] for (x, y), text in zip(places, texts, strict=True)]),
-    }
+    charts = []
+    for stage in dict.fromkeys(row.stage for row in trace):
+        rows = [row for row in trace if row.stage == stage]
+        first, last = rows[0], rows[-1]
+        summary = f"{number_text(last.error)} {last.unit} after {last.evaluations:,} evaluations"
+        if len(rows) > 1:
+            summary = f"{number_text(first.error)} → {summary}"
+        drawing = {"width": 360, "height": 230, "left": 58, "right": 348, "top": 12, "bottom": 190}
+        step = -(-len(rows) // drawing["width"])  # a point for each pixel at most
+        shown = rows if step == 1 else [*rows[:-1:step], last]
+        times, errors = [row.elapsed_s for row in shown], [row.error for row in shown]
+        time = Axis.around(times, drawing["left"], drawing["right"])
+        error = Axis.around(errors, drawing["bottom"], drawing["top"])
+        places = [(time.place(row.elapsed_s), error.place(row.error)) for row in shown]
+        texts = [
+            f"{number_text(row.error, 4)} {last.unit} · {number_text(row.elapsed_s, 4)} s · "
+            f"{number_text(row.cpu_s, 4)} s CPU · evaluation {row.evaluations:,}"
+            for row in shown
+        ]
+        charts.append(
+            {
+                **drawing,
+                "stage": stage,
+                "unit": last.unit,
+                "rows": shown,
+                "summary": summary,
+                "time": time,
+                "error": error,
+                "time_ticks": time.labels(4),
+                "error_ticks": error.labels(4),
+                "places": places,
+                "line": " ".join(f"{x:g},{y:g}" for x, y in places),
+                "points_json": json.dumps([[x, y, text] for (x, y), text in zip(places, texts, strict=True)]),
+            }
+        )
+    return charts

@@ -5,56 +5,22 @@ from __future__ import annotations
 import base64
 import hashlib
 import io
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage, wound_like
 from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.report.overview import white_level
 
 _LEVELS = np.iinfo(np.uint16).max
-MOST_VERTICES = 60_000
-"""Of a chart's mesh; finer ones are thinned."""
-_BRIGHT_PERCENTILE = 99.9
-"""Linear values above this percentile are clipped in the 8 bits of a texture."""
-
-
-@dataclass(frozen=True)
-class ViewMesh:
-    """A mesh for the viewer: vertices (V, 3) mm, faces (F, 3), uv (V, 2), unit normals (V, 3)."""
-
-    vertices: FloatArray
-    faces: IntArray
-    uv: FloatArray
-    normals: FloatArray
-
-    @classmethod
-    def of(cls, mesh: FaceMesh) -> ViewMesh:
-        """Return a face's mesh with its normals."""
-        return cls(mesh.vertices, mesh.faces, mesh.uv, mesh.normals)
-
-
-@dataclass
-class Topologies:
-    """Triangles and charts of a report's meshes, each once: {key: {"faces", "uv", "wide"}}."""
-
-    of_key: dict[str, dict[str, Any]] = field(default_factory=dict)
-
-    def add(self, faces: IntArray, uv: FloatArray) -> str:
-        """Keep triangles (F, 3) and chart coordinates (V, 2) and return their key."""
-        wide = len(uv) > _LEVELS
-        index = np.ascontiguousarray(faces, "<u4" if wide else "<u2").tobytes()
-        chart = quantized(np.clip(uv, 0, 1), np.zeros(2), np.ones(2)).tobytes()
-        key = hashlib.sha256(index + chart).hexdigest()[:12]
-        self.of_key[key] = {"faces": encoded(index), "uv": encoded(chart), "wide": wide}
-        return key
 
 
 def encoded(data: bytes) -> str:
@@ -80,11 +46,20 @@ def octahedral(normals: FloatArray) -> NDArray[np.int16]:
     return np.round(np.clip(folded, -1, 1) * 32767).astype("<i2")
 
 
-def mesh_entry(mesh: ViewMesh, topologies: Topologies) -> dict[str, Any]:
-    """Return a mesh as the viewer reads it; positions are off by half of a 65535th of the box at most."""
+def mesh_entry(mesh: FaceMesh, topologies: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return a mesh as the viewer reads it; positions are off by half of a 65535th of the box at most.
+
+    Its triangles and chart coordinates go to `topologies`, {key: {"faces", "uv", "wide"}}, once for all
+    scans of a report.
+    """
+    wide = len(mesh.uv) > _LEVELS
+    index = np.ascontiguousarray(mesh.faces, "<u4" if wide else "<u2").tobytes()
+    chart = quantized(np.clip(mesh.uv, 0, 1), np.zeros(2), np.ones(2)).tobytes()
+    key = hashlib.sha256(index + chart).hexdigest()[:12]
+    topologies[key] = {"faces": encoded(index), "uv": encoded(chart), "wide": wide}
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
     return {
-        "topology": topologies.add(mesh.faces, mesh.uv),
+        "topology": key,
         "positions": encoded(quantized(mesh.vertices, low, high - low).tobytes()),
         "normals": encoded(octahedral(mesh.normals).tobytes()),
         "low": low.tolist(),
@@ -92,7 +67,7 @@ def mesh_entry(mesh: ViewMesh, topologies: Topologies) -> dict[str, Any]:
     }
 
 
-def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
+def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
     """Return the texel grid as a mesh of about `most` vertices or fewer.
 
     Blocks inside the mask become two triangles; those at the rim and at seams keep all their triangles, so
@@ -103,14 +78,12 @@ def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
     while int(image.mask.sum()) / step**2 > most:
         step += 1
     if step == 1:
-        return ViewMesh.of(full)
+        return full
     index = np.full(image.shape, -1, np.int64)
     index[image.mask] = np.arange(len(full.vertices))
     rows, columns = (np.arange(0, size - step, step) for size in image.shape)
-    whole = np.ones((len(rows), len(columns)), bool)
-    for down in range(step + 1):
-        for right in range(step + 1):
-            whole &= image.mask[np.ix_(rows + down, columns + right)]
+    blocks = sliding_window_view(image.mask, (step + 1, step + 1))[::step, ::step]
+    whole = np.asarray(blocks.all(axis=(2, 3)))
     a, b, c, d = (
         index[np.ix_(rows + down, columns + right)][whole] for down in (0, step) for right in (0, step)
     )
@@ -122,57 +95,44 @@ def thinned_chart(image: GeometryImage, most: int = MOST_VERTICES) -> ViewMesh:
     covered[inside] = whole[row[inside], column[inside]]
     agreed = wound_like(full.vertices, np.concatenate([coarse, full.faces[~covered]]), full.normals)
     used, place = np.unique(agreed, return_inverse=True)
-    return ViewMesh(full.vertices[used], place.reshape(-1, 3), full.uv[used], full.normals[used])
-
-
-@dataclass(frozen=True)
-class TextureStyle:
-    """How textures are stored: longest side in texels, and a JPEG's quality or None for PNG without loss."""
-
-    size: int
-    quality: int | None
+    return FaceMesh(full.vertices[used], place.reshape(-1, 3), full.uv[used])
 
 
 def texture_entry(
-    linear: NDArray[np.floating], mask: BoolArray, style: TextureStyle, *, factor: float | None = None
+    linear: NDArray[np.floating],
+    mask: BoolArray,
+    size: int,
+    *,
+    quality: int | None = None,
+    factor: float | None = None,
 ) -> dict[str, Any]:
     """Return a linear texture (H, W, 3) as 8-bit sRGB for the viewer, continued beyond the mask (H, W).
 
-    The texture is multiplied by `factor`, by which the viewer divides; when None, by the one that uses the 8
-    bits well.
+    Its longest side has at most `size` texels; a JPEG of a quality, or PNG without loss. The texture is
+    multiplied by `factor`, by which the viewer divides; when None, its `white_level` is 1.
     """
-    if factor is None:
-        bright = float(np.percentile(linear[mask].max(-1), _BRIGHT_PERCENTILE)) if mask.any() else 0.0
-        factor = 1 / bright if bright > 0 else 1.0
-    return {"factor": factor, **picture_entry(_pixels(linear, mask, style, factor), style.quality)}
+    factor = 1 / white_level(linear, mask) if factor is None else factor
+    return {"factor": factor, **picture_entry(_pixels(linear, mask, size, factor), quality)}
 
 
 def patch_entry(
-    linear: NDArray[np.floating],
-    under: NDArray[np.floating],
-    mask: BoolArray,
-    style: TextureStyle,
-    factor: float,
+    linear: NDArray[np.floating], under: NDArray[np.floating], mask: BoolArray, size: int, factor: float
 ) -> dict[str, Any]:
     """Return a texture (H, W, 3) as what is to be drawn over that of `under`, clear where the two agree."""
-    over, below = (_pixels(texture, mask, style, factor) for texture in (linear, under))
+    over, below = (_pixels(texture, mask, size, factor) for texture in (linear, under))
     differs = (over != below).any(-1, keepdims=True)
     return picture_entry(np.concatenate([over, np.full_like(over[..., :1], 255)], -1) * differs, None)
 
 
-def _pixels(
-    linear: NDArray[np.floating], mask: BoolArray, style: TextureStyle, factor: float
-) -> NDArray[np.uint8]:
-    fitted = _fitted(filled_from_nearest(linear, mask), style.size)
-    return encode_srgb_bytes(np.clip(factor * fitted, 0, 1))
+def _pixels(linear: NDArray[np.floating], mask: BoolArray, size: int, factor: float) -> NDArray[np.uint8]:
+    return encode_srgb_bytes(np.clip(factor * _fitted(filled_from_nearest(linear, mask), size), 0, 1))
 
 
-def gray_entry(values: FloatArray, mask: BoolArray, style: TextureStyle) -> dict[str, Any]:
+def gray_entry(values: FloatArray, mask: BoolArray, size: int) -> dict[str, Any]:
     """Return values (H, W) as 8 bits of their greatest, without loss; the viewer multiplies by `scale`."""
     scale = float(values[mask].max()) if mask.any() else 0.0
-    parts = filled_from_nearest(values[..., None], mask) / (scale or 1.0)
-    pixels = np.round(255 * np.clip(_fitted(np.repeat(parts, 3, 2), style.size)[..., 0], 0, 1))
-    return {"scale": scale, **picture_entry(pixels.astype(np.uint8), None)}
+    parts = _fitted(filled_from_nearest(values[..., None], mask) / (scale or 1.0), size)[..., 0]
+    return {"scale": scale, **picture_entry(np.round(255 * np.clip(parts, 0, 1)).astype(np.uint8), None)}
 
 
 def picture_entry(pixels: NDArray[np.uint8], quality: int | None) -> dict[str, Any]:
@@ -187,7 +147,7 @@ def picture_entry(pixels: NDArray[np.uint8], quality: int | None) -> dict[str, A
     return {"type": "image/png" if quality is None else "image/jpeg", "data": encoded(data.getvalue())}
 
 
-def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | None:
+def picture_url(file: Path, width: int) -> tuple[str, int, int] | None:
     """Return a picture file as the data URL of a JPEG at most `width` wide, and its size; None if damaged."""
     from PIL import Image
 
@@ -202,7 +162,7 @@ def picture_url(file: Path, width: int, quality: int) -> tuple[str, int, int] | 
         height = max(1, round(picture.height * width / picture.width))
         picture = picture.resize((width, height), Image.Resampling.LANCZOS)
     data = io.BytesIO()
-    picture.save(data, "JPEG", quality=quality, optimize=True, progressive=True)
+    picture.save(data, "JPEG", quality=80, optimize=True, progressive=True)
     return f"data:image/jpeg;base64,{encoded(data.getvalue())}", picture.width, picture.height
 
 

@@ -13,19 +13,9 @@ _SHARES = {"coverage", "seen", "confidence", "albedo_deviation", "intensity_devi
 _NAMES = {
     "name": "scan",
     "metrics_fit_residual_mean_mm": "fit, mean",
-    "metrics_fit_residual_median_mm": "fit, median",
     "metrics_fit_residual_p95_mm": "fit, 95 %",
-    "metrics_fit_coverage": "fit coverage",
-    "metrics_fit_converged": "fit converged",
-    "metrics_registration_rmse_mm": "registration error",
-    "metrics_registration_confidence": "confidence",
-    "metrics_registration_converged": "registration converged",
-    "metrics_geometry_image_seen": "texture seen",
     "metrics_albedo_lights": "lights",
-    "metrics_albedo_converged": "light converged",
     "metrics_albedo_uncertainty_albedo_deviation": "albedo uncertainty",
-    "uncertainty_direction_deviation_deg": "direction uncertainty",
-    "uncertainty_intensity_deviation": "intensity uncertainty",
     "uncertainty_albedo_deviation": "albedo uncertainty",
     "seconds": "time",
     "cpu_seconds": "CPU time",
@@ -39,17 +29,14 @@ _NAMES = {
 def number_text(value: float | None, digits: int = 3) -> str:
     """Return a number with some significant digits, no exponent where a person does without.
 
-    >>> [number_text(v) for v in (0.11502, 12.0, 1234567.0, 0.0, 0.00001234, None)]
-    ['0.115', '12', '1,234,567', '0', '1.23e-05', '–']
+    >>> [number_text(v) for v in (0.11502, 12.0, 1234567.0, 2e12, 0.0, 0.00001234, None)]
+    ['0.115', '12', '1,234,567', '2e+12', '0', '1.23e-05', '–']
     """
     if value is None or not math.isfinite(value):
         return "–"
     if value == int(value) and abs(value) < 1e9:
         return f"{int(value):,}"
-    size = abs(value)
-    if size >= 10**digits:
-        return f"{value:,.0f}"
-    return f"{value:.{digits}g}"
+    return f"{value:,.0f}" if 10**digits <= abs(value) < 1e9 else f"{value:.{digits}g}"
 
 
 def unit_of(column: str) -> str:
@@ -93,9 +80,7 @@ def value_text(column: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int | float):
-        if is_share(column) and 0 <= value <= 1:
-            return number_text(100 * value)
-        return number_text(float(value))
+        return number_text(float(100 * value if is_share(column) and 0 <= value <= 1 else value))
     return str(value)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,6 @@ from scan2albedo.lighting.environment_light import environment_light_on, open_sh
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 from scan2albedo.rendering.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.report.html.encoding import (
-    TextureStyle,
-    Topologies,
-    ViewMesh,
     encoded,
     gray_entry,
     mesh_entry,
@@ -33,86 +29,78 @@ from scan2albedo.report.html.encoding import (
 )
 from scan2albedo.report.overview import RESIDUAL_SCALE_MM, preview_factor
 
-_NO_RESIDUAL = np.iinfo(np.uint8).max
-"""In the bytes of the residuals: not measured."""
 
+def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> tuple[FloatArray | None, str]:
+    """Return each vertex's distance (V,) to the scan in mm, and from which file it was measured.
 
-@dataclass(frozen=True)
-class Residual:
-    """The distance (V,) of a fitted face to its scan."""
-
-    distance_mm: FloatArray | None
-    """NaN where there is no scan; None where it cannot be measured."""
-    source: str
-    """From which file it was measured, or why it cannot be."""
-
-
-def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> Residual:
-    """Return each vertex's distance to the scan, measured again from the input: no file of a result holds it.
-
-    As the fit measures it: NaN on the scan's border, beyond the gate, and where the scan faces away.
+    It is measured again from the input, as the fit does, for no file of a result holds it: NaN on the scan's
+    border, beyond the gate, and where the scan faces away. None, and why, where it cannot be measured.
     """
     if mesh.from_chart:
-        return Residual(None, "nothing was fitted")
+        return None, "nothing was fitted"
     if record.input.file is None:
-        return Residual(None, "the scan came from memory and no file holds it")
+        return None, "the scan came from memory and no file holds it"
+    from scan2albedo.fitting.result import RESIDUAL_GATE_MM, residuals_mm
+    from scan2albedo.fitting.scan_surface import scan_near_model
+    from scan2albedo.io import load_scan
     from scan2albedo.io.input_hash import input_sha256
 
     file = Path(record.input.file)
     try:
         if not file.is_file():
-            return Residual(None, f"{file} is no longer there to be measured")
+            return None, f"{file} is no longer there to be measured"
         textures = record.options.get("textures")
         if input_sha256(file, None if textures is None else str(textures)) != record.input.sha256:
-            return Residual(None, f"{file} is no longer the scan that was processed")
+            return None, f"{file} is no longer the scan that was processed"
         pose = read_record(folder / "registration.json", RegistrationRecord).fitted_from_scan
         if pose is None:
-            return Residual(None, "registration.json holds no pose of the fit")
-        distance = _distances(file, str(record.options.get("unit", "auto")), np.array(pose), mesh)
+            return None, "registration.json holds no pose of the fit"
+        scan, gate = load_scan(file, unit=str(record.options.get("unit", "auto"))), RESIDUAL_GATE_MM
+        low, high = mesh.vertices.min(0) - gate, mesh.vertices.max(0) + gate
+        surface = scan_near_model(scan.vertices, scan.faces, np.array(pose), low, high)
+        distance = np.full(len(mesh.vertices), np.nan)
+        if surface is not None:
+            surface = surface.turned_outward(mesh.vertices, mesh.normals, gate)
+            distance = residuals_mm(surface, mesh.vertices, mesh.faces, gate)
     except Scan2AlbedoError as error:
-        return Residual(None, one_line(error))
+        return None, one_line(error)
     mean = float(np.nanmean(distance)) if np.isfinite(distance).any() else float("nan")
-    return Residual(distance, f"measured again against {file.name}: {mean:.3f} mm in the mean")
-
-
-def _distances(file: Path, unit: str, model_from_scan: FloatArray, mesh: FaceMesh) -> FloatArray:
-    from scan2albedo.fitting.result import RESIDUAL_GATE_MM, residuals_mm
-    from scan2albedo.fitting.scan_surface import scan_near_model
-    from scan2albedo.io import load_scan
-
-    scan, gate = load_scan(file, unit=unit), RESIDUAL_GATE_MM
-    low, high = mesh.vertices.min(0) - gate, mesh.vertices.max(0) + gate
-    surface = scan_near_model(scan.vertices, scan.faces, model_from_scan, low, high)
-    if surface is None:
-        return np.full(len(mesh.vertices), np.nan)
-    surface = surface.turned_outward(mesh.vertices, mesh.normals, gate)
-    return residuals_mm(surface, mesh.vertices, mesh.faces, gate)
+    return distance, f"measured again against {file.name}: {mean:.3f} mm in the mean"
 
 
 def viewer_entry(
     face: ProcessedFace,
     record: ResultRecord,
-    topologies: Topologies,
-    style: TextureStyle,
+    topologies: dict[str, dict[str, Any]],
     residual_mm: FloatArray | None = None,
+    *,
+    size: int,
+    quality: int | None = None,
     soft_shadows: bool = False,
 ) -> dict[str, Any]:
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
     Relit pictures show the face as `relight` lights it, without gaps and with skin's usual gloss: "filled" is
-    its albedo where that differs, "assumed" tells what was done. `residual_mm` (V,) is that of the mesh's
-    vertices, NaN where there is no scan. `soft_shadows` computes at each vertex what the face hides from
-    itself of the scan's soft light.
+    its albedo where that differs, "assumed" what was done. `residual_mm` (V,) is that of the mesh's vertices,
+    NaN where there is no scan; `size` and `quality` are as in `texture_entry`. `soft_shadows` computes at
+    each vertex what the face hides from itself of the scan's soft light.
     """
     image = face.image
-    mesh = thinned_chart(image) if face.mesh.from_chart else ViewMesh.of(face.mesh)
+    mesh = thinned_chart(image) if face.mesh.from_chart else face.mesh
     lit, assumed = as_lit(face, RelightOptions()) if face.has_albedo else (face, ())
     skin = lit.reflectance
+    # Soft light as 9 rows of 3 coefficients of the shading of an open surface.
+    harmonics = None
+    if record.environment is not None:
+        harmonics = open_shading(record.environment)
+    elif record.parameters.get("brdf") == "spherical-harmonics":
+        given = np.asarray(record.parameters.get("sh_coefficients"), np.float64)
+        harmonics = given if given.shape == (9, 3) and np.isfinite(given).all() else None
     middle, radius, depth = portrait_frame(face.mesh.vertices)
     entry = {
         **mesh_entry(mesh, topologies),
         "hasAlbedo": face.has_albedo,
-        "albedo": texture_entry(face.albedo_linear, image.mask, style),
+        "albedo": texture_entry(face.albedo_linear, image.mask, size, quality=quality),
         "albedoExposure": preview_factor(face.albedo_linear, face.mask),
         "albedoLevel": face.level(),
         "reflectance": {
@@ -133,7 +121,7 @@ def viewer_entry(
             }
             for light in record.lights
         ],
-        "harmonics": _harmonics(record),
+        "harmonics": None if harmonics is None else np.ravel(harmonics).tolist(),
         "castsShadows": face.casts_shadows,
         "shadowOffset": shadow_offset_mm(
             float(np.ptp(face.mesh.vertices, axis=0).max()), face.shadow_offset_mm
@@ -149,13 +137,13 @@ def viewer_entry(
         },
     }
     if image.texture_linear is not None:
-        entry["texture"] = texture_entry(image.texture_linear, image.mask, style, factor=1.0)
+        entry["texture"] = texture_entry(image.texture_linear, image.mask, size, quality=quality, factor=1.0)
     if (lit.albedo_linear != face.albedo_linear).any():
         entry["filled"] = patch_entry(
-            lit.albedo_linear, face.albedo_linear, image.mask, style, entry["albedo"]["factor"]
+            lit.albedo_linear, face.albedo_linear, image.mask, size, entry["albedo"]["factor"]
         )
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
-        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, style)
+        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, size)
     if soft_shadows and face.environment is not None and face.environment.occluded:
         # Red, green, blue of the soft light on each vertex as 16-bit parts of a scale.
         caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows else None
@@ -165,19 +153,8 @@ def viewer_entry(
         parts = quantized(light, np.zeros(3), np.full(3, scale))
         entry["soft"] = {"scale": scale, "data": encoded(parts.tobytes())}
     if residual_mm is not None:
-        shown = np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1) * (_NO_RESIDUAL - 1)
-        stored = np.where(np.isnan(residual_mm), _NO_RESIDUAL, np.round(shown)).astype(np.uint8)
+        # 255 is not measured.
+        shown = np.round(254 * np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1))
+        stored = np.where(np.isnan(residual_mm), 255, shown).astype(np.uint8)
         entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": encoded(stored.tobytes())}
     return entry
-
-
-def _harmonics(record: ResultRecord) -> list[float] | None:
-    """Return soft light as 9 rows of 3 coefficients of the shading of an open surface, row by row."""
-    if record.environment is not None:
-        shading = open_shading(record.environment)
-        return np.asarray(shading).ravel().tolist()
-    rows = record.parameters.get("sh_coefficients")
-    if record.parameters.get("brdf") != "spherical-harmonics" or rows is None:
-        return None
-    flat = np.asarray(rows, np.float64)
-    return flat.ravel().tolist() if flat.shape == (9, 3) and np.isfinite(flat).all() else None

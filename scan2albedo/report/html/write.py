@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -27,20 +27,16 @@ from scan2albedo.report.html.batch_section import (
     RESULT_FILE,
     ScanRow,
     batch_section,
-    result_folders,
     rows_of_catalogue,
     rows_of_folders,
     selected_rows,
 )
-from scan2albedo.report.html.encoding import Topologies
-from scan2albedo.report.html.scan_section import ONE_OF_MANY, SINGLE, scan_section
+from scan2albedo.report.html.scan_section import scan_section
 
 if TYPE_CHECKING:
     from jinja2 import Environment
 
 REPORT_FILE = "report.html"
-MOST_ROWS = 10_000
-"""Scans in the table of a batch at most: browsers become slow beyond."""
 _SCRIPTS = (
     "elements",
     "viewer_math",
@@ -61,12 +57,10 @@ class WrittenReport:
     """Where a report is, and what it holds."""
 
     path: Path
-    """Of the page."""
     scans: int
-    """In the table, or 1."""
+    """In the table, or 1; `done` and `failed` of them."""
     done: int
     failed: int
-    """`done`, `failed`: of them."""
     sections: int
     """Scans that have a section of their own."""
     size_bytes: int
@@ -82,17 +76,9 @@ def write_report(
 ) -> WrittenReport:
     """Return what a self-contained HTML report of processed scans holds, which is written atomically.
 
-    Parameters
-    ----------
-    out : path
-        Folder of one processed scan (with result.json), of several such folders, or of a batch (with
-        catalogue.parquet).
-    path : path, optional
-        The page; ``out/report.html`` when omitted. Links to files are relative to it.
-    scans : int
-        How many scans of a batch get a section of their own.
-    on_progress : callable, optional
-        Called with a line for each scan that is put into the page.
+    `out` is the folder of one processed scan (with result.json), of several such folders, or of a batch (with
+    catalogue.parquet); `path` the page, ``out/report.html`` when omitted, to which links to files are
+    relative. `scans` of a batch get a section of their own, each of which calls `on_progress` with a line.
 
     Raises
     ------
@@ -111,76 +97,65 @@ def write_report(
         raise Scan2AlbedoError(f"{folder}: no such folder; give OUT of process or batch, or OUT/<scan name>")
     if path is None and os.path.lexists(target):
         own = False
-        with suppress(OSError), target.open("rb") as page:
-            title = next((line for line in page if b"</title>" in line), b"")
+        with suppress(OSError), target.open("rb") as opened:
+            title = next((line for line in opened if b"</title>" in line), b"")
             own = not target.is_symlink() and title.rstrip().endswith("· scan2albedo</title>".encode())
         if not own:
             raise OutputError(
                 f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or "
                 "give -o with another name"
             )
-    say = on_progress or (lambda line: None)
-    if (folder / CATALOGUE_FILE).is_file():
-        return _write_batch(folder, rows_of_catalogue(folder / CATALOGUE_FILE), target, scans, say)
-    if (folder / RESULT_FILE).is_file():
-        record, topologies = read_record(folder / RESULT_FILE, ResultRecord), Topologies()
-        section = scan_section(folder, record, target, topologies, SINGLE, anchor="scan", name=record.name)
-        content = {"title": record.name, "scans": [section], "topologies": topologies.of_key, "batch": None}
-        return WrittenReport(target, 1, 1, 0, 1, _write_page(content, target))
-    folders = result_folders(folder)
-    if not folders:
-        raise Scan2AlbedoError(
-            f"{folder}: holds no {RESULT_FILE}, no folder with one and no {CATALOGUE_FILE}; "
-            "process scans into it first"
-        )
-    return _write_batch(folder, rows_of_folders(folders), target, scans, say)
-
-
-def _write_batch(
-    folder: Path, rows: Sequence[ScanRow], target: Path, scans: int, say: Callable[[str], None]
-) -> WrittenReport:
-    chosen, reason = selected_rows(rows, scans)
-    topologies, sections = Topologies(), list[dict[str, Any]]()
-    anchors: dict[int, str] = {}
-    not_shown: list[tuple[str, str]] = []
+    single = (folder / RESULT_FILE).is_file() and not (folder / CATALOGUE_FILE).is_file()
+    chosen: tuple[int, ...] = (0,)
+    if single:
+        name = read_record(folder / RESULT_FILE, ResultRecord).name
+        rows, reason = [ScanRow(name, DONE, folder=folder)], ""
+    else:
+        catalogue = folder / CATALOGUE_FILE
+        rows = rows_of_catalogue(catalogue) if catalogue.is_file() else rows_of_folders(folder)
+        name = folder.resolve().name or str(folder)
+        chosen, reason = selected_rows(rows, scans)
+    topologies: dict[str, dict[str, Any]] = {}
+    anchors, sections, not_shown = dict[int, str](), list[dict[str, Any]](), list[tuple[str, str]]()
     for k in chosen:
-        where, name, anchor = rows[k].folder, rows[k].name, f"scan-{k + 1}"
+        scan, where = rows[k].name, rows[k].folder
         assert where is not None
-        say(f"{name}: {len(sections) + 1} of {len(chosen)}")
+        anchor = "scan" if single else f"scan-{k + 1}"
+        if on_progress is not None and not single:
+            on_progress(f"{scan}: {len(sections) + 1} of {len(chosen)}")
         try:
             record = read_record(where / RESULT_FILE, ResultRecord)
-            section = scan_section(where, record, target, topologies, ONE_OF_MANY, anchor=anchor, name=name)
+            sections.append(
+                scan_section(where, record, target, topologies, single=single, anchor=anchor, name=scan)
+            )
+            anchors[k] = anchor
         except Scan2AlbedoError as error:
-            not_shown.append((name, one_line(error)))
-            continue
-        anchors[k] = anchor
-        sections.append(section)
-    content = {
-        "title": folder.resolve().name or str(folder),
-        "scans": sections,
-        "topologies": topologies.of_key,
-        "batch": batch_section(rows, anchors, target, MOST_ROWS),
-        "selection": reason,
-        "not_shown": not_shown,
-    }
-    done, failed = (sum(row.status == status for row in rows) for status in (DONE, FAILED))
-    return WrittenReport(target, len(rows), done, failed, len(sections), _write_page(content, target))
+            if single:
+                raise
+            not_shown.append((scan, one_line(error)))
 
-
-def _write_page(content: dict[str, Any], target: Path) -> int:
-    """Write the page, whose policy forbids all but its own style and script, and return its size in bytes."""
-    style, scripts = _static("report.css"), "\n".join(_static(f"{name}.js") for name in _SCRIPTS)
+    # The page's policy forbids all but its own style and script.
+    style, scripts = _static("report.css"), "\n".join(_static(f"{file}.js") for file in _SCRIPTS)
     script = f'\n(() => {{\n"use strict";\n{scripts}}})();\n'
     hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script))
     policy = (
         "default-src 'none'; img-src data:; style-src 'sha256-{}'; script-src 'sha256-{}'; "
         "base-uri 'none'; form-action 'none'"
     ).format(*hashes)
-    content["written"] = datetime.now().astimezone().isoformat(" ", "minutes")
+    page = {
+        "title": name,
+        "written": datetime.now().astimezone().isoformat(" ", "minutes"),
+        "scans": sections,
+        "topologies": topologies,
+        "batch": None if single else batch_section(rows, anchors, target),
+        "selection": reason,
+        "not_shown": not_shown,
+    }
     template = _environment().get_template("page.html")
-    text = template.render(page=content, style=style, script=script, policy=policy, version=VERSION)
+    text = template.render(page=page, style=style, script=script, policy=policy, version=VERSION)
     write_text(target, text)
-    return len(text.encode())
+    done, failed = (sum(row.status == status for row in rows) for status in (DONE, FAILED))
+    return WrittenReport(target, len(rows), done, failed, len(sections), len(text.encode()))
 
 
 def data_json(value: Any) -> str:

@@ -16,7 +16,7 @@ from scan2albedo.io.atomic import write_text
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
+from scan2albedo.recognition import ResultIdentification, cmc_curve, roc_curve
 from scan2albedo.recognition.templates import Kind
 
 IDENTIFICATION_FILE = "identification.json"
@@ -80,57 +80,22 @@ FILES = OwnFiles(
 """Every file an identification may have."""
 
 
-def identification_record(found: ResultIdentification) -> IdentificationRecord:
-    """Return the record of an identification without files."""
-    return _record(found, *_curves(found))
-
-
-def write_identification(found: ResultIdentification, folder: str | Path) -> IdentificationRecord:
+def write_identification(
+    found: ResultIdentification, folder: str | Path | None = None
+) -> IdentificationRecord:
     """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
 
-    Return the record. The curves are those of the probes whose person is known; without such probes there are
-    none. OutputError when the folder cannot be written, or holds a file of somebody else under such a name.
+    Return the record; without a folder nothing is written. The curves are those of the probes whose person is
+    known; without such probes there are none. OutputError when the folder cannot be written, or holds a file
+    of somebody else under such a name.
     """
-    from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
-
-    cmc, roc = _curves(found)
-    record, name = _record(found, cmc, roc), " and ".join(found.by_kind)
-    with RunFolder(folder, FILES).publishing() as staging:
-        table = StringIO()
-        writer = csv.writer(table, lineterminator="\n")
-        writer.writerow(ProbeRecord.model_fields)
-        for probe in record.results:
-            writer.writerow("" if value is None else value for value in probe.model_dump().values())
-        write_text(staging.folder / "identification.csv", table.getvalue())
-        similarities = {
-            "similarities": found.matches.similarities,
-            **{f"{kind}_similarities": values for kind, values in found.by_kind.items()},
-            "persons": np.array(found.matches.persons),
-            "probes": np.array(found.probes.labels),
-            "probe_persons": np.array([person or "" for person in found.probes.persons]),
-        }
-        write_npz(staging.folder / "similarities.npz", similarities, what="similarities")
-        if cmc is not None:
-            staging.figure("cmc.png", cmc_figure({name: cmc}))
-        if roc is not None:
-            staging.figure("roc.png", roc_figure({name: roc}))
-        return staging.write_record(**dict(record))
-
-
-def _curves(found: ResultIdentification) -> tuple[CmcCurve | None, RocCurve | None]:
-    """Return the curves of the named probes; with a gallery of one person nobody is an impostor: no ROC."""
-    named = found.matches.named
-    if named is None:
-        return None, None
-    return cmc_curve(named), roc_curve(named) if len(named.persons) > 1 else None
-
-
-def _record(found: ResultIdentification, cmc: CmcCurve | None, roc: RocCurve | None) -> IdentificationRecord:
-    templates, matches = found.gallery.templates, found.matches
-    rates = (
-        None
-        if cmc is None
-        else RatesRecord(
+    # With a gallery of one person nobody is an impostor: no ROC.
+    matches = found.matches
+    cmc = cmc_curve(matches) if matches.known.any() else None
+    roc = roc_curve(matches) if cmc is not None and len(matches.persons) > 1 else None
+    rates = None
+    if cmc is not None:
+        rates = RatesRecord(
             probes=cmc.probes,
             confidence=cmc.confidence,
             rank_1_rate=float(cmc.rate[0]),
@@ -138,15 +103,14 @@ def _record(found: ResultIdentification, cmc: CmcCurve | None, roc: RocCurve | N
             equal_error_rate=None if roc is None else roc.equal_error_rate,
             equal_error_interval=None if roc is None else roc.equal_error_interval,
         )
-    )
 
     def rounded(similarity: float) -> float | None:
         """Return a similarity, 0 to 1, with the digits that sums in float32 hold; None for NaN."""
         return None if np.isnan(similarity) else round(min(float(similarity), 1.0), 6)
 
-    results = []
+    results, order = [], matches.order.tolist()
     for k, (probe, person) in enumerate(zip(found.probes.labels, found.probes.persons, strict=True)):
-        first, *others = matches.order[k].tolist()
+        first, *others = order[k]
         alone = {kind: rounded(values[k, first]) for kind, values in found.by_kind.items()}
         results.append(
             ProbeRecord(
@@ -161,14 +125,15 @@ def _record(found: ResultIdentification, cmc: CmcCurve | None, roc: RocCurve | N
                 shape=alone.get("shape"),
             )
         )
-    return IdentificationRecord(
+    templates = found.gallery.templates
+    record = IdentificationRecord(
         scan2albedo_version=VERSION,
         gallery=str(found.gallery.source),
         probes=str(found.probes.source),
         use=tuple(found.by_kind),
         gallery_images=len(found.gallery),
         persons=matches.persons,
-        combine=found.combine,
+        combine=matches.combine,
         template_options=asdict(templates.options),
         model=None if templates.chart is None else templates.chart.model,
         rates=rates,
@@ -176,3 +141,28 @@ def _record(found: ResultIdentification, cmc: CmcCurve | None, roc: RocCurve | N
         notes=found.notes,
         files=(),
     )
+    if folder is None:
+        return record
+    from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
+
+    name = " and ".join(found.by_kind)
+    with RunFolder(folder, FILES).publishing() as staging:
+        table = StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(ProbeRecord.model_fields)
+        for result in results:
+            writer.writerow("" if value is None else value for value in result.model_dump().values())
+        write_text(staging.folder / "identification.csv", table.getvalue())
+        similarities = {
+            "similarities": matches.similarities,
+            **{f"{kind}_similarities": values for kind, values in found.by_kind.items()},
+            "persons": np.array(matches.persons),
+            "probes": np.array(found.probes.labels),
+            "probe_persons": np.array([person or "" for person in found.probes.persons]),
+        }
+        write_npz(staging.folder / "similarities.npz", similarities, what="similarities")
+        if cmc is not None:
+            staging.figure("cmc.png", cmc_figure({name: cmc}))
+        if roc is not None:
+            staging.figure("roc.png", roc_figure({name: roc}))
+        return staging.write_record(**dict(record))
