@@ -58,8 +58,8 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     landmarks = model.landmarks
     if landmarks is None or model.landmark_points is None or not scan.boundary.any():
         return None
-    # Edges that hang together: where a border touches itself, loops would cut a mouth in two. Those with an odd
-    # number of faces close, even where lips grew together in an edge of three.
+    # Edges that hang together: where a border touches itself, loops would cut a mouth in two. Those with an
+    # odd number of faces close, even where lips grew together in an edge of three.
     edges, faces_around = edges_with_faces(scan.faces)
     edges = edges[faces_around % 2 == 1]
     links = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(scan.vertices),) * 2)
