@@ -13,7 +13,7 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_HOLE, LandmarkPull
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.mesh import boundary_edges
+from scan2albedo.geometry.mesh import edges_with_faces
 
 EYES = (tuple(range(36, 42)), tuple(range(42, 48)))
 """iBUG-68, the subject's right eye first."""
@@ -58,8 +58,10 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     landmarks = model.landmarks
     if landmarks is None or model.landmark_points is None or not scan.boundary.any():
         return None
-    # Edges that hang together: where a border touches itself, loops would cut a mouth in two.
-    edges = boundary_edges(scan.faces)
+    # Edges that hang together: where a border touches itself, loops would cut a mouth in two. Those with an
+    # odd number of faces close, even where lips grew together in an edge of three.
+    edges, faces_around = edges_with_faces(scan.faces)
+    edges = edges[faces_around % 2 == 1]
     links = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(scan.vertices),) * 2)
     label = connected_components(links, directed=False)[1][edges[:, 0]]
     holes = [_Hole(scan.vertices[edges[label == one]]) for one in np.unique(label)]
