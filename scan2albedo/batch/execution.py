@@ -23,8 +23,6 @@ from scan2albedo.errors import BatchError, OutputError, needs_extra
 
 _DEATHS_BEFORE_ANY_SCAN = 3
 _CAUSES = "for want of memory, or a library crashed"
-_CONNECT_S = 15
-_IDLE_S = 600
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
@@ -105,7 +103,7 @@ def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord
     from loky import ProcessPoolExecutor
 
     executor = ProcessPoolExecutor(
-        jobs, timeout=_IDLE_S, env=_ONE_THREAD, initializer=worker.begin_worker, initargs=(os.getpid(),)
+        jobs, env=_ONE_THREAD, initializer=worker.begin_worker, initargs=(os.getpid(),)
     )
     tasks_left = iter(tasks)
     # Two a process: one that waits keeps a process busy, and few are lost track of when one dies.
@@ -151,7 +149,16 @@ def run_on_cluster(
         waiting = list(tasks)
         while waiting:
             again: list[ScanTask] = []
-            for task, future in _answered(client, waiting):
+            ended: queue.SimpleQueue[tuple[ScanTask, Any]] = queue.SimpleQueue()
+            futures = []  # dask forgets tasks whose futures nobody holds
+            for task in waiting:
+                key = f"{task.name}-{secrets.token_hex(8)}"
+                futures.append(client.submit(worker.process_task, task, key=key, pure=False))
+                futures[-1].add_done_callback(
+                    lambda future, task=task, ended=ended: ended.put((task, future))
+                )
+            for _ in futures:
+                task, future = ended.get()  # also of one that dask gave up, or whose result it lost
                 try:
                     row = future.result()
                 # Raises whatever the task raised in its worker, of any library, and dask's own errors.
@@ -175,25 +182,13 @@ def run_on_cluster(
             waiting = again
 
 
-def _answered(client: Any, tasks: Sequence[ScanTask]) -> Iterator[tuple[ScanTask, Any]]:
-    """Yield each task with its dask future as that ends, also when dask gives it up or loses its result."""
-    ended: queue.SimpleQueue[tuple[ScanTask, Any]] = queue.SimpleQueue()
-    futures = []  # dask forgets tasks whose futures nobody holds
-    for task in tasks:
-        key = f"{task.name}-{secrets.token_hex(8)}"
-        futures.append(client.submit(worker.process_task, task, key=key, pure=False))
-        futures[-1].add_done_callback(lambda future, task=task: ended.put((task, future)))
-    for _ in futures:
-        yield ended.get()
-
-
 @contextmanager
 def _client(address: str) -> Iterator[Any]:
     """Give a client of the dask scheduler, which has at least one worker."""
     with needs_extra("cluster"):
         from distributed import Client
     try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+        client = Client(address, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise BatchError(f"no dask scheduler answers at {address} ({error}); check the address") from error
     with client:

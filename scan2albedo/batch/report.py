@@ -84,9 +84,8 @@ class BatchReport:
     def summary(self) -> str:
         """Return a summary of a few lines for a person."""
         progress = self.progress
-        parts = [f"{progress.done} of {progress.total} done"]
-        if progress.kept:
-            parts[0] += f" ({progress.kept} kept)"
+        kept = f" ({progress.kept} kept)" if progress.kept else ""
+        parts = [f"{progress.done} of {progress.total} done{kept}"]
         parts += [f"{progress.failed} failed"] if progress.failed else []
         parts += [f"{progress.left} not run"] if progress.left else []
         parts.append(f"{progress.elapsed_s:.0f} s")

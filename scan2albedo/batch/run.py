@@ -17,10 +17,10 @@ from pathlib import Path
 
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
-from scan2albedo.batch.layout import Layout, changed_file
+from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit
-from scan2albedo.batch.records import FIXED, BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
+from scan2albedo.batch.records import FIXED, BatchRecord, BatchScanRecord, BatchStatus
 from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
@@ -94,7 +94,7 @@ def run_batch(
         raise ValueError(f"jobs is {jobs}, expected at least 1")
     if timeout_s is not None and not timeout_s > 0:
         raise ValueError(f"timeout_s is {timeout_s}, expected seconds above 0")
-    layout = Layout.of(out)
+    layout = Layout(out)
     if not isinstance(manifest, BatchManifest):
         manifest = read_manifest(manifest, leave_out=layout.out)
     # Others lack the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
@@ -216,7 +216,14 @@ def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None
             return None, "with a changed scan"
     except Scan2AlbedoError:
         return None, "without their scan"
-    if changed_file(layout.out / task.name, row.files) is not None:
+    for name, sha256 in row.files.items():
+        file = layout.out / task.name / name
+        try:
+            # The record may have been edited: nothing outside the folder is read.
+            if Path(name).name == name and file.is_file() and file_sha256(file) == sha256:
+                continue
+        except OSError:
+            pass
         return None, "with changed or missing files"
     return row, ""
 
@@ -246,7 +253,7 @@ class _Run:
         self.layout.begin_run(self.run)
         status: BatchStatus = "interrupted"
         try:
-            todo = self.taken_up(tasks) if resume else tasks
+            todo = self.resumed(tasks) if resume else tasks
             self.start = time.monotonic()
             self.write("running")
             # Closed at once when Ctrl-C ends the loop: workers hold hundreds of MB each.
@@ -269,10 +276,10 @@ class _Run:
                 self.write(status)
         return self.outcome()
 
-    def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
+    def resumed(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
         """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
         if removed := remove_leftovers(*self.layout.folders):
-            self.note(f"removed {removed} half-written files and folders of a run that was killed")
+            self.show(note=f"removed {removed} half-written files and folders of a run that was killed")
         with ThreadPoolExecutor() as readers:
             found = list(readers.map(lambda task: _still_valid(task, self.layout), tasks))
         self.rows |= {row.name: row for row, _ in found if row is not None}
@@ -282,7 +289,7 @@ class _Run:
         reasons = Counter(reason for row, reason in found if row is None)
         why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         detail = f" ({why})" if why else ""
-        self.note(f"kept {self.kept} (hashes verified), {len(todo)} to do{detail}")
+        self.show(note=f"kept {self.kept} (hashes verified), {len(todo)} to do{detail}")
         return todo
 
     def processed(self, tasks: Sequence[ScanTask]) -> Generator[BatchScanRecord]:
@@ -304,16 +311,14 @@ class _Run:
             max((peak for peak in peaks if peak is not None), default=0.0),
             tasks[0].options.textures,
         )
-        if note := limit.note(asked):
-            self.note(note)
+        if limit.note:
+            self.show(note=limit.note)
         self.jobs = limit.jobs
         return limit.jobs
 
-    def note(self, text: str) -> None:
-        self.notes.append(text)
-        self.show(note=text)
-
     def show(self, last: BatchScanRecord | None = None, note: str = "") -> None:
+        """Tell the caller of a scan that has ended, or of a note, which is kept."""
+        self.notes += [note] if note else []
         if self.on_progress is not None:
             self.on_progress(replace(self.progress(), last=last, note=note))
 
@@ -329,13 +334,12 @@ class _Run:
         """Write the catalogue and the record of the batch."""
         self.written = time.monotonic()
         write_catalogue(self.layout.catalogue, catalogue_table(self.manifest, self.rows))
-        outcome, failures = self.outcome().figures(), self.failures()
+        outcome = self.outcome().figures()
         del outcome["out"]
-        outcome["failures"] = tuple(
-            BatchFailure(name=scan.name, source=scan.source, reason=failures[scan.name])
-            for scan in self.manifest.scans
-            if scan.name in failures
-        )
+        sources = {scan.name: scan.source for scan in self.manifest.scans}
+        outcome["failures"] = [
+            {**failure, "source": sources[failure["name"]]} for failure in outcome["failures"]
+        ]
         record = BatchRecord(
             scan2albedo_version=VERSION,
             versions=installed_versions(),
@@ -352,7 +356,5 @@ class _Run:
         write_record(self.layout.record, record)
 
     def outcome(self) -> BatchReport:
-        notes = tuple(self.notes)
-        return BatchReport(
-            self.layout.out, self.progress(), self.failures(), self.jobs, self.files_verified, notes
-        )
+        progress, failures, notes = self.progress(), self.failures(), tuple(self.notes)
+        return BatchReport(self.layout.out, progress, failures, self.jobs, self.files_verified, notes)

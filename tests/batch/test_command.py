@@ -76,7 +76,7 @@ def started(manifest, out, rows):
             [*COMMAND, manifest, "-o", out, *TINY, "--jobs", "2"], stderr=said, start_new_session=True
         )
     deadline = time.monotonic() + 200
-    while len(list(Layout.of(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
+    while len(list(Layout(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
         assert process.poll() is None, (manifest.parent / "stderr").read_text()
         time.sleep(0.05)
     return process
@@ -95,7 +95,7 @@ def test_what_was_done_before_a_kill_is_kept_untouched(scans_in, tmp_path):
     process = started(manifest, out, 2)
     process.kill()
     process.wait()
-    layout = Layout.of(out)
+    layout = Layout(out)
     time.sleep(1.5)  # workers end with their parent
     finished = [path.stem for path in layout.rows.glob("*.json")]
     assert 2 <= len(finished) < 6
