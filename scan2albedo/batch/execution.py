@@ -154,9 +154,7 @@ def run_on_cluster(
             for task in waiting:
                 key = f"{task.name}-{secrets.token_hex(8)}"
                 futures.append(client.submit(worker.process_task, task, key=key, pure=False))
-                futures[-1].add_done_callback(
-                    lambda future, task=task, ended=ended: ended.put((task, future))
-                )
+                futures[-1].add_done_callback(lambda future, task=task, put=ended.put: put((task, future)))
             for _ in futures:
                 task, future = ended.get()  # also of one that dask gave up, or whose result it lost
                 try:

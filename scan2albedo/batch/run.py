@@ -15,6 +15,7 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from scan2albedo import face_model
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
 from scan2albedo.batch.layout import Layout
@@ -134,7 +135,7 @@ def _tasks(
     manifest: BatchManifest, layout: Layout, options: ProcessOptions, timeout_s: float | None
 ) -> list[ScanTask]:
     run, tasks = secrets.token_hex(8), []
-    models: dict[str, str | None] = {}
+    models: dict[str, str | None] = {"none": None}
     if not isinstance(options.model, str):
         raise ValueError("a batch's model is a file, 'default' or 'none': workers read it themselves")
     if options.model not in ("default", "none"):
@@ -150,7 +151,15 @@ def _tasks(
         chosen = scan.options(options, manifest.folder)
         model = str(chosen.model)
         if model not in models:
-            models[model] = _model_sha256(model)
+            path = Path(face_model.__path__[0], "data", "afm.json") if model == "default" else Path(model)
+            json_model = path.suffix.lower() == ".json"
+            try:
+                parts = [path, path.with_suffix(".npz")] if json_model else files_of_scan(path)
+                hashes = "".join(file_sha256(part) for part in parts if part.exists())
+            except OSError as error:
+                advice = "give a model's or a template's file"
+                raise ModelError(f"{model}: {error.strerror or error}; {advice}") from error
+            models[model] = hashlib.sha256(hashes.encode()).hexdigest()
         # Whatever changes a result, and nothing else, is in this hash.
         hashed = {"version": VERSION, "model_sha256": models[model], **asdict(chosen)}
         if model not in ("default", "none"):
@@ -180,25 +189,6 @@ def _tasks(
     if any(task.options.landmarks_detected for task in tasks):
         require_detector()
     return tasks
-
-
-def _model_sha256(model: str) -> str | None:
-    """Return the SHA-256 of a model's or template's files, None for "none"; without them a `ModelError`."""
-    if model == "none":
-        return None
-    path = Path(model)
-    if model == "default":
-        from scan2albedo import face_model
-
-        path = Path(str(face_model.__file__)).parent / "data" / "afm.json"
-    try:
-        json_model = path.suffix.lower() == ".json"
-        files = [path, path.with_suffix(".npz")] if json_model else [*files_of_scan(path)]
-        return hashlib.sha256("".join(file_sha256(f) for f in files if f.exists()).encode()).hexdigest()
-    except OSError as error:
-        raise ModelError(
-            f"{model}: {error.strerror or error}; give a model's or a template's file"
-        ) from error
 
 
 def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, str]:
@@ -240,8 +230,6 @@ class _Run:
     on_progress: OnBatchProgress | None
     run: str
     rows: dict[str, BatchScanRecord] = field(default_factory=dict)
-    kept: int = 0
-    files_verified: int = 0
     notes: list[str] = field(default_factory=list)
     jobs: int = 1
     started_at: datetime = field(default_factory=lambda: datetime.now(UTC))
@@ -283,13 +271,11 @@ class _Run:
         with ThreadPoolExecutor() as readers:
             found = list(readers.map(lambda task: _still_valid(task, self.layout), tasks))
         self.rows |= {row.name: row for row, _ in found if row is not None}
-        self.kept = len(self.rows)
-        self.files_verified = sum(len(row.files) for row in self.rows.values())
         todo = [task for task in tasks if task.name not in self.rows]
         reasons = Counter(reason for row, reason in found if row is None)
         why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         detail = f" ({why})" if why else ""
-        self.show(note=f"kept {self.kept} (hashes verified), {len(todo)} to do{detail}")
+        self.show(note=f"kept {len(self.rows)} (hashes verified), {len(todo)} to do{detail}")
         return todo
 
     def processed(self, tasks: Sequence[ScanTask]) -> Generator[BatchScanRecord]:
@@ -304,13 +290,9 @@ class _Run:
         """Return how many processes to use for these tasks: as many as fit into memory now."""
         asked = min(self.asked, len(tasks))
         peaks = [row.peak_memory_mb for row in self.rows.values() if row.run == self.run]
-        limit = job_limit(
-            asked,
-            [Path(task.path) for task in tasks],
-            max(task.options.texels for task in tasks),
-            max((peak for peak in peaks if peak is not None), default=0.0),
-            tasks[0].options.textures,
-        )
+        paths, texels = [Path(task.path) for task in tasks], max(task.options.texels for task in tasks)
+        peak = max((peak for peak in peaks if peak is not None), default=0.0)
+        limit = job_limit(asked, paths, texels, peak, tasks[0].options.textures)
         if limit.note:
             self.show(note=limit.note)
         self.jobs = limit.jobs
@@ -320,15 +302,7 @@ class _Run:
         """Tell the caller of a scan that has ended, or of a note, which is kept."""
         self.notes += [note] if note else []
         if self.on_progress is not None:
-            self.on_progress(replace(self.progress(), last=last, note=note))
-
-    def progress(self) -> BatchProgress:
-        failed, elapsed_s = len(self.failures()), time.monotonic() - self.start
-        return BatchProgress(len(self.manifest.scans), len(self.rows) - failed, failed, self.kept, elapsed_s)
-
-    def failures(self) -> dict[str, str]:
-        rows = (self.rows.get(scan.name) for scan in self.manifest.scans)
-        return {row.name: row.reason for row in rows if row is not None and row.status == "failed"}
+            self.on_progress(replace(self.outcome().progress, last=last, note=note))
 
     def write(self, status: BatchStatus) -> None:
         """Write the catalogue and the record of the batch."""
@@ -356,5 +330,15 @@ class _Run:
         write_record(self.layout.record, record)
 
     def outcome(self) -> BatchReport:
-        progress, failures, notes = self.progress(), self.failures(), tuple(self.notes)
-        return BatchReport(self.layout.out, progress, failures, self.jobs, self.files_verified, notes)
+        rows = [self.rows[scan.name] for scan in self.manifest.scans if scan.name in self.rows]
+        failures = {row.name: row.reason for row in rows if row.status == "failed"}
+        kept = [row for row in rows if row.run != self.run]
+        progress = BatchProgress(
+            total=len(self.manifest.scans),
+            done=len(rows) - len(failures),
+            failed=len(failures),
+            kept=len(kept),
+            elapsed_s=time.monotonic() - self.start,
+        )
+        verified = sum(len(row.files) for row in kept)
+        return BatchReport(self.layout.out, progress, failures, self.jobs, verified, tuple(self.notes))

@@ -16,7 +16,7 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.io.images import encode_image, read_image_linear
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.textured_files import write_unlit
+from scan2albedo.pipeline.result import write_unlit
 from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZE = 128
