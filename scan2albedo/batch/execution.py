@@ -50,7 +50,8 @@ def run_in_processes(
             break
         except BrokenProcessPool as error:
             ended = _ended(left, layout)
-            suspects += [task for task in left if task.name in waiting and ended.get(task.name) == _DIED]
+            died = [name for name, row in ended.items() if row is None]
+            suspects += [waiting[name] for name in died if name in waiting]
             deaths = 0 if ended else deaths + 1
             if deaths == _DEATHS_BEFORE_ANY_SCAN:
                 raise BatchError(
@@ -58,28 +59,24 @@ def run_in_processes(
                     "with `scan2albedo process`, or see `scan2albedo doctor`"
                 ) from error
         for name, found in ended.items():
-            if waiting.pop(name, None) is not None and isinstance(found, BatchScanRecord):
+            if waiting.pop(name, None) is not None and found is not None:
                 yield found
     for task in suspects:
         try:
             yield from _processed([task], 1)
         except BrokenProcessPool as error:
-            again = _ended([task], layout).get(task.name)
             reason = f"its worker died twice ({_exit_codes(error)}): {_CAUSES}"
-            yield again if isinstance(again, BatchScanRecord) else _failed(task, layout, reason)
+            yield _ended([task], layout).get(task.name) or _failed(task, layout, reason)
 
 
-_DIED = "died"
-
-
-def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | str]:
-    """Return the records of tasks that ended without an answer; "died" for those in progress.
+def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | None]:
+    """Return the records of tasks that ended without an answer; None for those in progress.
 
     A task beyond its time limit ended its own worker; the tasks of other workers are not at fault and are
     left out.
     """
-    ended: dict[str, BatchScanRecord | str] = {}
-    late: dict[str, BatchScanRecord | str] = {}
+    ended: dict[str, BatchScanRecord | None] = {}
+    late: dict[str, BatchScanRecord | None] = {}
     for task in tasks:
         row, begun = layout.row(task.name), layout.started_at(task.name)
         layout.unmark(task.name)
@@ -88,9 +85,9 @@ def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanReco
         elif begun is not None and _took_too_long(task, begun):
             late[task.name] = _failed(task, layout, f"took longer than {task.timeout_s:g} s (--timeout)")
         elif begun is not None:
-            ended[task.name] = _DIED
+            ended[task.name] = None
     if late:
-        ended = {name: row for name, row in ended.items() if row != _DIED}
+        ended = {name: row for name, row in ended.items() if row is not None}
     return ended | late
 
 

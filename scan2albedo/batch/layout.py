@@ -51,15 +51,19 @@ class Layout:
     def begin_run(self, run: str) -> None:
         """Make `run` the only one whose workers may write here."""
         make_folder(self.rows)
-        self._unmark_all()
+        self.end_run()
         make_folder(self.running)
         write_text(self._run, run)
 
     def end_run(self) -> None:
-        """Keep remaining workers from writing here."""
+        """Keep remaining workers from writing here, and remove their marks."""
         with suppress(OSError):
             self._run.unlink()
-        self._unmark_all()
+        with suppress(OSError):
+            for name in os.listdir(self.running):
+                if self.started_at(name) is not None:
+                    self.unmark(name)
+            self.running.rmdir()
 
     def is_running(self, run: str) -> bool:
         """Return whether `run` is the one that may write here."""
@@ -86,13 +90,6 @@ class Layout:
         """Remove the mark of a scan."""
         with suppress(OSError):
             (self.running / name).unlink()
-
-    def _unmark_all(self) -> None:
-        with suppress(OSError):
-            for name in os.listdir(self.running):
-                if self.started_at(name) is not None:
-                    self.unmark(name)
-            self.running.rmdir()
 
     @contextmanager
     def locked(self) -> Iterator[None]:

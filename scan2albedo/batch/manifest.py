@@ -46,9 +46,8 @@ class ManifestScan:
 
         Raises `BatchError` when a cell is not a valid option.
         """
-        given: dict[str, Any] = {}
+        given: dict[str, Any] = {name: text for name, text in self.own.items() if text}
         try:
-            given = {name: text for name, text in self.own.items() if text}
             chosen = replace(batch, **given)
         except ValueError as error:
             raise BatchError(f"{self.where}: {error}") from error
@@ -79,15 +78,13 @@ class BatchManifest:
 def read_manifest(
     path: str | Path, *, leave_out: Path | None = None, name_columns: tuple[str, ...] = ()
 ) -> BatchManifest:
-    """Return the scans of a manifest: of a table, a list of paths, or a folder.
+    """Return the scans of a manifest: of a table, a list of paths, or a folder; one need not exist.
 
     - ``.csv`` or ``.tsv``, UTF-8: the column `scan` (a path, relative to the file), and where wanted `name`
       (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`, `landmarks`.
       Cells of other columns are kept as they are.
     - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
     - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
-
-    The scans need not exist: a missing one fails alone.
 
     Parameters
     ----------
@@ -100,8 +97,7 @@ def read_manifest(
     Raises
     ------
     BatchError
-        When there is no manifest, it lists nothing, lacks a column, has a name that cannot be a folder, or
-        two scans of one name; the message names the lines.
+        When it is missing, at fault or empty, or two scans have one name; the message names the lines.
     """
     source = Path(path)
     if source.is_dir():
