@@ -21,8 +21,6 @@ SCAN = "scan"
 OWN_OPTIONS = ("unit", "model", "lights", "seed", "landmarks")
 """Columns that stand for an option of `process` in their line; an empty cell means the batch's choice."""
 
-_TABLES = (".csv", ".tsv")
-
 
 @dataclass(frozen=True)
 class ManifestScan:
@@ -103,18 +101,36 @@ def read_manifest(
     if source.is_dir():
         files = sorted(_scans_below(source, leave_out))
         scans = [_scan(str(f.relative_to(source)), source, where=str(f)) for f in files]
-        return _checked(BatchManifest(source, tuple(scans)))
-    if source.suffix.lower() in SUPPORTED_SCANS:
+        manifest = BatchManifest(source, tuple(scans))
+    elif source.suffix.lower() in SUPPORTED_SCANS:
         raise BatchError(f"{source}: is a scan; give a CSV file, a list of paths or a folder of scans")
-    advice = f"give a CSV file with a column {SCAN!r}, a list of paths or a folder"
-    text = read_text(source, what=f"manifest {source}", advice=advice, error=BatchError)
-    if source.suffix.lower() in _TABLES:
-        return _checked(_of_table(source, text, name_columns))
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
-    wanted = [(number, line) for number, line in lines if line and not line.startswith("#")]
-    folder = source.parent.absolute()
-    scans = [_scan(line, folder, where=f"{source}, line {number}") for number, line in wanted]
-    return _checked(BatchManifest(source, tuple(scans)))
+    else:
+        advice = f"give a CSV file with a column {SCAN!r}, a list of paths or a folder"
+        text = read_text(source, what=f"manifest {source}", advice=advice, error=BatchError)
+        if source.suffix.lower() in (".csv", ".tsv"):
+            manifest = _of_table(source, text, name_columns)
+        else:
+            lines = [(f"{source}, line {k}", line.strip()) for k, line in enumerate(text.splitlines(), 1)]
+            wanted = [(where, line) for where, line in lines if line and not line.startswith("#")]
+            folder = source.parent.absolute()
+            scans = [_scan(line, folder, where=where) for where, line in wanted]
+            manifest = BatchManifest(source, tuple(scans))
+    if not manifest.scans:
+        kinds = f" ({', '.join(SUPPORTED_SCANS)})" if source.is_dir() else ""
+        raise BatchError(f"{source} lists no scan{kinds}; nothing to do")
+    first: dict[str, ManifestScan] = {}
+    for scan in manifest.scans:
+        if not is_folder_name(scan.name):
+            raise BatchError(
+                f"{scan.where}: {scan.name!r} cannot name a folder for the result; give another name"
+            )
+        other = first.setdefault(scan.name.casefold(), scan)
+        if other is not scan:
+            raise BatchError(
+                f"{other.where} and {scan.where}: both results would be named {scan.name}; give other names "
+                "(a CSV file with a column `name` can)"
+            )
+    return manifest
 
 
 def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any) -> ManifestScan:
@@ -172,22 +188,3 @@ def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchMani
             ]
             scans[k] = replace(scan, name="-".join((*before, scan.name)))
     return BatchManifest(file, tuple(scans), extra)
-
-
-def _checked(manifest: BatchManifest) -> BatchManifest:
-    if not manifest.scans:
-        kinds = f" ({', '.join(SUPPORTED_SCANS)})" if manifest.path.is_dir() else ""
-        raise BatchError(f"{manifest.path} lists no scan{kinds}; nothing to do")
-    first: dict[str, ManifestScan] = {}
-    for scan in manifest.scans:
-        if not is_folder_name(scan.name):
-            raise BatchError(
-                f"{scan.where}: {scan.name!r} cannot name a folder for the result; give another name"
-            )
-        other = first.setdefault(scan.name.casefold(), scan)
-        if other is not scan:
-            raise BatchError(
-                f"{other.where} and {scan.where}: both results would be named {scan.name}; give other names "
-                "(a CSV file with a column `name` can)"
-            )
-    return manifest

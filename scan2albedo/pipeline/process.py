@@ -21,7 +21,7 @@ from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, 
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
-from scan2albedo.errors import InsideOutError, memory_errors_named
+from scan2albedo.errors import memory_errors_named
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.plausibility import doubts, face_coverage
 from scan2albedo.io import load_scan
@@ -33,7 +33,7 @@ from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
-from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale
+from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale, registered_outward
 from scan2albedo.registration import Registration, register
 from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
@@ -86,7 +86,6 @@ def process(
     Parameters
     ----------
     source : path or RawScan
-        The scan.
     out : path, optional
         Folder that gets a subfolder named after the scan with the files of the result.
     name : str, optional
@@ -96,11 +95,9 @@ landmarks, unlit, texture_size
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-    **unknown
-        None: a misspelt option is refused with the one that was meant.
     """
     given = locals()
-    for wrong in unknown:
+    for wrong in unknown:  # a misspelt option is refused with the one that was meant
         names = ["name", "on_progress", *(option.name for option in fields(ProcessOptions))]
         near = difflib.get_close_matches(wrong, names, 1)
         hint = f": did you mean {near[0]!r}?" if near else f"; options are {', '.join(names)}"
@@ -193,7 +190,7 @@ def _processed(
     if options.unlit is not None and scan.texture_linear is not None:
         # Beyond the face a texel takes half as long.
         unlit_s = _UNLIT_S * (1.5 if options.unlit == "all" else 1.0) * scan.texture_linear[..., 0].size
-    clock.kept_s = unlit_s if seconds is None else min(unlit_s, BUDGET_SHARES["unlit"] * seconds)
+    clock.kept_s = min(unlit_s, BUDGET_SHARES["unlit"] * (seconds or 0.0))
     registration, fitted, estimate = None, None, None
     if model is None:
         steps = [PlanStep(stage, False, "no model was asked for") for stage in ("register", "fit")]
@@ -307,20 +304,13 @@ def _registered(
     elif step in options.force:
         stage = replace(stage, force_annealing=True)
 
-    def turned(of: RawScan, reversed_already: bool = False) -> tuple[RawScan, Registration]:
+    def pose(of: RawScan) -> Registration:
         share = clock.share("register")
-        try:
-            return of, register(of, model, share, options.seed, options=stage, on_progress=on_progress)
-        except InsideOutError:
-            if reversed_already:
-                raise
-        note = (
-            f"the scan was inside out: its {len(of.faces)} triangles were reversed. If the export was "
-            "mirrored, left and right of the face are swapped: then mirror the scan and process it again"
-        )
-        return turned(replace(of.inside_out(), notes=(*of.notes, note)), reversed_already=True)
+        return register(of, model, share, options.seed, options=stage, on_progress=on_progress)
 
-    return turned(scan) if size_fits is None else registered_at_any_scale(scan, size_fits, turned)
+    if size_fits is None:
+        return registered_outward(scan, pose)
+    return registered_at_any_scale(scan, size_fits, lambda of: registered_outward(of, pose))
 
 
 def _register_rows(registration: Registration) -> list[PlanStep]:
