@@ -202,7 +202,7 @@ def _failed(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord:
 
 def _exit_codes(error: BaseException) -> str:
     found = re.search(r"\{([^}]*)\}", str(error))
-    return found.group(1) if found else type(error).__name__
+    return found[1] if found else type(error).__name__
 
 
 def _reason(error: BaseException) -> str:

@@ -84,12 +84,8 @@ def run_batch(
     BatchError
         When this is not a POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
         not given, another batch works there, or no worker can be started or reached.
-    ModelError
-        When a model's file is missing.
-    OutputError
-        When `out` cannot be written.
-    ValueError
-        For a number of jobs or seconds that is not positive.
+    ModelError, OutputError, ValueError
+        When a model's file is missing, `out` cannot be written, or jobs or seconds are not positive.
     """
     if jobs is not None and jobs < 1:
         raise ValueError(f"jobs is {jobs}, expected at least 1")

@@ -26,10 +26,9 @@ DEVELOPERS = ("test", "docs", "dev")
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check.
+    """The result of one check; `good` is also True for an extra that is not installed.
 
-    `good` is also True for an extra that is not installed; `detail` is the version found, or the error;
-    `remedy` the command that mends it, empty when there is nothing to mend.
+    `detail` is the version found, or the error, `remedy` the command that mends it.
     """
 
     subject: str

@@ -92,7 +92,6 @@ class ProcessResult:
     """All results of one scan."""
 
     scan: RawScan
-    """As it was read."""
     registration: Registration | None
     """With the pose the fit ended with; None without a model, or when registration was skipped."""
     fitted: FittedFace | None
@@ -102,15 +101,12 @@ class ProcessResult:
     albedo: AlbedoEstimate | None
     """None when the scan has no colour, or the stage was skipped."""
     plan: Plan
-    """What ran, what was left out, and why."""
     trace: Trace
-    """Error against run time of every iterative stage."""
     timings_s: Mapping[str, float]
     """Wall-clock seconds of each stage."""
     options: Mapping[str, Any]
     """What `process` was called with."""
     seed: int
-    """What random steps began from."""
     unlit: UnlitScan | None = None
     """The scan itself without its light, where it was asked for."""
     template: TemplateTexture | None = None
@@ -139,11 +135,8 @@ class ProcessResult:
         """Return the figures of each stage, for summaries and result.json."""
         figures: dict[str, Any] = {"seconds": round(sum(self.timings_s.values()), 3)}
         if self.registration is not None:
-            figures["registration"] = {
-                "rmse_mm": self.registration.rmse_mm,
-                "confidence": self.registration.confidence,
-                "converged": self.registration.converged,
-            }
+            names = ("rmse_mm", "confidence", "converged")
+            figures["registration"] = {name: getattr(self.registration, name) for name in names}
         if self.fitted is not None:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
         figures["geometry_image"] = self.geometry_image.figures()
@@ -228,14 +221,11 @@ def write_result(
         if result.unlit is not None:
             write_unlit(staging.folder, result.unlit)
         if (registration := result.registration) is not None:
+            names = ("rmse_mm", "depth_error", "converged", "confidence", "iterations")
             poses = RegistrationRecord(
                 model_from_scan=registration.model_from_scan.tolist(),
                 fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
-                rmse_mm=registration.rmse_mm,
-                depth_error=registration.depth_error,
-                converged=registration.converged,
-                confidence=registration.confidence,
-                iterations=registration.iterations,
+                **{name: getattr(registration, name) for name in names},
             )
             write("registration.json", write_record, poses)
         in_scan = result.landmarks_scan
