@@ -48,8 +48,8 @@ class BatchProgress:
 class BatchReport:
     """The result of a batch in the folder `out`.
 
-    `failures` are reasons by name, `jobs` the processes that worked, `files_verified` of results that were kept,
-    `notes` what was decided and found on the way, one sentence each.
+    `failures` are reasons by name, `jobs` the processes that worked, `files_verified` of results that were
+    kept, `notes` what was decided and found on the way, one sentence each.
     """
 
     out: Path
