@@ -23,8 +23,6 @@ from scan2albedo.io.result_records import column_name, metric_columns
 if TYPE_CHECKING:
     import pyarrow
 
-NOT_RUN = "not run"
-
 
 def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]) -> pyarrow.Table:
     """Return the catalogue of a batch: a row for each scan of the manifest, in its order.
@@ -40,7 +38,7 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
     known = set(types) | own
     lines = []
     for scan in manifest.scans:
-        line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": NOT_RUN, "reason": ""}
+        line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": "not run", "reason": ""}
         line |= scan.extra
         if (row := rows.get(scan.name)) is not None:
             line |= {name: getattr(row, name) for name in FIXED if hasattr(row, name)}

@@ -25,12 +25,8 @@ class Layout:
         self.catalogue, self.record = self.out / CATALOGUE, self.out / RECORD
         self.kept = self.out / ".batch"
         self.rows, self.running = self.kept / "rows", self.kept / "running"
+        self.folders = (self.out, self.rows, self.running)  # in which files are made under hidden names
         self._run = self.kept / "run"  # names the only run whose workers may write here
-
-    @property
-    def folders(self) -> tuple[Path, ...]:
-        """Folders in which files are made under hidden names."""
-        return self.out, self.rows, self.running
 
     def row_file(self, name: str) -> Path:
         """Return where the record of a scan is."""

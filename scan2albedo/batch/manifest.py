@@ -58,12 +58,10 @@ class ManifestScan:
 
 @dataclass(frozen=True)
 class BatchManifest:
-    """The scans of a batch, one or more, no two of one name."""
+    """The scans of a batch, one or more, no two of one name, in the order of the file or folder `path`."""
 
     path: Path
-    """The file or folder."""
     scans: tuple[ManifestScan, ...]
-    """In the order of the manifest."""
     extra_columns: tuple[str, ...] = ()
     """Of the table, beside those with a meaning here."""
 

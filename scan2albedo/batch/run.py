@@ -41,8 +41,6 @@ CATALOGUE_INTERVAL_S = 30.0
 
 _POSIX = os.name == "posix"
 
-OnBatchProgress = Callable[[BatchProgress], None]
-
 
 def run_batch(
     manifest: str | Path | BatchManifest,
@@ -53,7 +51,7 @@ def run_batch(
     scheduler: str | None = None,
     resume: bool = False,
     timeout_s: float | None = None,
-    on_progress: OnBatchProgress | None = None,
+    on_progress: Callable[[BatchProgress], None] | None = None,
 ) -> BatchReport:
     """Return the report on many scans, each processed in a worker with one thread; failed ones stop no other.
 
@@ -223,7 +221,7 @@ class _Run:
     options: ProcessOptions
     asked: int
     scheduler: str | None
-    on_progress: OnBatchProgress | None
+    on_progress: Callable[[BatchProgress], None] | None
     run: str
     rows: dict[str, BatchScanRecord] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
