@@ -1,6 +1,7 @@
 """Shared fixtures: the real scans (beside the repository, optional), the default model, a face-like mask."""
 
 import os
+import pickle
 import signal
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from scan2albedo import AnnotatedFaceModel
+from scan2albedo.synthetic import Scanner, raw_scan
 
 # Tests share the cores already: no test has kernels compiled beside it but those that ask for it.
 os.environ.setdefault("SCAN2ALBEDO_COMPILE", "serial")
@@ -26,6 +28,40 @@ def shared_data() -> Path:
 def model() -> AnnotatedFaceModel:
     """The default model."""
     return AnnotatedFaceModel.default()
+
+
+@pytest.fixture(scope="session")
+def made_once(tmp_path_factory):
+    """Return what a function makes: called once for all workers of a run, and kept in a file."""
+    base = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        base = base.parent
+
+    def made(name, make):
+        import fcntl
+
+        with (base / f"{name}.pickle").open("a+b") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            if os.fstat(file.fileno()).st_size == 0:
+                file.write(pickle.dumps(make()))
+                file.flush()
+            file.seek(0)
+            return pickle.load(file)
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def coarse_scan(made_once):
+    """A synthetic raw scan with its truth, quick to make and to process, of images with 128 texels a side."""
+    scanner = Scanner(size=128, picture_size=500, spacing_mm=3.0)
+    return made_once("coarse_scan", lambda: raw_scan(0, scanner=scanner))
+
+
+@pytest.fixture(scope="session")
+def fine_scan(made_once):
+    """A synthetic raw scan as dense as real ones, with its truth."""
+    return made_once("fine_scan", lambda: raw_scan(41))
 
 
 @pytest.fixture(scope="session")

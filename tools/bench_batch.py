@@ -177,7 +177,7 @@ def state(out: Path, names: list[str]) -> dict[Path, tuple[str, int]]:
 
 def kill_and_resume(manifest: Path, out: Path, arguments: list[str]) -> None:
     """Kill a batch with SIGKILL when half is done, resume it, and print whether what was done stayed."""
-    rows = Layout.of(out).rows
+    rows = Layout(out).rows
     wanted = len(manifest.read_text().splitlines()) // 2
     process = subprocess.Popen([*COMMAND, manifest, "-o", out, *arguments], stderr=subprocess.DEVNULL)
     while len(list(rows.glob("*.json"))) < wanted and process.poll() is None:

@@ -135,7 +135,7 @@ def _options_set(tree: ast.Module) -> Iterator[tuple[str, str]]:
     """Yield (class or "replace", field) of the keyword arguments of every call."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
-            called = ast.unparse(node.func).rpartition(".")[2]
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
             yield from ((called, keyword.arg) for keyword in node.keywords if keyword.arg)
 
 

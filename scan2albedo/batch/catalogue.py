@@ -23,8 +23,6 @@ from scan2albedo.io.result_records import column_name, metric_columns
 if TYPE_CHECKING:
     import pyarrow
 
-NOT_RUN = "not run"
-
 
 def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]) -> pyarrow.Table:
     """Return the catalogue of a batch: a row for each scan of the manifest, in its order.
@@ -40,7 +38,7 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
     known = set(types) | own
     lines = []
     for scan in manifest.scans:
-        line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": NOT_RUN, "reason": ""}
+        line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": "not run", "reason": ""}
         line |= scan.extra
         if (row := rows.get(scan.name)) is not None:
             line |= {name: getattr(row, name) for name in FIXED if hasattr(row, name)}
@@ -59,15 +57,15 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
     kinds = {"string": pa.string(), "float64": pa.float64(), "bool": pa.bool_()}
     kinds["timestamp"] = pa.timestamp("us", tz="UTC")
     casts = {"float64": float, "bool": bool}
-    columns = {}
-    for name, kind in types.items():
-        cells, cast = [line.get(name) for line in lines], casts.get(kind)
-        columns[name] = cells if cast is None else [None if cell is None else cast(cell) for cell in cells]
-    return pa.Table.from_pydict(columns, schema=pa.schema([(n, kinds[kind]) for n, kind in types.items()]))
+    for line in lines:
+        for name, cell in line.items():
+            if cell is not None and types[name] in casts:
+                line[name] = casts[types[name]](cell)
+    return pa.Table.from_pylist(lines, schema=pa.schema([(n, kinds[kind]) for n, kind in types.items()]))
 
 
 def write_catalogue(path: Path, table: pyarrow.Table) -> None:
-    """Write a catalogue, whole or not at all; raises `OutputError` when the folder cannot be written."""
+    """Write a catalogue, whole or not at all."""
     import pyarrow.parquet as parquet
 
     with atomic_path(path) as temporary:
@@ -77,17 +75,8 @@ def write_catalogue(path: Path, table: pyarrow.Table) -> None:
 def load_catalogue(out: str | Path) -> pyarrow.Table:
     """Return the catalogue of a batch, one row a scan; `.to_pandas()` makes a data frame of it.
 
-    Parameters
-    ----------
-    out : path
-        Folder of the batch, or its catalogue.parquet.
-
-    Raises
-    ------
-    BatchError
-        When there is none, or it is damaged.
-    MissingDependencyError
-        When pyarrow is not installed.
+    `out` is the folder of the batch, or its catalogue.parquet. Raises BatchError when there is none, or it is
+    damaged, and MissingDependencyError when pyarrow is not installed.
     """
     with needs_extra("batch"):
         import pyarrow as pa
@@ -164,14 +153,8 @@ def load_albedos(
         albedo = read_image_linear(file)
         image = file.parent / "geometry_image.npz"
         advice = "run the batch with --resume"
-        arrays = read_npz(
-            image,
-            ("mask",),
-            optional=("texture_valid",),
-            what="geometry image",
-            advice=advice,
-            error=BatchError,
-        )
+        more: dict[str, Any] = {"what": "geometry image", "advice": advice, "error": BatchError}
+        arrays = read_npz(image, ("mask",), optional=("texture_valid",), **more)
         seen = arrays["mask"] & arrays.get("texture_valid", True)
         if seen.shape != albedo.shape[:2]:
             raise BatchError(

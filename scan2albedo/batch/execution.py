@@ -23,8 +23,6 @@ from scan2albedo.errors import BatchError, OutputError, needs_extra
 
 _DEATHS_BEFORE_ANY_SCAN = 3
 _CAUSES = "for want of memory, or a library crashed"
-_CONNECT_S = 15
-_IDLE_S = 600
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
@@ -52,7 +50,8 @@ def run_in_processes(
             break
         except BrokenProcessPool as error:
             ended = _ended(left, layout)
-            suspects += [task for task in left if task.name in waiting and ended.get(task.name) == _DIED]
+            died = [name for name, row in ended.items() if row is None]
+            suspects += [waiting[name] for name in died if name in waiting]
             deaths = 0 if ended else deaths + 1
             if deaths == _DEATHS_BEFORE_ANY_SCAN:
                 raise BatchError(
@@ -60,28 +59,24 @@ def run_in_processes(
                     "with `scan2albedo process`, or see `scan2albedo doctor`"
                 ) from error
         for name, found in ended.items():
-            if waiting.pop(name, None) is not None and isinstance(found, BatchScanRecord):
+            if waiting.pop(name, None) is not None and found is not None:
                 yield found
     for task in suspects:
         try:
             yield from _processed([task], 1)
         except BrokenProcessPool as error:
-            again = _ended([task], layout).get(task.name)
             reason = f"its worker died twice ({_exit_codes(error)}): {_CAUSES}"
-            yield again if isinstance(again, BatchScanRecord) else _failed(task, layout, reason)
+            yield _ended([task], layout).get(task.name) or _failed(task, layout, reason)
 
 
-_DIED = "died"
-
-
-def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | str]:
-    """Return the records of tasks that ended without an answer; "died" for those in progress.
+def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | None]:
+    """Return the records of tasks that ended without an answer; None for those in progress.
 
     A task beyond its time limit ended its own worker; the tasks of other workers are not at fault and are
     left out.
     """
-    ended: dict[str, BatchScanRecord | str] = {}
-    late: dict[str, BatchScanRecord | str] = {}
+    ended: dict[str, BatchScanRecord | None] = {}
+    late: dict[str, BatchScanRecord | None] = {}
     for task in tasks:
         row, begun = layout.row(task.name), layout.started_at(task.name)
         layout.unmark(task.name)
@@ -90,9 +85,9 @@ def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanReco
         elif begun is not None and _took_too_long(task, begun):
             late[task.name] = _failed(task, layout, f"took longer than {task.timeout_s:g} s (--timeout)")
         elif begun is not None:
-            ended[task.name] = _DIED
+            ended[task.name] = None
     if late:
-        ended = {name: row for name, row in ended.items() if row != _DIED}
+        ended = {name: row for name, row in ended.items() if row is not None}
     return ended | late
 
 
@@ -105,7 +100,7 @@ def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord
     from loky import ProcessPoolExecutor
 
     executor = ProcessPoolExecutor(
-        jobs, timeout=_IDLE_S, env=_ONE_THREAD, initializer=worker.begin_worker, initargs=(os.getpid(),)
+        jobs, env=_ONE_THREAD, initializer=worker.begin_worker, initargs=(os.getpid(),)
     )
     tasks_left = iter(tasks)
     # Two a process: one that waits keeps a process busy, and few are lost track of when one dies.
@@ -151,7 +146,14 @@ def run_on_cluster(
         waiting = list(tasks)
         while waiting:
             again: list[ScanTask] = []
-            for task, future in _answered(client, waiting):
+            ended: queue.SimpleQueue[tuple[ScanTask, Any]] = queue.SimpleQueue()
+            futures = []  # dask forgets tasks whose futures nobody holds
+            for task in waiting:
+                key = f"{task.name}-{secrets.token_hex(8)}"
+                futures.append(client.submit(worker.process_task, task, key=key, pure=False))
+                futures[-1].add_done_callback(lambda future, task=task, put=ended.put: put((task, future)))
+            for _ in futures:
+                task, future = ended.get()  # also of one that dask gave up, or whose result it lost
                 try:
                     row = future.result()
                 # Raises whatever the task raised in its worker, of any library, and dask's own errors.
@@ -175,25 +177,13 @@ def run_on_cluster(
             waiting = again
 
 
-def _answered(client: Any, tasks: Sequence[ScanTask]) -> Iterator[tuple[ScanTask, Any]]:
-    """Yield each task with its dask future as that ends, also when dask gives it up or loses its result."""
-    ended: queue.SimpleQueue[tuple[ScanTask, Any]] = queue.SimpleQueue()
-    futures = []  # dask forgets tasks whose futures nobody holds
-    for task in tasks:
-        key = f"{task.name}-{secrets.token_hex(8)}"
-        futures.append(client.submit(worker.process_task, task, key=key, pure=False))
-        futures[-1].add_done_callback(lambda future, task=task: ended.put((task, future)))
-    for _ in futures:
-        yield ended.get()
-
-
 @contextmanager
 def _client(address: str) -> Iterator[Any]:
     """Give a client of the dask scheduler, which has at least one worker."""
     with needs_extra("cluster"):
         from distributed import Client
     try:
-        client = Client(address, timeout=_CONNECT_S, set_as_default=False)
+        client = Client(address, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise BatchError(f"no dask scheduler answers at {address} ({error}); check the address") from error
     with client:
@@ -212,7 +202,7 @@ def _failed(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord:
 
 def _exit_codes(error: BaseException) -> str:
     found = re.search(r"\{([^}]*)\}", str(error))
-    return found.group(1) if found else type(error).__name__
+    return found[1] if found else type(error).__name__
 
 
 def _reason(error: BaseException) -> str:

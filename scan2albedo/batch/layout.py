@@ -4,61 +4,29 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder, write_text
-from scan2albedo.io.input_hash import file_sha256
 from scan2albedo.io.records import read_record, write_record
 
 CATALOGUE, RECORD = "catalogue.parquet", "batch.json"
-_KEPT = ".batch"
 
 
-@dataclass(frozen=True)
 class Layout:
-    """Paths of a batch in the folder `out`, which is absolute."""
+    """Paths of a batch, all absolute: `out` with `catalogue` and `record`, and below it the records of scans
+    that were tried in `rows`, and marks of those that are being processed in `running`."""
 
-    out: Path
-
-    @classmethod
-    def of(cls, out: str | Path) -> Layout:
-        """Return the layout of a folder."""
-        return cls(Path(os.path.normpath(Path(out).absolute())))
-
-    @property
-    def rows(self) -> Path:
-        """Folder of a record for each scan that was tried."""
-        return self.out / _KEPT / "rows"
-
-    @property
-    def running(self) -> Path:
-        """Folder of a mark for each scan that is being processed."""
-        return self.out / _KEPT / "running"
-
-    @property
-    def folders(self) -> tuple[Path, ...]:
-        """Folders in which files are made under hidden names."""
-        return self.out, self.rows, self.running
-
-    @property
-    def catalogue(self) -> Path:
-        """The table of all scans."""
-        return self.out / CATALOGUE
-
-    @property
-    def record(self) -> Path:
-        """The record of the batch."""
-        return self.out / RECORD
-
-    @property
-    def _run(self) -> Path:
-        """Names the only run whose workers may write here."""
-        return self.out / _KEPT / "run"
+    def __init__(self, out: str | Path) -> None:
+        self.out = Path(os.path.normpath(Path(out).absolute()))
+        self.catalogue, self.record = self.out / CATALOGUE, self.out / RECORD
+        self.kept = self.out / ".batch"
+        self.rows, self.running = self.kept / "rows", self.kept / "running"
+        self.folders = (self.out, self.rows, self.running)  # in which files are made under hidden names
+        self._run = self.kept / "run"  # names the only run whose workers may write here
 
     def row_file(self, name: str) -> Path:
         """Return where the record of a scan is."""
@@ -79,15 +47,19 @@ class Layout:
     def begin_run(self, run: str) -> None:
         """Make `run` the only one whose workers may write here."""
         make_folder(self.rows)
-        self._unmark_all()
+        self.end_run()
         make_folder(self.running)
         write_text(self._run, run)
 
     def end_run(self) -> None:
-        """Keep remaining workers from writing here."""
+        """Keep remaining workers from writing here, and remove their marks."""
         with suppress(OSError):
             self._run.unlink()
-        self._unmark_all()
+        with suppress(OSError):
+            for name in os.listdir(self.running):
+                if self.started_at(name) is not None:
+                    self.unmark(name)
+            self.running.rmdir()
 
     def is_running(self, run: str) -> bool:
         """Return whether `run` is the one that may write here."""
@@ -115,13 +87,6 @@ class Layout:
         with suppress(OSError):
             (self.running / name).unlink()
 
-    def _unmark_all(self) -> None:
-        with suppress(OSError):
-            for name in os.listdir(self.running):
-                if self.started_at(name) is not None:
-                    self.unmark(name)
-            self.running.rmdir()
-
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Keep other batches out of the folder during the block; a killed process holds no lock.
@@ -130,7 +95,7 @@ class Layout:
         """
         import fcntl
 
-        lock = make_folder(self.out / _KEPT) / "lock"
+        lock = make_folder(self.kept) / "lock"
         try:
             descriptor = os.open(lock, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
         except OSError as error:
@@ -146,20 +111,3 @@ class Layout:
             yield
         finally:
             os.close(descriptor)
-
-
-def folder_sha256(folder: Path) -> dict[str, str]:
-    """Return the SHA-256 of every file in a folder, by name."""
-    return {path.name: file_sha256(path) for path in sorted(folder.iterdir()) if path.is_file()}
-
-
-def changed_file(folder: Path, files: Mapping[str, str]) -> str | None:
-    """Return the name of a file that is missing or changed, None when there is none."""
-    for name, sha256 in files.items():
-        try:
-            inside = Path(name).name == name and (folder / name).is_file()  # a record may have been edited
-            if not inside or file_sha256(folder / name) != sha256:
-                return name
-        except OSError:
-            return name
-    return None

@@ -21,8 +21,6 @@ SCAN = "scan"
 OWN_OPTIONS = ("unit", "model", "lights", "seed", "landmarks")
 """Columns that stand for an option of `process` in their line; an empty cell means the batch's choice."""
 
-_TABLES = (".csv", ".tsv")
-
 
 @dataclass(frozen=True)
 class ManifestScan:
@@ -46,9 +44,8 @@ class ManifestScan:
 
         Raises `BatchError` when a cell is not a valid option.
         """
-        given: dict[str, Any] = {}
+        given: dict[str, Any] = {name: text for name, text in self.own.items() if text}
         try:
-            given = {name: text for name, text in self.own.items() if text}
             chosen = replace(batch, **given)
         except ValueError as error:
             raise BatchError(f"{self.where}: {error}") from error
@@ -61,12 +58,10 @@ class ManifestScan:
 
 @dataclass(frozen=True)
 class BatchManifest:
-    """The scans of a batch, one or more, no two of one name."""
+    """The scans of a batch, one or more, no two of one name, in the order of the file or folder `path`."""
 
     path: Path
-    """The file or folder."""
     scans: tuple[ManifestScan, ...]
-    """In the order of the manifest."""
     extra_columns: tuple[str, ...] = ()
     """Of the table, beside those with a meaning here."""
 
@@ -79,15 +74,13 @@ class BatchManifest:
 def read_manifest(
     path: str | Path, *, leave_out: Path | None = None, name_columns: tuple[str, ...] = ()
 ) -> BatchManifest:
-    """Return the scans of a manifest: of a table, a list of paths, or a folder.
+    """Return the scans of a manifest: of a table, a list of paths, or a folder; one need not exist.
 
     - ``.csv`` or ``.tsv``, UTF-8: the column `scan` (a path, relative to the file), and where wanted `name`
       (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`, `landmarks`.
       Cells of other columns are kept as they are.
     - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
     - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
-
-    The scans need not exist: a missing one fails alone.
 
     Parameters
     ----------
@@ -100,25 +93,42 @@ def read_manifest(
     Raises
     ------
     BatchError
-        When there is no manifest, it lists nothing, lacks a column, has a name that cannot be a folder, or
-        two scans of one name; the message names the lines.
+        When it is missing, at fault or empty, or two scans have one name; the message names the lines.
     """
     source = Path(path)
     if source.is_dir():
         files = sorted(_scans_below(source, leave_out))
         scans = [_scan(str(f.relative_to(source)), source, where=str(f)) for f in files]
-        return _checked(BatchManifest(source, tuple(scans)))
-    if source.suffix.lower() in SUPPORTED_SCANS:
+        manifest = BatchManifest(source, tuple(scans))
+    elif source.suffix.lower() in SUPPORTED_SCANS:
         raise BatchError(f"{source}: is a scan; give a CSV file, a list of paths or a folder of scans")
-    advice = f"give a CSV file with a column {SCAN!r}, a list of paths or a folder"
-    text = read_text(source, what=f"manifest {source}", advice=advice, error=BatchError)
-    if source.suffix.lower() in _TABLES:
-        return _checked(_of_table(source, text, name_columns))
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
-    wanted = [(number, line) for number, line in lines if line and not line.startswith("#")]
-    folder = source.parent.absolute()
-    scans = [_scan(line, folder, where=f"{source}, line {number}") for number, line in wanted]
-    return _checked(BatchManifest(source, tuple(scans)))
+    else:
+        advice = f"give a CSV file with a column {SCAN!r}, a list of paths or a folder"
+        text = read_text(source, what=f"manifest {source}", advice=advice, error=BatchError)
+        if source.suffix.lower() in (".csv", ".tsv"):
+            manifest = _of_table(source, text, name_columns)
+        else:
+            lines = [(f"{source}, line {k}", line.strip()) for k, line in enumerate(text.splitlines(), 1)]
+            wanted = [(where, line) for where, line in lines if line and not line.startswith("#")]
+            folder = source.parent.absolute()
+            scans = [_scan(line, folder, where=where) for where, line in wanted]
+            manifest = BatchManifest(source, tuple(scans))
+    if not manifest.scans:
+        kinds = f" ({', '.join(SUPPORTED_SCANS)})" if source.is_dir() else ""
+        raise BatchError(f"{source} lists no scan{kinds}; nothing to do")
+    first: dict[str, ManifestScan] = {}
+    for scan in manifest.scans:
+        if not is_folder_name(scan.name):
+            raise BatchError(
+                f"{scan.where}: {scan.name!r} cannot name a folder for the result; give another name"
+            )
+        other = first.setdefault(scan.name.casefold(), scan)
+        if other is not scan:
+            raise BatchError(
+                f"{other.where} and {scan.where}: both results would be named {scan.name}; give other names "
+                "(a CSV file with a column `name` can)"
+            )
+    return manifest
 
 
 def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any) -> ManifestScan:
@@ -176,22 +186,3 @@ def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchMani
             ]
             scans[k] = replace(scan, name="-".join((*before, scan.name)))
     return BatchManifest(file, tuple(scans), extra)
-
-
-def _checked(manifest: BatchManifest) -> BatchManifest:
-    if not manifest.scans:
-        kinds = f" ({', '.join(SUPPORTED_SCANS)})" if manifest.path.is_dir() else ""
-        raise BatchError(f"{manifest.path} lists no scan{kinds}; nothing to do")
-    first: dict[str, ManifestScan] = {}
-    for scan in manifest.scans:
-        if not is_folder_name(scan.name):
-            raise BatchError(
-                f"{scan.where}: {scan.name!r} cannot name a folder for the result; give another name"
-            )
-        other = first.setdefault(scan.name.casefold(), scan)
-        if other is not scan:
-            raise BatchError(
-                f"{other.where} and {scan.where}: both results would be named {scan.name}; give other names "
-                "(a CSV file with a column `name` can)"
-            )
-    return manifest

@@ -29,28 +29,18 @@ _CGROUP_FILES = (
 
 @dataclass(frozen=True)
 class JobLimit:
-    """How many jobs, at least one, fit into memory; `worker_mb` is the expected peak of a worker."""
+    """How many jobs, at least one, fit into memory; `worker_mb` is the expected peak of a worker.
+
+    `note` is one sentence for the user when jobs were cut, else empty.
+    """
 
     jobs: int
     worker_mb: float
-    available_mb: float
-
-    def note(self, asked: int) -> str:
-        """Return one sentence for the user when jobs were cut, else an empty one."""
-        if self.jobs >= asked:
-            return ""
-        return (
-            f"{self.jobs} of {asked} jobs: a worker may need {self.worker_mb / 1024:.1f} GB and "
-            f"{self.available_mb / 1024:.1f} GB are available"
-        )
+    note: str
 
 
 def job_limit(
-    asked: int,
-    scans: Iterable[Path],
-    size: int,
-    running_mb: float = 0.0,
-    textures: str | Path | None = None,
+    asked: int, scans: Iterable[Path], size: int, running_mb: float = 0.0, textures: str | Path | None = None
 ) -> JobLimit:
     """Return how many of the jobs asked for fit into the available memory.
 
@@ -73,8 +63,9 @@ def job_limit(
         largest = max(largest, total)
     worker = max(_BASE_MB + (size * size * _TEXEL_BYTES + largest) / MB, running_mb)
     available = available_mb()
-    fitting = int((1 - _KEPT_FREE) * available / worker)
-    return JobLimit(max(1, min(asked, fitting)), worker, available)
+    jobs = max(1, min(asked, int((1 - _KEPT_FREE) * available / worker)))
+    need = f"a worker may need {worker / 1024:.1f} GB and {available / 1024:.1f} GB are available"
+    return JobLimit(jobs, worker, f"{jobs} of {asked} jobs: {need}" if jobs < asked else "")
 
 
 def available_mb() -> float:

@@ -72,22 +72,11 @@ class BatchRecord(RunRecord):
 
 
 FIXED = {
-    "name": "string",
-    "source": "string",
-    "status": "string",
-    "reason": "string",
-    "folder": "string",
-    "model": "string",
-    "input_sha256": "string",
-    "options_sha256": "string",
-    "seconds": "float64",
-    "cpu_seconds": "float64",
-    "peak_memory_mb": "float64",
-    "worker": "string",
+    **dict.fromkeys(("name", "source", "status", "reason", "folder", "model"), "string"),
+    **dict.fromkeys(("input_sha256", "options_sha256", "worker"), "string"),
+    **dict.fromkeys(("seconds", "cpu_seconds", "peak_memory_mb"), "float64"),
     "finished_at": "timestamp",
-    "plan_ran": "string",
-    "plan_skipped": "string",
-    "notes": "string",
+    **dict.fromkeys(("plan_ran", "plan_skipped", "notes"), "string"),
 }
 """Columns of every scan."""
 
@@ -97,32 +86,21 @@ STAGES = ("load", "register", "fit", "geometry_image", "albedo", "files")
 FILES = ("albedo.exr", "albedo.png", "geometry_image.npz", "fitted.glb", "result.json", "overview.png")
 """Files that have a column of paths."""
 
+_METRICS = {
+    "": ("seconds",),
+    "registration_": ("rmse_mm", "confidence", "converged"),
+    "fit_residual_": ("mean_mm", "median_mm", "p95_mm"),
+    "fit_": ("coverage", "flipped_faces", "scale", "converged"),
+    "geometry_image_": ("coverage", "seen", "texel_area_mm2", "texel_area_p95_to_p5"),
+    "albedo_": ("lights", "converged"),
+    "albedo_parameters_": ("ambient", "sigma_rad", "light_distance_mm"),
+    "albedo_parameters_specular_": ("strength", "exponent"),
+    "albedo_uncertainty_": ("albedo_deviation", "direction_deviation_deg", "intensity_deviation"),
+}
 METRICS = {
-    "metrics_seconds": "float64",
-    "metrics_registration_rmse_mm": "float64",
-    "metrics_registration_confidence": "float64",
-    "metrics_registration_converged": "bool",
-    "metrics_fit_residual_mean_mm": "float64",
-    "metrics_fit_residual_median_mm": "float64",
-    "metrics_fit_residual_p95_mm": "float64",
-    "metrics_fit_coverage": "float64",
-    "metrics_fit_flipped_faces": "float64",
-    "metrics_fit_scale": "float64",
-    "metrics_fit_converged": "bool",
-    "metrics_geometry_image_coverage": "float64",
-    "metrics_geometry_image_seen": "float64",
-    "metrics_geometry_image_texel_area_mm2": "float64",
-    "metrics_geometry_image_texel_area_p95_to_p5": "float64",
-    "metrics_albedo_lights": "float64",
-    "metrics_albedo_parameters_ambient": "float64",
-    "metrics_albedo_parameters_sigma_rad": "float64",
-    "metrics_albedo_parameters_specular_strength": "float64",
-    "metrics_albedo_parameters_specular_exponent": "float64",
-    "metrics_albedo_parameters_light_distance_mm": "float64",
-    "metrics_albedo_converged": "bool",
-    "metrics_albedo_uncertainty_albedo_deviation": "float64",
-    "metrics_albedo_uncertainty_direction_deviation_deg": "float64",
-    "metrics_albedo_uncertainty_intensity_deviation": "float64",
+    f"metrics_{start}{name}": "bool" if name == "converged" else "float64"
+    for start, names in _METRICS.items()
+    for name in names
 }
 """Figures of `ProcessResult.metrics` that have a column even where no scan has them."""
 

@@ -22,11 +22,9 @@ class BatchProgress:
     kept: int = 0
     """`total`, `done`, `failed`, `kept`: scans; `done` counts those that were `kept` from an earlier run."""
     elapsed_s: float = 0.0
-    """Of this run."""
     last: BatchScanRecord | None = None
-    """The scan that has just ended."""
+    """The scan that has just ended; None with a `note`, a message for the user."""
     note: str = ""
-    """A message for the user; empty when a scan has ended."""
 
     @property
     def left(self) -> int:
@@ -48,20 +46,18 @@ class BatchProgress:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """The result of a batch."""
+    """The result of a batch in the folder `out`.
+
+    `failures` are reasons by name, `jobs` the processes that worked, `files_verified` of results that were
+    kept, `notes` what was decided and found on the way, one sentence each.
+    """
 
     out: Path
-    """Its folder."""
     progress: BatchProgress
-    """At the end."""
     failures: Mapping[str, str] = field(default_factory=dict)
-    """Reasons, by name."""
     jobs: int = 1
-    """Processes that worked."""
     files_verified: int = 0
-    """Of the results that were kept."""
     notes: tuple[str, ...] = ()
-    """What was decided and found on the way, one sentence each."""
 
     def figures(self) -> dict[str, Any]:
         """Return the summary for JSON."""
@@ -84,9 +80,8 @@ class BatchReport:
     def summary(self) -> str:
         """Return a summary of a few lines for a person."""
         progress = self.progress
-        parts = [f"{progress.done} of {progress.total} done"]
-        if progress.kept:
-            parts[0] += f" ({progress.kept} kept)"
+        kept = f" ({progress.kept} kept)" if progress.kept else ""
+        parts = [f"{progress.done} of {progress.total} done{kept}"]
         parts += [f"{progress.failed} failed"] if progress.failed else []
         parts += [f"{progress.left} not run"] if progress.left else []
         parts.append(f"{progress.elapsed_s:.0f} s")

@@ -15,12 +15,13 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from scan2albedo import face_model
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
-from scan2albedo.batch.layout import Layout, changed_file
+from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit
-from scan2albedo.batch.records import FIXED, BatchFailure, BatchRecord, BatchScanRecord, BatchStatus
+from scan2albedo.batch.records import FIXED, BatchRecord, BatchScanRecord, BatchStatus
 from scan2albedo.batch.report import BatchProgress, BatchReport
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
@@ -40,8 +41,6 @@ CATALOGUE_INTERVAL_S = 30.0
 
 _POSIX = os.name == "posix"
 
-OnBatchProgress = Callable[[BatchProgress], None]
-
 
 def run_batch(
     manifest: str | Path | BatchManifest,
@@ -52,7 +51,7 @@ def run_batch(
     scheduler: str | None = None,
     resume: bool = False,
     timeout_s: float | None = None,
-    on_progress: OnBatchProgress | None = None,
+    on_progress: Callable[[BatchProgress], None] | None = None,
 ) -> BatchReport:
     """Return the report on many scans, each processed in a worker with one thread; failed ones stop no other.
 
@@ -83,18 +82,14 @@ def run_batch(
     BatchError
         When this is not a POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
         not given, another batch works there, or no worker can be started or reached.
-    ModelError
-        When a model's file is missing.
-    OutputError
-        When `out` cannot be written.
-    ValueError
-        For a number of jobs or seconds that is not positive.
+    ModelError, OutputError, ValueError
+        When a model's file is missing, `out` cannot be written, or jobs or seconds are not positive.
     """
     if jobs is not None and jobs < 1:
         raise ValueError(f"jobs is {jobs}, expected at least 1")
     if timeout_s is not None and not timeout_s > 0:
         raise ValueError(f"timeout_s is {timeout_s}, expected seconds above 0")
-    layout = Layout.of(out)
+    layout = Layout(out)
     if not isinstance(manifest, BatchManifest):
         manifest = read_manifest(manifest, leave_out=layout.out)
     # Others lack the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
@@ -134,7 +129,7 @@ def _tasks(
     manifest: BatchManifest, layout: Layout, options: ProcessOptions, timeout_s: float | None
 ) -> list[ScanTask]:
     run, tasks = secrets.token_hex(8), []
-    models: dict[str, str | None] = {}
+    models: dict[str, str | None] = {"none": None}
     if not isinstance(options.model, str):
         raise ValueError("a batch's model is a file, 'default' or 'none': workers read it themselves")
     if options.model not in ("default", "none"):
@@ -150,7 +145,15 @@ def _tasks(
         chosen = scan.options(options, manifest.folder)
         model = str(chosen.model)
         if model not in models:
-            models[model] = _model_sha256(model)
+            path = Path(face_model.__path__[0], "data", "afm.json") if model == "default" else Path(model)
+            json_model = path.suffix.lower() == ".json"
+            try:
+                parts = [path, path.with_suffix(".npz")] if json_model else files_of_scan(path)
+                hashes = "".join(file_sha256(part) for part in parts if part.exists())
+            except OSError as error:
+                advice = "give a model's or a template's file"
+                raise ModelError(f"{model}: {error.strerror or error}; {advice}") from error
+            models[model] = hashlib.sha256(hashes.encode()).hexdigest()
         # Whatever changes a result, and nothing else, is in this hash.
         hashed = {"version": VERSION, "model_sha256": models[model], **asdict(chosen)}
         if model not in ("default", "none"):
@@ -182,25 +185,6 @@ def _tasks(
     return tasks
 
 
-def _model_sha256(model: str) -> str | None:
-    """Return the SHA-256 of a model's or template's files, None for "none"; without them a `ModelError`."""
-    if model == "none":
-        return None
-    path = Path(model)
-    if model == "default":
-        from scan2albedo import face_model
-
-        path = Path(str(face_model.__file__)).parent / "data" / "afm.json"
-    try:
-        json_model = path.suffix.lower() == ".json"
-        files = [path, path.with_suffix(".npz")] if json_model else [*files_of_scan(path)]
-        return hashlib.sha256("".join(file_sha256(f) for f in files if f.exists()).encode()).hexdigest()
-    except OSError as error:
-        raise ModelError(
-            f"{model}: {error.strerror or error}; give a model's or a template's file"
-        ) from error
-
-
 def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, str]:
     """Return the record of a result of an earlier run that is still valid, or None and why it is not."""
     remove_leftovers(layout.out / task.name)
@@ -216,7 +200,14 @@ def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None
             return None, "with a changed scan"
     except Scan2AlbedoError:
         return None, "without their scan"
-    if changed_file(layout.out / task.name, row.files) is not None:
+    for name, sha256 in row.files.items():
+        file = layout.out / task.name / name
+        try:
+            # The record may have been edited: nothing outside the folder is read.
+            if Path(name).name == name and file.is_file() and file_sha256(file) == sha256:
+                continue
+        except OSError:
+            pass
         return None, "with changed or missing files"
     return row, ""
 
@@ -230,11 +221,9 @@ class _Run:
     options: ProcessOptions
     asked: int
     scheduler: str | None
-    on_progress: OnBatchProgress | None
+    on_progress: Callable[[BatchProgress], None] | None
     run: str
     rows: dict[str, BatchScanRecord] = field(default_factory=dict)
-    kept: int = 0
-    files_verified: int = 0
     notes: list[str] = field(default_factory=list)
     jobs: int = 1
     started_at: datetime = field(default_factory=lambda: datetime.now(UTC))
@@ -246,7 +235,7 @@ class _Run:
         self.layout.begin_run(self.run)
         status: BatchStatus = "interrupted"
         try:
-            todo = self.taken_up(tasks) if resume else tasks
+            todo = self.resumed(tasks) if resume else tasks
             self.start = time.monotonic()
             self.write("running")
             # Closed at once when Ctrl-C ends the loop: workers hold hundreds of MB each.
@@ -269,20 +258,18 @@ class _Run:
                 self.write(status)
         return self.outcome()
 
-    def taken_up(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
+    def resumed(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
         """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
         if removed := remove_leftovers(*self.layout.folders):
-            self.note(f"removed {removed} half-written files and folders of a run that was killed")
+            self.show(note=f"removed {removed} half-written files and folders of a run that was killed")
         with ThreadPoolExecutor() as readers:
             found = list(readers.map(lambda task: _still_valid(task, self.layout), tasks))
         self.rows |= {row.name: row for row, _ in found if row is not None}
-        self.kept = len(self.rows)
-        self.files_verified = sum(len(row.files) for row in self.rows.values())
         todo = [task for task in tasks if task.name not in self.rows]
         reasons = Counter(reason for row, reason in found if row is None)
         why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
         detail = f" ({why})" if why else ""
-        self.note(f"kept {self.kept} (hashes verified), {len(todo)} to do{detail}")
+        self.show(note=f"kept {len(self.rows)} (hashes verified), {len(todo)} to do{detail}")
         return todo
 
     def processed(self, tasks: Sequence[ScanTask]) -> Generator[BatchScanRecord]:
@@ -297,45 +284,30 @@ class _Run:
         """Return how many processes to use for these tasks: as many as fit into memory now."""
         asked = min(self.asked, len(tasks))
         peaks = [row.peak_memory_mb for row in self.rows.values() if row.run == self.run]
-        limit = job_limit(
-            asked,
-            [Path(task.path) for task in tasks],
-            max(task.options.texels for task in tasks),
-            max((peak for peak in peaks if peak is not None), default=0.0),
-            tasks[0].options.textures,
-        )
-        if note := limit.note(asked):
-            self.note(note)
+        paths, texels = [Path(task.path) for task in tasks], max(task.options.texels for task in tasks)
+        peak = max((peak for peak in peaks if peak is not None), default=0.0)
+        limit = job_limit(asked, paths, texels, peak, tasks[0].options.textures)
+        if limit.note:
+            self.show(note=limit.note)
         self.jobs = limit.jobs
         return limit.jobs
 
-    def note(self, text: str) -> None:
-        self.notes.append(text)
-        self.show(note=text)
-
     def show(self, last: BatchScanRecord | None = None, note: str = "") -> None:
+        """Tell the caller of a scan that has ended, or of a note, which is kept."""
+        self.notes += [note] if note else []
         if self.on_progress is not None:
-            self.on_progress(replace(self.progress(), last=last, note=note))
-
-    def progress(self) -> BatchProgress:
-        failed, elapsed_s = len(self.failures()), time.monotonic() - self.start
-        return BatchProgress(len(self.manifest.scans), len(self.rows) - failed, failed, self.kept, elapsed_s)
-
-    def failures(self) -> dict[str, str]:
-        rows = (self.rows.get(scan.name) for scan in self.manifest.scans)
-        return {row.name: row.reason for row in rows if row is not None and row.status == "failed"}
+            self.on_progress(replace(self.outcome().progress, last=last, note=note))
 
     def write(self, status: BatchStatus) -> None:
         """Write the catalogue and the record of the batch."""
         self.written = time.monotonic()
         write_catalogue(self.layout.catalogue, catalogue_table(self.manifest, self.rows))
-        outcome, failures = self.outcome().figures(), self.failures()
+        outcome = self.outcome().figures()
         del outcome["out"]
-        outcome["failures"] = tuple(
-            BatchFailure(name=scan.name, source=scan.source, reason=failures[scan.name])
-            for scan in self.manifest.scans
-            if scan.name in failures
-        )
+        sources = {scan.name: scan.source for scan in self.manifest.scans}
+        outcome["failures"] = [
+            {**failure, "source": sources[failure["name"]]} for failure in outcome["failures"]
+        ]
         record = BatchRecord(
             scan2albedo_version=VERSION,
             versions=installed_versions(),
@@ -352,7 +324,15 @@ class _Run:
         write_record(self.layout.record, record)
 
     def outcome(self) -> BatchReport:
-        notes = tuple(self.notes)
-        return BatchReport(
-            self.layout.out, self.progress(), self.failures(), self.jobs, self.files_verified, notes
+        rows = [self.rows[scan.name] for scan in self.manifest.scans if scan.name in self.rows]
+        failures = {row.name: row.reason for row in rows if row.status == "failed"}
+        kept = [row for row in rows if row.run != self.run]
+        progress = BatchProgress(
+            total=len(self.manifest.scans),
+            done=len(rows) - len(failures),
+            failed=len(failures),
+            kept=len(kept),
+            elapsed_s=time.monotonic() - self.start,
         )
+        verified = sum(len(row.files) for row in kept)
+        return BatchReport(self.layout.out, progress, failures, self.jobs, verified, tuple(self.notes))

@@ -12,22 +12,19 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan2albedo.batch.layout import Layout, folder_sha256
+from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.records import BatchOutcome, BatchScanRecord
 from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
-from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.run_folder import RunFolder
 
 if TYPE_CHECKING:
-    from scan2albedo.core.plan import Level, Plan
     from scan2albedo.pipeline.options import ProcessOptions
     from scan2albedo.templates import AnnotatedFaceModel
 
 _ONE_AT_A_TIME = threading.Lock()
-_PARENT_INTERVAL_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def begin_worker(parent: int) -> None:
 
     def end_with_parent() -> None:
         while os.getppid() == parent:
-            time.sleep(_PARENT_INTERVAL_S)
+            time.sleep(0.5)
         os._exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -81,7 +78,7 @@ def process_task(task: ScanTask) -> BatchScanRecord:
     The scan is marked as in progress meanwhile. An alarm ends the process when it takes too long, even inside
     compiled code, where an exception could not clean up.
     """
-    layout = Layout(Path(task.out))
+    layout = Layout(task.out)
     earlier = layout.row(task.name)
     if earlier is not None and earlier.run == task.run:
         return earlier  # a scheduler asks again when it has lost the answer
@@ -117,7 +114,11 @@ def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
             known["notes"] += ("the result of an earlier run is still in its folder",)
     known["seconds"] = time.perf_counter() - start
     known["cpu_seconds"] = time.process_time() - cpu
-    return task.record(status, peak_memory_mb=peak_memory_mb(), **known)
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # KB, on macOS bytes
+    known["peak_memory_mb"] = peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+    return task.record(status, **known)
 
 
 def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
@@ -144,20 +145,18 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         files, pictures = task.options.files, task.options.pictures
         folder = write_result(result, layout.out, files=files, pictures=pictures, recorded=recorded)
         files_s = time.perf_counter() - begin
+        written = sorted(path for path in folder.iterdir() if path.is_file())
+        steps = result.plan.steps
     return {
         "input_sha256": result.input_sha256,
         "timings_s": {**result.timings_s, "files": files_s},
-        "files": {name: sha256 for name, sha256 in folder_sha256(folder).items() if FILES.holds(name)},
+        "files": {path.name: file_sha256(path) for path in written if FILES.holds(path.name)},
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
-        "plan_ran": _stages(result.plan, "did"),
-        "plan_skipped": _stages(result.plan, "left out"),
+        "plan_ran": tuple(dict.fromkeys(step.stage for step in steps if step.level == "did")),
+        "plan_skipped": tuple(dict.fromkeys(step.stage for step in steps if step.level == "left out")),
         "notes": result.notes,
     }
-
-
-def _stages(plan: Plan, level: Level) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(step.stage for step in plan if step.level == level))
 
 
 @lru_cache(4)
@@ -166,11 +165,3 @@ def _model(model: str, sha256: str | None) -> AnnotatedFaceModel | str:
     from scan2albedo.templates import chosen_model
 
     return chosen_model(model) or "none"
-
-
-def peak_memory_mb() -> float:
-    """Return the highest resident memory of this process so far, in MB of 2^20 bytes."""
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,9 +11,7 @@ import typer
 
 from scan2albedo.cli.applications import add_commands
 from scan2albedo.cli.common import (
-    INTERRUPTED,
     SOME_FAILED,
-    TERMINATED,
     USAGE_ERROR,
     JsonOption,
     PrintableUsage,
@@ -121,11 +120,6 @@ def _process_options(context: typer.Context) -> ProcessOptions:
         return ProcessOptions(**given)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-
-
-@app.callback()
-def _common() -> None:
-    """scan2albedo."""
 
 
 @app.command()
@@ -260,7 +254,7 @@ def batch(
         terminated = isinstance(stopped, Terminated)
         what = "terminated" if terminated else "interrupted"
         say(f"scan2albedo: {what}; nothing half-written was left behind, and --resume goes on")
-        raise typer.Exit(TERMINATED if terminated else INTERRUPTED) from None
+        raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
     for line in done.summary().splitlines():
         say(line)
     if json_summary:
@@ -305,11 +299,10 @@ def validate(
     from scan2albedo.pipeline import validation
 
     names = ("hemisphere", "face", "lighting")
-    chosen = names if what == "all" else (what,)
     if what not in (*names, "all"):
         raise typer.BadParameter(f"{what!r} is unknown, expected one of {', '.join(names)}, all")
     results: dict[str, Any] = {}
-    for name in chosen:
+    for name in names if what == "all" else (what,):
         with ProgressLines(name) as progress:
             asked: dict[str, Any] = {"size": size, "seed": seed}
             asked["on_row"] = lambda row, say=progress.say: say(row.text())
@@ -319,9 +312,8 @@ def validate(
                 results[name] = validation.validate_scenes(name, **asked)
     if json_summary:
         echo_json({name: table.figures() for name, table in results.items()})
-        return
-    for table in results.values():
-        typer.echo(table.text())
+    else:
+        typer.echo("\n".join(table.text() for table in results.values()))
 
 
 @app.command()

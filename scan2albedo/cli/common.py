@@ -19,7 +19,8 @@ from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import printable
 from scan2albedo.io.leftovers import remove_unfinished
 
-DONE, SOME_FAILED, USAGE_ERROR, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
+SOME_FAILED, USAGE_ERROR = 1, 2
+"""Exit statuses; 128 and the number of the signal where one ended the process."""
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
 OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]
@@ -126,7 +127,7 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
             # Not by `print`: `sys.stderr` refuses a second write when the signal came during one.
             os.write(sys.stderr.fileno(), complaint.encode())
         finally:
-            os._exit(TERMINATED if terminated else INTERRUPTED)
+            os._exit(128 + signum)
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)

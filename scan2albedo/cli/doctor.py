@@ -22,15 +22,13 @@ IMPORT_NAMES = {
 """Names by which libraries are imported, where these are not the packages' names."""
 DEVELOPERS = ("test", "docs", "dev")
 """Extras that no command needs."""
-OLDEST_PYTHON = (3, 11)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check.
+    """The result of one check; `good` is also True for an extra that is not installed.
 
-    `good` is also True for an extra that is not installed; `detail` is the version found, or the error;
-    `remedy` the command that mends it, empty when there is nothing to mend.
+    `detail` is the version found, or the error, `remedy` the command that mends it.
     """
 
     subject: str
@@ -57,12 +55,19 @@ def libraries(requirements: Iterable[str]) -> dict[str, tuple[str, str]]:
 
 def examine() -> Iterator[Finding]:
     """Yield a finding for Python, each library (really imported, in a process of its own) and the model."""
-    running = ".".join(map(str, sys.version_info[:3]))
-    good = sys.version_info[:2] >= OLDEST_PYTHON
-    yield Finding("Python", good, running, "" if good else "install Python 3.11 or later and run: make demo")
+    yield Finding("Python", True, ".".join(map(str, sys.version_info[:3])))
     for package, (requirement, extra) in libraries(requires("scan2albedo") or ()).items():
         yield examined_library(package, requirement, extra)
-    yield _default_model()
+    from scan2albedo.errors import ModelError
+    from scan2albedo.templates import AnnotatedFaceModel
+
+    try:
+        model = AnnotatedFaceModel.default()
+    except (ImportError, ModelError) as error:
+        remedy = f"{sys.executable} -m pip install --force-reinstall ."
+        yield Finding("default face model", False, str(error), remedy)
+    else:
+        yield Finding("default face model", True, f"{len(model.control_vertices)} control vertices")
 
 
 def examined_library(package: str, requirement: str, extra: str = "") -> Finding:
@@ -91,16 +96,3 @@ def examined_library(package: str, requirement: str, extra: str = "") -> Finding
     if package == "open3d" or ".so" in complaint:
         remedy = f"apt-get install -y {SYSTEM_LIBRARIES}    (or: tools/bootstrap_system.sh)"
     return Finding(package, False, f"{installed} does not import: {complaint}", remedy)
-
-
-def _default_model() -> Finding:
-    from scan2albedo.errors import ModelError
-    from scan2albedo.templates import AnnotatedFaceModel
-
-    try:
-        model = AnnotatedFaceModel.default()
-    except (ImportError, ModelError) as error:
-        return Finding(
-            "default face model", False, str(error), f"{sys.executable} -m pip install --force-reinstall ."
-        )
-    return Finding("default face model", True, f"{len(model.control_vertices)} control vertices")

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.albedo import AlbedoError, AlbedoEstimate, albedo_error
-from scan2albedo.core import PointLight, ProgressCallback
+from scan2albedo.albedo import AlbedoError, albedo_error
+from scan2albedo.core import ProgressCallback
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.run_folder import RunFolder
@@ -18,9 +17,6 @@ from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.process import process
 from scan2albedo.pipeline.result import FILES, ProcessResult
 from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
-
-INNER_LANDMARKS = slice(17, 68)
-"""iBUG-68 without the jaw line, which no point of a smooth jaw defines."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +100,19 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
     position = transform_points(truth_from_fit, image.position[both])
     landmarks = transform_points(truth_from_fit, fitted.landmarks)
     surface = ClosestPointQuery(transform_points(truth_from_fit, fitted.vertices), fitted.faces)
-    true_albedo, usable = _true_albedo_at(truth, position, image.seen[both])
+    # The true albedo at the surface points nearest to the texels; those at the chart's border have none near.
+    true_vertices, true_faces = truth.image.triangulated()
+    hits = ClosestPointQuery(true_vertices, true_faces).query(position)
+    corners = truth.albedo_linear[truth.image.mask][true_faces[hits.face]]
+    true_albedo = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
+    usable = image.seen[both] & (hits.distance < 2.0)
+    light_deg = float("nan")
+    if estimate.lights:
+        found = np.array([light.direction for light in estimate.lights]) @ truth_from_fit[:3, :3].T
+        cosines = np.array([light.direction for light in truth.lights]) @ found.T
+        light_deg = float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).min(axis=1).max())
+    # iBUG-68 without the jaw line, which no point of a smooth jaw defines.
+    inner = np.linalg.norm(landmarks - truth.landmarks, axis=1)[17:]
     assert image.texture_linear is not None
     return DemoReport(
         result=result,
@@ -112,37 +120,13 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
         pose_translation_mm=float(np.linalg.norm(transform_points(truth_from_fit, center[None])[0] - center)),
         surface_mm=float(surface.query(truth.image.position[truth.image.mask]).distance.mean()),
         correspondence_mm=float(np.linalg.norm(position - truth.image.position[both], axis=1).mean()),
-        landmarks_mm=float(np.linalg.norm(landmarks - truth.landmarks, axis=1)[INNER_LANDMARKS].mean()),
-        light_deg=_light_deg(estimate, truth.lights, truth_from_fit),
+        landmarks_mm=float(inner.mean()),
+        light_deg=light_deg,
         lights_found=len(estimate.lights),
         lights_true=len(truth.lights),
         texture=albedo_error(image.texture_linear[both], true_albedo, usable),
         albedo=albedo_error(estimate.albedo_linear[both], true_albedo, usable),
     )
-
-
-def _true_albedo_at(
-    truth: SyntheticTruth, points: NDArray[np.float64], seen: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """True albedo (N, 3) at the surface points nearest to `points`, and where to compare (N,).
-
-    Texels at the chart's border have no neighbour on the true face and are left out.
-    """
-    vertices, faces = truth.image.triangulated()
-    hits = ClosestPointQuery(vertices, faces).query(points)
-    corners = truth.albedo_linear[truth.image.mask][faces[hits.face]]
-    color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
-    return color, seen & (hits.distance < 2.0)
-
-
-def _light_deg(
-    estimate: AlbedoEstimate, true_lights: tuple[PointLight, ...], truth_from_fit: NDArray[np.float64]
-) -> float:
-    if not estimate.lights:
-        return float("nan")
-    found = np.array([light.direction for light in estimate.lights]) @ truth_from_fit[:3, :3].T
-    true = np.array([light.direction for light in true_lights])
-    return float(np.degrees(np.arccos(np.clip(true @ found.T, -1, 1))).min(axis=1).max())
 
 
 def _albedo_text(error: AlbedoError) -> str:

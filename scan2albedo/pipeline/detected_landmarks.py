@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import MissingDependencyError, needs_extra
@@ -34,12 +34,8 @@ _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 """Yaw and pitch."""
 _FACING = 0.5
 """Cosine between the surface and the view: what is seen at a more grazing angle is left out."""
-_FEWEST_VIEWS, _APART_MM = 2, 5.0
-"""Least number of views that see a landmark, and how near to the median of all."""
 _LEAST_SECONDS = 2.0
 """What loading the network and looking take."""
-_TEXTURE_PIXELS = 2048
-"""Along a side; the pictures show no more of a larger texture."""
 _POINTS = {
     **dict(zip((18, 19, 20, 21, 22, 23, 24, 25), (63, 105, 66, 107, 336, 296, 334, 293), strict=True)),
     **dict(zip((30, 32, 33, 34), (4, 97, 2, 326), strict=True)),
@@ -51,7 +47,7 @@ _POINTS = {
 the nose mean other places there."""
 _SIGMA_MM = {range(17, 27): 5.0, range(27, 36): 4.0, range(36, 48): 3.0, range(48, 68): 4.0}
 """Deviation of the network's points from those that people place; points of a feature err alike, so these are
-larger than the deviation of one."""
+larger than the deviation of one. Views that differ by more than the largest are left out."""
 _GREY = 2.0
 """The network knows photographs: factor of its errors on grey shapes."""
 
@@ -103,18 +99,39 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     near = np.abs(vertices[scan.faces]).max(axis=(1, 2)) < 2 * _HALF_WIDTH_MM
     if not near.any():
         return None
-    painted = _Painted.of(scan, vertices, near)
+    faces = scan.faces[near]
+    normals = face_normals(vertices, faces)
+    colors: dict[str, Any] = {}  # keyword arguments of `render_mesh`
+    if scan.uv is not None and scan.texture_linear is not None:
+        # Four texels a pixel: the pictures show no more of a larger texture.
+        stride = max(1, max(scan.texture_linear.shape[:2]) // (4 * _SIZE))
+        texture = (255 * _exposed(scan.texture_linear[::stride, ::stride])).astype(np.uint8)
+        uv = in_first_period(scan.uv[near], texture.shape)
+        colors = {"texture_srgb": (uv, texture), "shaded": False}
+    elif scan.vertex_color_linear is not None:
+        colors = {"vertex_color_srgb": _exposed(scan.vertex_color_linear), "shaded": False}
+    seen = np.full((len(_VIEWS_DEG), COUNT, 3), np.nan)
     with _detector() as detect:
-        views = [View((0, 0, 0), _HALF_WIDTH_MM, *angles) for angles in _VIEWS_DEG]
-        seen = np.stack([_seen_from(painted, view, detect) for view in views])
+        for found, angles in zip(seen, _VIEWS_DEG, strict=True):
+            view = View((0, 0, 0), _HALF_WIDTH_MM, *angles)
+            pixels = detect(render_mesh(vertices, faces, view=view, size=_SIZE, **colors))
+            if pixels is None:
+                continue
+            raster = view.raster(vertices, faces, _SIZE)
+            for number, point in _POINTS.items():
+                column, row = np.round(pixels[point]).astype(int)
+                if not (0 <= column < _SIZE and 0 <= row < _SIZE) or (face := raster.face[row, column]) < 0:
+                    continue
+                if normals[face] @ view.rotation[2] > _FACING:
+                    found[number] = raster.barycentric[row, column] @ vertices[faces[face]]
     if scan.has_color and np.isnan(seen).all():
         bare = replace(scan, uv=None, texture_linear=None, vertex_color_linear=None)
         return detected_landmarks(bare, model_from_scan)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of landmarks that no view sees
         middle = np.nanmedian(seen, axis=0)
-    seen[np.linalg.norm(seen - middle, axis=-1) > _APART_MM] = np.nan
-    enough = np.isfinite(seen[..., 0]).sum(axis=0) >= _FEWEST_VIEWS
+    seen[np.linalg.norm(seen - middle, axis=-1) > max(_SIGMA_MM.values())] = np.nan
+    enough = np.isfinite(seen[..., 0]).sum(axis=0) > 1
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.ones(COUNT)
     for numbers, deviation in _SIGMA_MM.items():
         sigma_mm[list(numbers)] = deviation * (1.0 if scan.has_color else _GREY)
@@ -122,54 +139,10 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     return PlacedLandmarks(points, sigma_mm) if enough.any() else None
 
 
-@dataclass(frozen=True)
-class _Painted:
-    """A scan in the model's frame as it is drawn: `colors` are keyword arguments of `render_mesh`."""
-
-    vertices: FloatArray
-    faces: IntArray
-    normals: FloatArray
-    colors: dict[str, Any]
-
-    @classmethod
-    def of(cls, scan: RawScan, vertices: FloatArray, near: BoolArray) -> _Painted:
-        """Take the triangles `near` (F,) of a scan moved to `vertices` (V, 3)."""
-        faces = scan.faces[near]
-        colors: dict[str, Any] = {}
-        if scan.uv is not None and scan.texture_linear is not None:
-            stride = max(1, max(scan.texture_linear.shape[:2]) // _TEXTURE_PIXELS)
-            texture = (255 * _exposed(scan.texture_linear[::stride, ::stride])).astype(np.uint8)
-            colors = {
-                "texture_srgb": (in_first_period(scan.uv[near], texture.shape), texture),
-                "shaded": False,
-            }
-        elif scan.vertex_color_linear is not None:
-            colors = {"vertex_color_srgb": _exposed(scan.vertex_color_linear), "shaded": False}
-        return cls(vertices, faces, face_normals(vertices, faces), colors)
-
-
 def _exposed(linear: NDArray[np.float32]) -> FloatArray:
     """Return sRGB colours (..., 3), the brightest but few of them white."""
     white = float(np.percentile(linear.max(-1), _BRIGHT)) or 1.0
     return np.asarray(linear_to_srgb(np.clip(linear / white, 0, 1)))
-
-
-def _seen_from(scan: _Painted, view: View, detect: Any) -> FloatArray:
-    """Return (68, 3) what the network sees of a scan in the model's frame, NaN where nothing."""
-    found = np.full((COUNT, 3), np.nan)
-    vertices, faces = scan.vertices, scan.faces
-    pixels = detect(render_mesh(vertices, faces, view=view, size=_SIZE, **scan.colors))
-    if pixels is None:
-        return found
-    raster = view.raster(vertices, faces, _SIZE)
-    toward = view.rotation[2]
-    for number, point in _POINTS.items():
-        column, row = np.round(pixels[point]).astype(int)
-        if not (0 <= column < _SIZE and 0 <= row < _SIZE) or (face := raster.face[row, column]) < 0:
-            continue
-        if scan.normals[face] @ toward > _FACING:
-            found[number] = raster.barycentric[row, column] @ vertices[faces[face]]
-    return found
 
 
 @contextmanager

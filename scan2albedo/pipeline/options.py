@@ -146,11 +146,7 @@ class ProcessOptions:
         checked_seed(self.seed)
         if not isinstance(self.quality, Quality) and self.quality not in PRESETS:
             raise ValueError(f"quality is {self.quality!r}, expected one of {', '.join(PRESETS)}")
-        choices = {
-            "files": ("minimal", "standard", "all"),
-            "brdf": BRDFS,
-            "unit": ("auto", *MM_PER_UNIT),
-        }
+        choices = {"files": ("minimal", "standard", "all"), "brdf": BRDFS, "unit": ("auto", *MM_PER_UNIT)}
         for name, names in choices.items():
             if (choice := getattr(self, name)) not in names:
                 raise ValueError(f"{name} is {choice!r}, expected one of {', '.join(names)}")
@@ -158,18 +154,12 @@ class ProcessOptions:
             raise ValueError(f"unlit is {self.unlit!r}, expected one of {', '.join(REACHES)}, or None")
         if self.lights != "auto" and not (isinstance(self.lights, Integral) and 1 <= self.lights <= 4):
             raise ValueError(f"lights is {self.lights!r}, expected 'auto' or a whole number from 1 to 4")
-        for name, size, most in (
-            ("size", self.texels, LARGEST_SIZE),
-            ("texture_size", self.texture_size, LARGEST_TEXTURE),
-        ):
+        sides = {"size": (self.texels, LARGEST_SIZE), "texture_size": (self.texture_size, LARGEST_TEXTURE)}
+        for name, (size, most) in sides.items():
             if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= most:
                 raise ValueError(
                     f"{name} is {size!r}, expected a whole number from {SMALLEST_SIZE} to {most}"
                 )
-        self._check_stages()
-
-    def _check_stages(self) -> None:
-        """Refuse unknown names, and stages that cannot be skipped or forced."""
         for name in (*self.skip, *self.force):
             if name not in STAGES:
                 raise ValueError(f"unknown stage {name!r}; stages are {', '.join(STAGES)}")

@@ -14,14 +14,14 @@ from typing import Any, Never
 
 import numpy as np
 
-from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, EstimateOptions, estimate_albedo
+from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, estimate_albedo
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
-from scan2albedo.errors import InsideOutError, memory_errors_named
+from scan2albedo.errors import memory_errors_named
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.plausibility import doubts, face_coverage
 from scan2albedo.io import load_scan
@@ -33,19 +33,19 @@ from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
-from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale
+from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale, registered_outward
 from scan2albedo.registration import Registration, register
 from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 
-BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9}
-"""Share of the seconds still left for searching that each stage may take."""
-SAMPLING_S, DIVISION_S, UNLIT_S, PAINTED_S = 3e-6, 2e-6, 0.8e-6, 4e-6
-"""Seconds a texel that what follows the searches takes, whatever the budget: the geometry image, the removal
-of its light, that of the light on the scan's own texture, and the texture of a template."""
-MOST_OF_BUDGET = 0.3
-"""Part of a budget that is kept for the unlit scan: the face itself comes first."""
+BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9, "unlit": 0.3}
+"""Share of the seconds still left for searching that each stage may take; of the unlit scan, the share of the
+whole budget that is kept for it at most: the face itself comes first."""
+_TEXEL_S = 2.5e-6
+"""Seconds a texel that each of sampling, division and painting a template takes, whatever the budget."""
+_UNLIT_S = 0.8e-6
+"""The same of the removal of light from the scan's own texture."""
 WHOLE_FACE = 0.8
 """Part of the model with scan near, below which a person is warned: whole faces have 0.85 and more."""
 KNOWN_LIGHT = 0.25
@@ -86,7 +86,6 @@ def process(
     Parameters
     ----------
     source : path or RawScan
-        The scan.
     out : path, optional
         Folder that gets a subfolder named after the scan with the files of the result.
     name : str, optional
@@ -96,10 +95,9 @@ landmarks, unlit, texture_size
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
-    **unknown
-        None: a misspelt option is refused with the one that was meant.
     """
-    for wrong in unknown:
+    given = locals()
+    for wrong in unknown:  # a misspelt option is refused with the one that was meant
         names = ["name", "on_progress", *(option.name for option in fields(ProcessOptions))]
         near = difflib.get_close_matches(wrong, names, 1)
         hint = f": did you mean {near[0]!r}?" if near else f"; options are {', '.join(names)}"
@@ -108,24 +106,7 @@ landmarks, unlit, texture_size
     require_type(source, (str, Path, RawScan), "process: source", advice)
     if out is not None:
         require_type(out, (str, Path), "process: out", "give the folder for the results")
-    chosen = ProcessOptions(
-        model=model,
-        size=size,
-        lights=lights,
-        brdf=brdf,
-        unit=unit,
-        quality=quality,
-        budget=budget,
-        seed=seed,
-        skip=skip,
-        force=force,
-        pictures=pictures,
-        files=files,
-        textures=textures,
-        landmarks=landmarks,
-        unlit=unlit,
-        texture_size=texture_size,
-    )
+    chosen = ProcessOptions(**{option.name: given[option.name] for option in fields(ProcessOptions)})
     if name is None:
         known = source.name if isinstance(source, RawScan) else scan_name(source)
     elif not is_folder_name(known := name):
@@ -155,15 +136,12 @@ class _Clock:
 
     budget: Budget
     texels: int
-    """Of the geometry image."""
-    kept_s: float = 0.0
-    """Seconds kept back for what follows the last search."""
+    kept_s: float = 0.0  # for what follows the last search
     timings_s: dict[str, float] = field(default_factory=dict)
     start: float = field(default_factory=time.perf_counter)
 
     @contextmanager
     def timed(self, stage: str) -> Iterator[None]:
-        """Time the block as a stage."""
         begin = time.perf_counter()
         try:
             yield
@@ -171,7 +149,6 @@ class _Clock:
             self.timings_s[stage] = time.perf_counter() - begin
 
     def left_s(self) -> float:
-        """Return the seconds left of the budget."""
         seconds = self.budget.seconds
         return float("inf") if seconds is None else seconds - (time.perf_counter() - self.start)
 
@@ -179,8 +156,8 @@ class _Clock:
         """Return the stage's part of what is left of the budget."""
         if self.budget.seconds is None:
             return self.budget
-        texel_s = DIVISION_S if stage == "albedo" else SAMPLING_S + DIVISION_S
-        left = self.left_s() - texel_s * self.texels - self.kept_s
+        fixed_s = _TEXEL_S * self.texels * (1 if stage == "albedo" else 2)
+        left = self.left_s() - fixed_s - self.kept_s
         return replace(self.budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
 
@@ -209,9 +186,11 @@ def _processed(
         if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
             scan = with_landmarks(scan, options.landmarks, file)
         model = chosen_model(options.model)
-    unlit_s = _unlit_seconds(scan, options)
-    seconds = clock.budget.seconds
-    clock.kept_s = unlit_s if seconds is None else min(unlit_s, MOST_OF_BUDGET * seconds)
+    unlit_s, seconds = 0.0, clock.budget.seconds
+    if options.unlit is not None and scan.texture_linear is not None:
+        # Beyond the face a texel takes half as long.
+        unlit_s = _UNLIT_S * (1.5 if options.unlit == "all" else 1.0) * scan.texture_linear[..., 0].size
+    clock.kept_s = min(unlit_s, BUDGET_SHARES["unlit"] * (seconds or 0.0))
     registration, fitted, estimate = None, None, None
     if model is None:
         steps = [PlanStep(stage, False, "no model was asked for") for stage in ("register", "fit")]
@@ -233,8 +212,8 @@ def _processed(
             steps = []
             if options.landmarks_detected:
                 scan, steps = with_detected(scan, pose, clock.share("fit").seconds)
-            share, stage = clock.share("fit"), options.stages.fit
-            fitted = fit(scan, model, pose, share, options=stage, on_progress=on_progress)
+            share = clock.share("fit")
+            fitted = fit(scan, model, pose, share, options=options.stages.fit, on_progress=on_progress)
             if registration is not None:
                 pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
                 registration = refined_registration(registration, scan, model, pose, scale)
@@ -245,16 +224,30 @@ def _processed(
             image = geometry_image(fitted, scan, options.texels)
         else:
             image = geometry_image_of_scan(scan, options.texels)
-    plan["geometry_image"] = [_image_row(image, scan, fitted)]
+    figures = image.figures()
+    evidence = (
+        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
+        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
+    )
+    if fitted is not None and scan.has_color:
+        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
+    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
+    plan["geometry_image"] = [PlanStep("geometry_image", True, chart, evidence)]
     if image.texture_linear is not None and "albedo" not in options.skip:
         with clock.timed("albedo"):
+            # The preset's options with the steps that the caller skips or forces.
+            stage, asked = options.stages.albedo, {*options.skip, *options.force}
+            skip = [step for step in stage.skip if step not in asked]
+            skip += [step for step in options.skip if step in OPTIONAL_STEPS]
+            force = [step for step in stage.force if step not in asked]
+            force += [step for step in options.force if step in OPTIONAL_STEPS]
             estimate = estimate_albedo(
                 image,
                 lights=options.lights,
                 brdf=options.brdf,
                 budget=clock.share("albedo"),
                 seed=options.seed,
-                options=_estimate_options(options),
+                options=replace(stage, skip=tuple(skip), force=tuple(force)),
                 on_progress=on_progress,
             )
         plan["albedo"] = estimate.plan.steps
@@ -264,18 +257,17 @@ def _processed(
                 f"a lamp's strength is known to {100 * unsure:.0f} % only: its light may be in the albedo"
             )
             plan["albedo"] = [*estimate.plan, PlanStep.doubt("albedo.lamp_strength", reason)]
-    elif "albedo" in options.skip:
-        plan["albedo"] = [PlanStep("albedo", False, "skipped by the caller")]
     else:
-        plan["albedo"] = [PlanStep("albedo", False, "the scan has no usable colour")]
+        reason = "skipped by the caller" if "albedo" in options.skip else "the scan has no usable colour"
+        plan["albedo"] = [PlanStep("albedo", False, reason)]
     unlit, template = None, None
     painted = fitted is not None and fitted.model.template_uv is not None
     if options.unlit is not None or painted:
         with clock.timed("unlit"):
-            left_s = clock.left_s()
-            unlit, template, plan["unlit"] = _without_light(scan, fitted, estimate, options, left_s)
+            lit = (scan, fitted, estimate, options)
+            unlit, template, plan["unlit"] = _without_light(*lit, unlit_s, clock.left_s())
     ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
-    loaded = [PlanStep("load", True, note) for note in scan.notes]
+    loaded = (PlanStep("load", True, note) for note in scan.notes)
     return ProcessResult(
         scan=scan,
         registration=registration,
@@ -312,24 +304,13 @@ def _registered(
     elif step in options.force:
         stage = replace(stage, force_annealing=True)
 
-    def as_it_should_be(of: RawScan) -> tuple[RawScan, Registration]:
-        def registration(turned: RawScan) -> Registration:
-            share = clock.share("register")
-            return register(turned, model, share, options.seed, options=stage, on_progress=on_progress)
-
-        try:
-            return of, registration(of)
-        except InsideOutError:
-            note = (
-                f"the scan was inside out: its {len(of.faces)} triangles were reversed. If the export was "
-                "mirrored, left and right of the face are swapped: then mirror the scan and process it again"
-            )
-            turned = replace(of.inside_out(), notes=(*of.notes, note))
-            return turned, registration(turned)
+    def pose(of: RawScan) -> Registration:
+        share = clock.share("register")
+        return register(of, model, share, options.seed, options=stage, on_progress=on_progress)
 
     if size_fits is None:
-        return as_it_should_be(scan)
-    return registered_at_any_scale(scan, size_fits, as_it_should_be)
+        return registered_outward(scan, pose)
+    return registered_at_any_scale(scan, size_fits, lambda of: registered_outward(of, pose))
 
 
 def _register_rows(registration: Registration) -> list[PlanStep]:
@@ -345,22 +326,23 @@ def _register_rows(registration: Registration) -> list[PlanStep]:
 
 
 def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> list[PlanStep]:
-    """Return what the fit used of the scan, and what is doubtful about the face."""
     rows = []
     if scan.landmarks is not None:
         reason = "MediaPipe finds landmarks" if options.landmarks_detected else "landmarks are given"
         rows.append(PlanStep("fit.landmarks", True, reason, f"{int(scan.landmarks.placed.sum())}"))
     evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
     rows.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
+    evidence = ""
     if (area_mm2 := fitted.metrics["covered_mm2"]) > 0:
         reason = "some of the scan stands far before the eyes, as glasses do"
-        rows.append(PlanStep("fit.covers", True, reason, f"{area_mm2 / 100:.0f} cm2 left out"))
+        evidence = f"{area_mm2 / 100:.0f} cm2 left out"
     elif not options.stages.fit.covers:
-        rows.append(PlanStep("fit.covers", False, "the preset keeps all of the scan"))
+        reason = "the preset keeps all of the scan"
     elif fitted.landmarks is None:
-        rows.append(PlanStep("fit.covers", False, "the model has no landmarks that say where eyes are"))
+        reason = "the model has no landmarks that say where eyes are"
     else:
-        rows.append(PlanStep("fit.covers", False, "nothing is found before the eyes"))
+        reason = "nothing is found before the eyes"
+    rows.append(PlanStep("fit.covers", area_mm2 > 0, reason, evidence))
     if count := int(fitted.metrics.get("painted_landmarks", 0)):
         reason = "the scan's colours show brows, eyes or lips"
         rows.append(PlanStep("fit.colors", True, reason, f"{count} landmarks"))
@@ -369,44 +351,10 @@ def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> lis
         rows.append(PlanStep("fit.colors", False, reason))
     rows += fitted.plan
     if (coverage := face_coverage(fitted)) < WHOLE_FACE:
-        why = (
-            "what lies before the eyes was left out" if area_mm2 > 0 else "a file cut short, or half a face?"
-        )
-        reason = (
-            f"only {100 * coverage:.0f} % of the face has scan near it, else the model's own shape: {why}"
-        )
-        rows.append(PlanStep.doubt("fit.coverage", reason))
+        why = "what lies before the eyes was left out" if area_mm2 else "a file cut short, or half a face?"
+        near = f"only {100 * coverage:.0f} % of the face has scan near it"
+        rows.append(PlanStep.doubt("fit.coverage", f"{near}, else the model's own shape: {why}"))
     return [*rows, *doubts(fitted)]
-
-
-def _image_row(image: GeometryImage, scan: RawScan, fitted: FittedFace | None) -> PlanStep:
-    figures = image.figures()
-    evidence = (
-        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
-        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
-    )
-    if fitted is not None and scan.has_color:
-        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
-    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
-    return PlanStep("geometry_image", True, chart, evidence)
-
-
-def _estimate_options(options: ProcessOptions) -> EstimateOptions:
-    """Return the preset's options with the steps that the caller skips or forces."""
-    preset, asked = options.stages.albedo, {*options.skip, *options.force}
-
-    def steps(of_preset: Sequence[str], of_caller: Sequence[str]) -> tuple[str, ...]:
-        kept = (step for step in of_preset if step not in asked)
-        return (*kept, *(step for step in of_caller if step in OPTIONAL_STEPS))
-
-    return replace(preset, skip=steps(preset.skip, options.skip), force=steps(preset.force, options.force))
-
-
-def _unlit_seconds(scan: RawScan, options: ProcessOptions) -> float:
-    """Return the seconds that the unlit scan needs; beyond the face a texel takes half as long."""
-    if options.unlit is None or scan.texture_linear is None:
-        return 0.0
-    return UNLIT_S * (1.5 if options.unlit == "all" else 1.0) * scan.texture_linear[..., 0].size
 
 
 def _without_light(
@@ -414,20 +362,21 @@ def _without_light(
     fitted: FittedFace | None,
     estimate: AlbedoEstimate | None,
     options: ProcessOptions,
+    unlit_s: float,
     left_s: float,
 ) -> tuple[UnlitScan | None, TemplateTexture | None, list[PlanStep]]:
     """Return the unlit scan where it is asked for, the texture of a template that has coordinates, the plan.
 
-    What would take longer than `left_s` is left out.
+    What would take longer than `left_s` is left out; the unlit scan needs `unlit_s`.
     """
     unlit, template, steps = None, None, list[PlanStep]()
-    late = "the budget ended before it"
+    late, left = "the budget ended before it", f"{left_s:.1f} s left"
     if options.unlit is not None:
         if fitted is None or estimate is None:
             why = "there is no face" if fitted is None else "no albedo was estimated"
             steps.append(PlanStep.wrong("unlit", f"unlit is left out: {why}, so the light is not known"))
-        elif _unlit_seconds(scan, options) > left_s:
-            steps.append(PlanStep.wrong("unlit", f"unlit is left out: {late}", f"{left_s:.1f} s left"))
+        elif unlit_s > left_s:
+            steps.append(PlanStep.wrong("unlit", f"unlit is left out: {late}", left))
         else:
             unlit = unlit_scan(scan, fitted, estimate, options.unlit)
             size = unlit.confidence.shape
@@ -435,9 +384,8 @@ def _without_light(
             what = "whole scan" if options.unlit == "all" else "face"
             steps.append(PlanStep("unlit", True, f"the light is taken off the {what}", evidence))
     if fitted is not None and fitted.model.template_uv is not None and estimate is not None:
-        if PAINTED_S * options.texture_size**2 > left_s:
-            reason = f"template_texture is left out: {late}"
-            steps.append(PlanStep.wrong("template_texture", reason, f"{left_s:.1f} s left"))
+        if _TEXEL_S * options.texture_size**2 > left_s:
+            steps.append(PlanStep.wrong("template_texture", f"template_texture is left out: {late}", left))
         else:
             # A template may reach beyond the face, so its texture has no light anywhere.
             everywhere = unlit if options.unlit == "all" else None

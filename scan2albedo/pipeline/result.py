@@ -10,32 +10,49 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.applications.template_baking import FIRST_TILE, TemplateTexture, normal_bytes
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.images import encode_image, write_exr, write_png
 from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import write_record
-from scan2albedo.io.result_records import (
-    InputRecord,
-    RegistrationRecord,
-    ResultRecord,
-)
+from scan2albedo.io.result_records import InputRecord, RegistrationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.pipeline.textured_files import TEMPLATE_FILES, UNLIT_FILES, write_template, write_unlit
+from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_glb, write_textured_obj
 from scan2albedo.report.overview import figure_png, overview_figure, preview_srgb, result_panels
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
     from scan2albedo.applications.light_removal import UnlitScan
-    from scan2albedo.applications.template_baking import TemplateTexture
     from scan2albedo.core import GeometryImage, Plan, RawScan, Trace
     from scan2albedo.fitting import FittedFace
     from scan2albedo.registration import Registration
 
 RESULT_FILE = "result.json"
+UNLIT_FILES = (
+    "unlit.glb",
+    "unlit.obj",
+    "unlit.mtl",
+    "unlit.png",
+    "unlit.*.png",
+    "unlit_confidence.png",
+    "unlit_confidence.*.png",
+)
+"""With several pictures each has a number, in the order of the scan's materials."""
+TEMPLATE_FILES = (
+    "template.glb",
+    "template.obj",
+    "template.mtl",
+    "template.png",
+    "template.*.png",
+    "template_normal.png",
+    "template_normal.*.png",
+)
+"""With several tiles each has pictures with its UDIM number."""
 FILES = OwnFiles(
     RESULT_FILE,
     ResultRecord,
@@ -62,10 +79,9 @@ FILES = OwnFiles(
 )
 """Every file a result may have."""
 
-PICTURES = frozenset({"overview.png", "error_vs_time.png"})
-LEFT_OUT = PICTURES | {"geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png"}
+_PICTURES = frozenset({"overview.png", "error_vs_time.png"})
+_LEFT_OUT = _PICTURES | {"geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png"}
 """What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
-
 
 SURE = 0.5
 """Confidence of a registration below which there is a doubt: whole faces have more."""
@@ -76,7 +92,6 @@ class ProcessResult:
     """All results of one scan."""
 
     scan: RawScan
-    """As it was read."""
     registration: Registration | None
     """With the pose the fit ended with; None without a model, or when registration was skipped."""
     fitted: FittedFace | None
@@ -86,15 +101,12 @@ class ProcessResult:
     albedo: AlbedoEstimate | None
     """None when the scan has no colour, or the stage was skipped."""
     plan: Plan
-    """What ran, what was left out, and why."""
     trace: Trace
-    """Error against run time of every iterative stage."""
     timings_s: Mapping[str, float]
     """Wall-clock seconds of each stage."""
     options: Mapping[str, Any]
     """What `process` was called with."""
     seed: int
-    """What random steps began from."""
     unlit: UnlitScan | None = None
     """The scan itself without its light, where it was asked for."""
     template: TemplateTexture | None = None
@@ -123,11 +135,8 @@ class ProcessResult:
         """Return the figures of each stage, for summaries and result.json."""
         figures: dict[str, Any] = {"seconds": round(sum(self.timings_s.values()), 3)}
         if self.registration is not None:
-            figures["registration"] = {
-                "rmse_mm": self.registration.rmse_mm,
-                "confidence": self.registration.confidence,
-                "converged": self.registration.converged,
-            }
+            names = ("rmse_mm", "confidence", "converged")
+            figures["registration"] = {name: getattr(self.registration, name) for name in names}
         if self.fitted is not None:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
         figures["geometry_image"] = self.geometry_image.figures()
@@ -177,11 +186,11 @@ def write_result(
 
     They appear all at once, and an older result stays until then, see `RunFolder`; `recorded` are files that
     a batch's record says an earlier run wrote. `overview.png` and `error_vs_time.png` are left out without
-    `pictures`, `LEFT_OUT` where `files` is "minimal". Raises `OutputError` when the folder is somebody else's
+    `pictures`, more where `files` is "minimal". Raises `OutputError` when the folder is somebody else's
     or cannot be written.
     """
     scan, image, estimate, fitted = result.scan, result.geometry_image, result.albedo, result.fitted
-    left_out = LEFT_OUT if files == "minimal" else frozenset() if pictures else PICTURES
+    left_out = _LEFT_OUT if files == "minimal" else frozenset() if pictures else _PICTURES
     preview = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
     folder = RunFolder(out / scan.name, FILES, recorded)
     with folder.publishing() as staging:
@@ -212,14 +221,11 @@ def write_result(
         if result.unlit is not None:
             write_unlit(staging.folder, result.unlit)
         if (registration := result.registration) is not None:
+            names = ("rmse_mm", "depth_error", "converged", "confidence", "iterations")
             poses = RegistrationRecord(
                 model_from_scan=registration.model_from_scan.tolist(),
                 fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
-                rmse_mm=registration.rmse_mm,
-                depth_error=registration.depth_error,
-                converged=registration.converged,
-                confidence=registration.confidence,
-                iterations=registration.iterations,
+                **{name: getattr(registration, name) for name in names},
             )
             write("registration.json", write_record, poses)
         in_scan = result.landmarks_scan
@@ -250,6 +256,51 @@ def write_result(
             template_from_model=None if own is None else own.tolist(),
         )
     return folder.path
+
+
+def write_unlit(folder: Path, unlit: UnlitScan) -> None:
+    """Write `UNLIT_FILES`: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
+
+    Scans with a texture keep the pictures and coordinates they came with, and get a picture of how sure each
+    texel is; those without one have vertex colours there, and no pictures.
+    """
+    scan, uv, texture = unlit.scan, unlit.scan.uv, unlit.scan.texture_linear
+    if uv is None or texture is None:
+        mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
+    else:
+        confidence = np.round(255 * np.clip(unlit.confidence, 0, 1)).astype(np.uint8)
+        own_uv, pictures, whole = uv.copy(), list[MeshPicture](), texture.shape[:2]
+        tiles = scan.texture_tiles if len(scan.texture_tiles) > 1 else ()
+        for number, tile in enumerate(tiles):
+            chosen = tile.holds(uv, whole)
+            own_uv[chosen] = tile.own_uv(uv[chosen], whole)
+            place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
+            write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
+            picture = encode_image(texture[place], ".png")
+            pictures.append(MeshPicture(f"unlit.{number}.png", picture, chosen))
+        if not pictures:
+            write_png(folder / "unlit_confidence.png", confidence)
+            every = np.ones(len(scan.faces), bool)
+            pictures.append(MeshPicture("unlit.png", encode_image(texture, ".png"), every))
+        mesh = TexturedMesh(scan.vertices, scan.faces, own_uv, tuple(pictures))
+    write_textured_obj(folder / "unlit.obj", mesh, mm_per_unit=scan.mm_per_unit)
+    write_textured_glb(folder / "unlit.glb", mesh)
+
+
+def write_template(folder: Path, template: TemplateTexture) -> None:
+    """Write `TEMPLATE_FILES`, mm and metres in the model's frame; alpha: seen."""
+    alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
+    pictures = list[MeshPicture]()
+    for tile in template.tiles:
+        end = ".png" if alone else f".{tile.number}.png"
+        alpha = np.where(tile.seen, np.uint8(255), np.uint8(0))
+        color = np.dstack([encode_srgb_bytes(np.clip(tile.color_linear, 0, 1)), alpha])
+        normal = encode_image(normal_bytes(tile.normal), ".png")
+        picture = encode_image(color, ".png")
+        pictures.append(MeshPicture(f"template{end}", picture, tile.faces, f"template_normal{end}", normal))
+    mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
+    write_textured_obj(folder / "template.obj", mesh)
+    write_textured_glb(folder / "template.glb", mesh)
 
 
 def _gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:

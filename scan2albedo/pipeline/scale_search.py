@@ -1,4 +1,4 @@
-"""The scale of a scan whose unit nobody gave, from the size of the face in it."""
+"""The pose of a scan that may be inside out, and whose unit nobody may have given."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.errors import NoFaceError, RegistrationError, UnitError
+from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError, UnitError
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.io.load_scan import load_scan_with
 from scan2albedo.io.parsed_mesh import ParsedMesh
@@ -49,6 +49,21 @@ def load_of_any_size(file: Path, name: str | None, textures: str | Path | None) 
             return _EXTENTS_MM[0] / extent, f"unit: none fits (largest extent {extent:.4g} units)"
 
     return load_scan_with(file, decide, name=name, textures=textures), fits
+
+
+def registered_outward(
+    scan: RawScan, register: Callable[[RawScan], Registration]
+) -> tuple[RawScan, Registration]:
+    """Return the scan, its triangles reversed where they face inward, and the pose of its face."""
+    try:
+        return scan, register(scan)
+    except InsideOutError:
+        note = (
+            f"the scan was inside out: its {len(scan.faces)} triangles were reversed. If the export was "
+            "mirrored, left and right of the face are swapped: then mirror the scan and process it again"
+        )
+        turned = replace(scan.inside_out(), notes=(*scan.notes, note))
+        return turned, register(turned)
 
 
 def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tuple[RawScan, Registration]:

@@ -19,6 +19,7 @@ def _solved(scene, **options):
     return estimate, albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask).mse_percent
 
 
+@pytest.mark.slow
 def test_a_large_lamp_gets_its_size(scenes):
     scene = scenes["person-gloss-flash-60-soft"]
     sized, error = _solved(scene)

@@ -61,8 +61,7 @@ def stand_in(diary):
         import time
         from pathlib import Path
 
-        from scan2albedo.batch.layout import folder_sha256
-        from scan2albedo.io.input_hash import input_sha256
+        from scan2albedo.io.input_hash import file_sha256, input_sha256
 
         tries = len(list(diary.glob(f"{task.name}@*")))
         (diary / f"{task.name}@{tries}").write_text(str(os.getpid()))
@@ -79,7 +78,8 @@ def stand_in(diary):
         folder.mkdir(exist_ok=True)
         (folder / "albedo.exr").write_text(task.name)
         (folder / "result.json").write_text(task.name)
-        return {"input_sha256": sha256, "files": folder_sha256(folder), "metrics": {"seconds": 1.0}}
+        files = {path.name: file_sha256(path) for path in sorted(folder.iterdir())}
+        return {"input_sha256": sha256, "files": files, "metrics": {"seconds": 1.0}}
 
     return written
 

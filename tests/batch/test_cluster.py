@@ -36,7 +36,7 @@ def test_a_worker_process_is_killed_in_the_middle(scans_in, tmp_path, quick_stag
     import psutil
 
     names = ("a", "b", "sleeps", "c", "raises", "nofile", "d")
-    layout = Layout.of(tmp_path / "out")
+    layout = Layout(tmp_path / "out")
     killed = []
 
     def kill_once():
@@ -69,9 +69,10 @@ def test_a_scan_that_kills_every_worker_fails_alone(scans_in, tmp_path, quick_st
 
 
 @pytest.mark.slow
-def test_no_scheduler_is_one_clear_error(scans_in, tmp_path, monkeypatch):
-    monkeypatch.setattr("scan2albedo.batch.execution._CONNECT_S", 1)
-    with pytest.raises(BatchError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"):
+def test_no_scheduler_is_one_clear_error(scans_in, tmp_path):
+    dask = pytest.importorskip("dask")
+    quick = dask.config.set({"distributed.comm.timeouts.connect": "1s"})
+    with quick, pytest.raises(BatchError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"):
         run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
 
 

@@ -17,7 +17,7 @@ from scan2albedo.batch.layout import Layout
 from scan2albedo.cli.commands import app
 from scan2albedo.pipeline.options import ProcessOptions
 
-TINY = ("--model", "none", "--size", "32", "--unit", "mm", "--no-pictures")
+TINY = ("--model", "none", "--size", "32", "--unit", "mm", "--no-pictures", "--quality", "draft")
 COMMAND = [sys.executable, "-m", "scan2albedo", "batch"]
 
 
@@ -76,7 +76,7 @@ def started(manifest, out, rows):
             [*COMMAND, manifest, "-o", out, *TINY, "--jobs", "2"], stderr=said, start_new_session=True
         )
     deadline = time.monotonic() + 200
-    while len(list(Layout.of(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
+    while len(list(Layout(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
         assert process.poll() is None, (manifest.parent / "stderr").read_text()
         time.sleep(0.05)
     return process
@@ -90,15 +90,15 @@ def state(out, names):
 
 @pytest.mark.slow
 def test_what_was_done_before_a_kill_is_kept_untouched(scans_in, tmp_path):
-    names = [f"ball{i}" for i in range(6)]
+    names = [f"ball{i}" for i in range(5)]
     manifest, out = scans_in(*names), tmp_path / "out"
     process = started(manifest, out, 2)
     process.kill()
     process.wait()
-    layout = Layout.of(out)
+    layout = Layout(out)
     time.sleep(1.5)  # workers end with their parent
     finished = [path.stem for path in layout.rows.glob("*.json")]
-    assert 2 <= len(finished) < 6
+    assert 2 <= len(finished) < 5
     before = state(out, finished)
     assert len(before) >= 2 * 8
     done = subprocess.run(
@@ -109,10 +109,10 @@ def test_what_was_done_before_a_kill_is_kept_untouched(scans_in, tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert f"kept {len(finished)} (hashes verified), {6 - len(finished)} to do" in done.stderr
+    assert f"kept {len(finished)} (hashes verified), {5 - len(finished)} to do" in done.stderr
     assert json.loads(done.stdout)["kept"] == len(finished)
     assert state(out, finished) == before
-    assert [row["status"] for row in load_catalogue(out).to_pylist()] == ["done"] * 6
+    assert [row["status"] for row in load_catalogue(out).to_pylist()] == ["done"] * 5
     assert not list(out.rglob("*.part*"))
     names_found, albedo_linear, _ = load_albedos(out)
     assert names_found == names
@@ -141,7 +141,7 @@ def test_ctrl_c_and_sigterm_leave_neither_workers_nor_half_files(
 ):
     import psutil
 
-    manifest, out = scans_in(*(f"ball{i}" for i in range(6))), tmp_path / "out"
+    manifest, out = scans_in(*(f"ball{i}" for i in range(4))), tmp_path / "out"
     process = started(manifest, out, 1)
     children = psutil.Process(process.pid).children(recursive=True)
     send(process.pid, number)

@@ -23,8 +23,8 @@ def test_a_worker_for_512_texels_is_counted_with_about_as_much_as_was_measured()
 def test_jobs_are_cut_and_the_user_is_told(four_gb, tmp_path):
     limit = job_limit(16, [], 512)
     assert limit.jobs == 6
-    assert limit.note(16) == "6 of 16 jobs: a worker may need 0.5 GB and 4.0 GB are available"
-    assert job_limit(6, [], 512).note(6) == ""
+    assert limit.note == "6 of 16 jobs: a worker may need 0.5 GB and 4.0 GB are available"
+    assert job_limit(6, [], 512).note == ""
     assert job_limit(16, [], 512, running_mb=2000).jobs == 1
     assert job_limit(16, [tmp_path / "missing.obj"], 512).jobs == 6
 

@@ -102,7 +102,7 @@ def test_links_in_the_place_of_records_are_not_followed(scans_in, tmp_path):
 def test_files_that_an_edited_record_names_elsewhere_are_not_read(scans_in, tmp_path):
     manifest, out = scans_in("a"), tmp_path / "out"
     run_batch(manifest, out, options=TINY)
-    row = Layout.of(out).row_file("a")
+    row = Layout(out).row_file("a")
     record = json.loads(row.read_text())
     record["files"] = {"/dev/zero": "0" * 64, **record["files"]}
     row.write_text(json.dumps(record))
@@ -130,8 +130,8 @@ def pipe(file):
 def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(scans_in, tmp_path, change):
     manifest, out = scans_in("a", "b"), tmp_path / "out"
     run_batch(manifest, out, options=TINY)
-    change(Layout.of(out).row_file("a"))
-    if Layout.of(out).row_file("a").is_dir():
+    change(Layout(out).row_file("a"))
+    if Layout(out).row_file("a").is_dir():
         with pytest.raises(OutputError, match=r"a\.json"):
             run_batch(manifest, out, options=TINY, resume=True)
         return
@@ -140,7 +140,7 @@ def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(scans_in, t
 
 
 def test_marks_that_are_none_are_left_alone(scans_in, tmp_path):
-    running = Layout.of(tmp_path / "out").running
+    running = Layout(tmp_path / "out").running
     running.mkdir(parents=True)
     os.mkfifo(running / "pipe")
     (running / "deep").write_text("[" * 100_000)

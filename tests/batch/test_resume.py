@@ -25,7 +25,7 @@ def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
         file.write("\n")
     (out / "content" / "albedo.exr").write_text("Content")  # as long as before
     (out / "missing" / "albedo.exr").unlink()
-    Layout.of(out).row_file("row").write_text('{"cut": ')
+    Layout(out).row_file("row").write_text('{"cut": ')
     (manifest.parent / "gone.ply").unlink()
     shown = []
     report = run_batch(manifest, out, options=TINY, resume=True, on_progress=shown.append)
@@ -90,7 +90,7 @@ def test_a_batch_is_not_begun_over_another(scans_in, tmp_path, no_workers):
 
 
 def test_two_batches_in_one_folder_are_refused(scans_in, tmp_path):
-    layout = Layout.of(tmp_path / "out")
+    layout = Layout(tmp_path / "out")
     with layout.locked(), pytest.raises(BatchError, match="another batch works in"):
         run_batch(scans_in("a"), layout.out, options=TINY, resume=True)
 
@@ -100,7 +100,7 @@ def test_a_worker_of_an_older_run_writes_nothing(scans_in, tmp_path, no_workers)
     from scan2albedo.batch.run import _tasks
     from scan2albedo.batch.worker import process_task
 
-    layout = Layout.of(tmp_path / "out")
+    layout = Layout(tmp_path / "out")
     (task,) = _tasks(read_manifest(scans_in("raises")), layout, TINY, None)
     layout.begin_run("another")
     assert process_task(task).status == "failed"

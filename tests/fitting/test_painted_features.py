@@ -18,8 +18,8 @@ LIPS = slice(48, 68)
 
 
 @pytest.fixture(scope="module")
-def person():
-    return raw_scan(41)
+def person(fine_scan):
+    return fine_scan
 
 
 def found_at(scan, truth, shift=(0.0, 0.0, 0.0)):
@@ -125,6 +125,7 @@ def test_brows_pull_up_and_down_alone(person, model):
     assert (sideways, up, forward) == (32, 42, 0)
 
 
+@pytest.mark.slow
 def test_the_fit_follows_lips(model):
     """A smile moves lips along the face, which shape alone hardly shows."""
     scan, truth = raw_scan(45, expression="smile")

@@ -222,13 +222,14 @@ def killed_at_random_moments(folder, kills, seed):
     return found
 
 
-@pytest.mark.parametrize("kills", [100, pytest.param(1000, marks=pytest.mark.slow)])
+# Slow, over all parameters: a thousand kills and a thousand pairs.
+@pytest.mark.parametrize("kills", [40, pytest.param(500, marks=pytest.mark.slow)])
 def test_signals_at_random_moments_leave_the_old_or_the_new_result(tmp_path, way, kills):
     found = killed_at_random_moments(with_an_old_result(tmp_path), kills, seed=kills)
     assert min(found.values()) > 0, found
 
 
-@pytest.mark.parametrize("pairs", [50, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("pairs", [12, pytest.param(250, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("first", [True, False])
 def test_two_writers_never_mix_their_files(tmp_path, way, pairs, first):
     for number in range(pairs):

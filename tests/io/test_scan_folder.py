@@ -123,6 +123,7 @@ def test_the_command_takes_the_folder(places, tmp_path):
     scan, other = places
     path = obj(scan, "../other/secret.png")
     arguments = ["process", path, "-o", tmp_path / "out", "--model", "none", "--size", 32, "--no-pictures"]
+    arguments += ["--quality", "draft", "--lights", 1]
     for more, seen in (((), False), (("--textures", other), True)):
         done = CliRunner().invoke(app, [str(word) for word in (*arguments, *more)])
         assert done.exit_code == 0, done.output

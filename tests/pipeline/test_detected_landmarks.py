@@ -16,8 +16,8 @@ from scan2albedo.synthetic import raw_scan
 
 
 @pytest.fixture(scope="module")
-def person():
-    return raw_scan(41)
+def person(fine_scan):
+    return fine_scan
 
 
 class Network:
@@ -83,7 +83,7 @@ def test_grey_shapes_are_believed_less(person, network):
 def test_a_process_without_a_face_for_the_network_goes_on_without(person, network):
     scan, _ = person
     network(lambda picture: None)
-    result = process(scan, landmarks="auto", size=64, skip=["albedo"])
+    result = process(scan, landmarks="auto", size=64, quality="draft", skip=["albedo"])
     assert any("MediaPipe finds no face" in note for note in result.notes)
     assert result.scan.landmarks is None
 
@@ -91,7 +91,7 @@ def test_a_process_without_a_face_for_the_network_goes_on_without(person, networ
 def test_process_hands_them_to_the_fit(person, network):
     scan, truth = person
     network(Network(truth))
-    result = process(scan, landmarks="auto", size=64, skip=["albedo"])
+    result = process(scan, landmarks="auto", size=64, quality="draft", skip=["albedo"])
     assert result.scan.landmarks.placed.sum() > 30
     assert result.options["landmarks"] == "auto"
 
@@ -151,8 +151,8 @@ def test_auto_is_a_word_in_any_case_and_nothing_is_no_folder():
         ProcessOptions(landmarks=" ")
 
 
-def test_without_a_model_landmarks_are_told_to_be_unused(monkeypatch, person):
-    scan, _ = person
+def test_without_a_model_landmarks_are_told_to_be_unused(monkeypatch, coarse_scan):
+    scan, _ = coarse_scan
     monkeypatch.setattr(detected, "find_spec", lambda name: None)  # and the network is not asked for
     result = process(scan, landmarks="Auto", model="none", size=32, skip=["albedo"])
     assert "landmarks are not used: without a model nothing is fitted to them" in result.notes

@@ -29,7 +29,6 @@ from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
 from scan2albedo.pipeline.options import STEPS, ProcessOptions
 from scan2albedo.registration.register import refined_registration
-from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZE = 128
 SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
@@ -55,9 +54,8 @@ FILES = {
 
 
 @pytest.fixture(scope="module")
-def case():
-    """A synthetic raw scan with its truth, quick to make."""
-    return raw_scan(0, scanner=Scanner(size=SIZE, picture_size=500, spacing_mm=3.0))
+def case(coarse_scan):
+    return coarse_scan
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +147,7 @@ def test_landmarks_of_a_file_are_followed_in_the_scans_own_unit(case, result, tm
     moved = (found.landmarks_scan[five] - marks) @ to_the_left
     assert 0.0015 < moved.mean() < 0.0035
     assert "5 landmarks given" in found.notes
+    options |= {"quality": "draft"}
     one = s2a.process(scan, **(options | {"landmarks": {30: marks[2] * 1000}}))
     assert "1 landmarks given" in one.notes
     points = np.full((68, 3), np.nan)
@@ -259,7 +258,7 @@ def test_a_budget_gives_the_best_answer_so_far(case):
 
 
 def test_skipped_stages_cost_nothing_and_are_said(case):
-    result = s2a.process(case[0], size=64, skip=["albedo", "register.depth_annealing"])
+    result = s2a.process(case[0], size=64, quality="draft", skip=["albedo", "register.depth_annealing"])
     assert result.albedo is None
     assert "albedo" not in result.trace.stages
     assert "depth_annealing" not in result.trace.stages

@@ -16,8 +16,7 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.io.images import encode_image, read_image_linear
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.textured_files import write_unlit
-from scan2albedo.synthetic import Scanner, raw_scan
+from scan2albedo.pipeline.result import write_unlit
 
 SIZE = 128
 
@@ -38,8 +37,8 @@ def with_template(model, columns=1):
 
 
 @pytest.fixture(scope="module")
-def case():
-    return raw_scan(0, scanner=Scanner(size=SIZE, picture_size=500, spacing_mm=3.0))
+def case(coarse_scan):
+    return coarse_scan
 
 
 @pytest.fixture(scope="module")
@@ -213,7 +212,7 @@ def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(ca
 
 
 def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
-    skipped = s2a.process(case[0], size=32, unlit="face", skip=["albedo"])
+    skipped = s2a.process(case[0], size=32, quality="draft", unlit="face", skip=["albedo"])
     step = next(step for step in skipped.plan if step.stage == "unlit")
     assert not step.ran
     assert step.reason == "unlit is left out: no albedo was estimated, so the light is not known"

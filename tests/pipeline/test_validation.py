@@ -85,9 +85,9 @@ def test_tables_show_our_figures_beside_the_papers():
     assert "worst: 0.0300 %   the paper: 2.01 %" in text
     assert "60°" in text
     assert len({len(line) for line in text.splitlines()[1:-1]}) == 1
-    lighting = LightingTable((LightingRow(1, 12.0, 2.0), LightingRow(2, 10.0, 3.0)), 11.0, 4.0)
-    assert lighting.texture_std_percent == 11.0
-    assert lighting.albedo_std_percent == 2.5
+    lighting = LightingTable((LightingRow(1, 12.0, 2.0), LightingRow(2, 10.0, 3.0)))
+    assert lighting.mean.texture_std_percent == 11.0
+    assert lighting.mean.albedo_std_percent == 2.5
     text = lighting.text()
     assert "11.00 %" in text
     assert "4.00 %" in text
@@ -107,5 +107,5 @@ def test_faces_stay_below_a_fifth_of_a_percent():
 @pytest.mark.slow
 def test_albedo_depends_on_light_less_than_the_papers():
     table = validate_lighting()
-    assert table.texture_std_percent > 8
-    assert table.albedo_std_percent < 4
+    assert table.mean.texture_std_percent > 8
+    assert table.mean.albedo_std_percent < 4

@@ -26,6 +26,7 @@ def in_model_frame(scan, truth):
     return transform_points(truth.model_from_scan, scan.vertices)
 
 
+@pytest.mark.slow
 def test_scans_have_the_statistics_of_raw_stereo(scans):
     for scan, truth in scans:
         assert 800 < len(scan.vertices) < 14_000
