@@ -104,7 +104,7 @@ def registration_panels(
         colors = np.repeat(parts, [len(vertices), len(skin)], axis=0)
         joined = np.concatenate([vertices, skin]), np.concatenate([frame.faces, head[1] + len(vertices)])
         around = View.around(vertices)
-        view = View(around.center_mm, 1.3 * around.half_width_mm, yaw_deg=-35.0)
+        view = View(around.center_mm, 1.5 * around.half_width_mm, yaw_deg=-35.0)
         picture = render_mesh(*joined, vertex_color_srgb=colors, view=view, size=_SIZE)
         panels.append(Panel("on the head", picture))
     return panels
@@ -115,11 +115,25 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
 
     given_camera, given_mask, given_labels = view
     camera = normalized_cameras(given_camera.matrix[None])[0]
-    zoom = _zoom(view, project(camera, frame.vertices)[0])
+    # The (3, 3) map from the picture's pixels to the panel's that shows frame, mask and labels.
+    height, width = given_camera.shape
+    outlined = [project(camera, frame.vertices)[0], given_labels]
+    if given_mask is not None:
+        outlined.append(np.argwhere(given_mask)[:, ::-1].astype(np.float64))
+    points, limit = np.concatenate(outlined), np.array([width, height]) - 0.5
+    points = points[np.isfinite(points).all(1)]
+    if len(points) == 0:
+        points = np.array([[-0.5, -0.5], limit])
+    room = _MARGIN * np.array([width, height])
+    points = np.clip(points, -0.5 - room, limit + room)
+    low, high = points.min(0), points.max(0)
+    half = max(float(np.max(high - low)) / 2 * (1 + 2 * _MARGIN), 4.0)
+    scale = _SIZE / (2 * half)
+    zoom = np.diag([scale, scale, 1.0])
+    zoom[:2, 2] = -scale * ((low + high) / 2 - half) - 0.5
     # The mask grey on black, the outside of the picture white.
     mask = np.zeros(given_camera.shape, bool) if given_mask is None else given_mask
-    scale, shift = zoom[0, 0], zoom[[1, 0], 2]
-    size = (_SIZE, _SIZE)
+    shift, size = zoom[[1, 0], 2], (_SIZE, _SIZE)
     gray = affine_transform(
         0.5 * mask, [1 / scale] * 2, -shift / scale, size, order=1, mode="grid-constant", cval=1.0
     )
@@ -146,23 +160,3 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     dots = given_labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
     colors = np.where(close[given, None], to_rgb(_INLIER_COLOR), to_rgb(_OUTLIER_COLOR))
     return Panel(title, picture, dots, colors)
-
-
-def _zoom(view: SeenView, pixels: FloatArray) -> FloatArray:
-    """Return the (3, 3) map from the picture's pixels to the panel's that shows frame, mask and labels."""
-    camera, mask, labels = view
-    height, width = camera.shape
-    shown = [pixels[np.isfinite(pixels).all(1)], labels[np.isfinite(labels).all(1)]]
-    if mask is not None:
-        shown.append(np.argwhere(mask)[:, ::-1].astype(np.float64))
-    points = np.concatenate(shown)
-    limit = np.array([width, height]) - 0.5
-    if len(points) == 0:
-        points = np.array([[-0.5, -0.5], limit])
-    room = _MARGIN * np.array([width, height])
-    points = np.clip(points, -0.5 - room, limit + room)
-    low, high = points.min(0), points.max(0)
-    half = max(float(np.max(high - low)) / 2 * (1 + 2 * _MARGIN), 4.0)
-    corner, scale = (low + high) / 2 - half, _SIZE / (2 * half)
-    shift = -scale * corner - 0.5
-    return np.array([[scale, 0, shift[0]], [0, scale, shift[1]], [0, 0, 1]])

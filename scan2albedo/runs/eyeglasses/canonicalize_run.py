@@ -142,7 +142,7 @@ def canonicalize_frames(
         FailedFrameRecord(file=frames[i].files["mesh"].file, reason=reason)
         for i, reason in result.failures.items()
     )
-    options = {"mode": mode, "handles": handles, "widths_mm": widths_mm, "mean": mean}
+    options: dict[str, Any] = {"mode": mode, "handles": handles, "widths_mm": widths_mm, "mean": mean}
     options |= {"budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     done = tuple(frames[i] for i in result.numbers)
     return CanonicalFiles(done, result, (*failures, *lost), options, time.perf_counter() - begun)
