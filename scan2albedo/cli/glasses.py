@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Eyeglasses: canonical frames, frames registered on faces.", no_args_is_help=True)
 
 UnitOption = Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")]
+KeyPointsOption = Annotated[
+    Path | None, typer.Option(help="Of the frame; otherwise <mesh stem>.keypoints.json beside it.")
+]
 
 
 @contextmanager
@@ -202,9 +205,7 @@ def register(
         Path | None,
         typer.Option(help="Mesh of what may hide the frame, in the cameras' frame, such as a fitted.glb."),
     ] = None,
-    keypoints: Annotated[
-        Path | None, typer.Option(help="Of the mesh; otherwise <mesh stem>.keypoints.json beside it.")
-    ] = None,
+    keypoints: KeyPointsOption = None,
     start: Annotated[
         Path | None, typer.Option(help="A pose, or an earlier registered.npz, where labels fix none.")
     ] = None,
@@ -276,10 +277,7 @@ def lenses(
     view: Annotated[
         list[str] | None, typer.Option(help="Name of a camera; may be repeated. All when omitted.")
     ] = None,
-    keypoints: Annotated[
-        Path | None,
-        typer.Option(help="Otherwise <frame stem>.keypoints.json or keypoints.json beside the frame."),
-    ] = None,
+    keypoints: KeyPointsOption = None,
     picture: Annotated[
         list[Path] | None,
         typer.Option(help="Photograph to put the lenses into, once a view; otherwise the scene is drawn."),
@@ -293,10 +291,7 @@ def lenses(
     ] = None,
     dioptres: Annotated[str, typer.Option(help="D, or L,R: one number for both lenses or two.")] = "0",
     tint: Annotated[
-        str | None,
-        typer.Option(
-            help="R,G,B, linear: the glass's colour. Clear when omitted; 0.1,0.07,0.03 with --sunglasses."
-        ),
+        str | None, typer.Option(help="R,G,B, linear: the glass's colour; 0.1,0.07,0.03 with --sunglasses.")
     ] = None,
     alpha: Annotated[
         float | None,
@@ -312,16 +307,14 @@ def lenses(
         ),
     ] = None,
     sunglasses: Annotated[
-        bool,
-        typer.Option("--sunglasses", help="Dark glass that filters light, and mirrors as with --fresnel."),
+        bool, typer.Option("--sunglasses", help="Dark glass that filters light, and mirrors like --fresnel.")
     ] = False,
     fresnel: Annotated[
-        bool,
-        typer.Option("--fresnel", help="Mirror, as glass does, and more towards glancing angles."),
+        bool, typer.Option("--fresnel", help="Mirror, as glass does, and more towards glancing angles.")
     ] = False,
     supersampling: Annotated[int, typer.Option(help="n x n rays for pixels on edges.", min=1)] = 3,
     lights: Annotated[int, typer.Option(help="Distant lights for the environment.", min=1)] = 256,
-    unit: Annotated[str, typer.Option(help="Of frame and head: auto, mm, cm or m.")] = "auto",
+    unit: UnitOption = "auto",
     json_summary: JsonOption = False,
 ) -> None:
     """Put lenses into a frame on a face and show them, drawn or in photographs.

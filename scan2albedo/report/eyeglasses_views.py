@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
@@ -20,6 +19,7 @@ from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel
 
 Mesh = tuple[FloatArray, IntArray]
+SeenView = tuple[Camera, BoolArray | None, FloatArray]
 
 MOST_SHOWN = 12
 """Frames or views beyond these are not drawn: nobody would find them."""
@@ -34,38 +34,24 @@ _INLIER_COLOR = "lime"
 _OUTLIER_COLOR = "crimson"
 
 
-@dataclass(frozen=True)
-class DrawnFrame:
-    """A frame's name, its vertices (V, 3) and key points (20, 3) as given, and what became of them."""
-
-    name: str
-    vertices: FloatArray
-    keypoints: FloatArray
-    canonical: CanonicalEyeglasses
-
-
-def glasses_panels(frames: Sequence[DrawnFrame]) -> list[Panel]:
+def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]) -> list[Panel]:
     """Return four panels a frame: before, coloured by weights, and after, coloured by how far it moved.
 
-    Before is the frame brought rigidly to its canonical place. Dots are the canonical key points: its own,
-    unbent, or the mean's, the same in all panels then.
+    `frames` are names, vertices (V, 3) as given, and what became of them. Before is the frame brought rigidly
+    to its canonical place. Dots are the canonical key points: its own, unbent, or the mean's.
     """
     from matplotlib import colormaps
 
     drawn = frames[:MOST_SHOWN]
-    before = [
-        transform_points(one.canonical.canonical_from_frame, one.canonical.scale * one.vertices)
-        for one in drawn
-    ]
+    before = [transform_points(c.canonical_from_frame, c.scale * given) for _, given, c in drawn]
     moved = [
-        np.linalg.norm(frame.canonical.vertices - placed, axis=1)
-        for frame, placed in zip(drawn, before, strict=True)
+        np.linalg.norm(canonical.vertices - placed, axis=1)
+        for (_, _, canonical), placed in zip(drawn, before, strict=True)
     ]
     most = max(float(m.max()) for m in moved)
     views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
     panels = []
-    for frame, placed, distance in zip(drawn, before, moved, strict=True):
-        canonical = frame.canonical
+    for (name, _, canonical), placed, distance in zip(drawn, before, moved, strict=True):
         dots = canonical.keypoints[np.isfinite(canonical.keypoints).all(1)]
         # Each column of the weights has a hue, mixed by weight.
         hues = colormaps["tab20"](np.arange(canonical.weights.shape[1]) % 20)[:, :3]
@@ -73,7 +59,7 @@ def glasses_panels(frames: Sequence[DrawnFrame]) -> list[Panel]:
         how = "unbent, own shape" if canonical.unbent else "to the mean"
         how += f"\nmoved by {np.sqrt(np.mean(distance**2)):.2f} mm rms (0 to {most:.2g} mm)"
         states = (
-            (f"{frame.name}\nas given", placed, canonical.weights @ hues),
+            (f"{name}\nas given", placed, canonical.weights @ hues),
             (how, canonical.vertices, heat),
         )
         for view, side in zip(views, ("front", "above"), strict=True):
@@ -85,19 +71,12 @@ def glasses_panels(frames: Sequence[DrawnFrame]) -> list[Panel]:
     return panels
 
 
-@dataclass(frozen=True)
-class SeenView:
-    """One camera's mask, None where there is none, and labels (20, 2) in pixels, NaN for missing ones."""
-
-    camera: Camera
-    mask: BoolArray | None
-    labels: FloatArray
-
-
 def registration_panels(
     frame: RegisteredEyeglasses, views: Sequence[SeenView], head: Mesh | None = None
 ) -> list[Panel]:
     """Return a panel for each view, two of the frame's standard deviation, and one on the head if any.
+
+    A view is a camera, its mask if any, and labels (20, 2) in pixels, NaN for missing ones.
 
     Orange is the registered frame's outline, blue where the head hides it; green labels fit, red ones are
     outliers. Vertices that are not observed are red.
@@ -125,7 +104,7 @@ def registration_panels(
         colors = np.repeat(parts, [len(vertices), len(skin)], axis=0)
         joined = np.concatenate([vertices, skin]), np.concatenate([frame.faces, head[1] + len(vertices)])
         around = View.around(vertices)
-        view = View(around.center_mm, 1.3 * around.half_width_mm, yaw_deg=-35.0)
+        view = View(around.center_mm, 1.5 * around.half_width_mm, yaw_deg=-35.0)
         picture = render_mesh(*joined, vertex_color_srgb=colors, view=view, size=_SIZE)
         panels.append(Panel("on the head", picture))
     return panels
@@ -134,12 +113,27 @@ def registration_panels(
 def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: RayCaster | None) -> Panel:
     from matplotlib.colors import to_rgb
 
-    camera = normalized_cameras(view.camera.matrix[None])[0]
-    zoom = _zoom(view, project(camera, frame.vertices)[0])
+    given_camera, given_mask, given_labels = view
+    camera = normalized_cameras(given_camera.matrix[None])[0]
+    # The (3, 3) map from the picture's pixels to the panel's that shows frame, mask and labels.
+    height, width = given_camera.shape
+    outlined = [project(camera, frame.vertices)[0], given_labels]
+    if given_mask is not None:
+        outlined.append(np.argwhere(given_mask)[:, ::-1].astype(np.float64))
+    points, limit = np.concatenate(outlined), np.array([width, height]) - 0.5
+    points = points[np.isfinite(points).all(1)]
+    if len(points) == 0:
+        points = np.array([[-0.5, -0.5], limit])
+    room = _MARGIN * np.array([width, height])
+    points = np.clip(points, -0.5 - room, limit + room)
+    low, high = points.min(0), points.max(0)
+    half = max(float(np.max(high - low)) / 2 * (1 + 2 * _MARGIN), 4.0)
+    scale = _SIZE / (2 * half)
+    zoom = np.diag([scale, scale, 1.0])
+    zoom[:2, 2] = -scale * ((low + high) / 2 - half) - 0.5
     # The mask grey on black, the outside of the picture white.
-    mask = np.zeros(view.camera.shape, bool) if view.mask is None else view.mask
-    scale, shift = zoom[0, 0], zoom[[1, 0], 2]
-    size = (_SIZE, _SIZE)
+    mask = np.zeros(given_camera.shape, bool) if given_mask is None else given_mask
+    shift, size = zoom[[1, 0], 2], (_SIZE, _SIZE)
     gray = affine_transform(
         0.5 * mask, [1 / scale] * 2, -shift / scale, size, order=1, mode="grid-constant", cval=1.0
     )
@@ -162,26 +156,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
         labels += f", {np.sqrt(np.mean(errors[close] ** 2)):.1f} px rms"
     rms = frame.outline_rms_px[number]
     outline = "outline not compared" if np.isnan(rms) else f"outline {rms:.1f} px rms"
-    title = f"{view.camera.name}: {labels}\n{'no mask' if view.mask is None else outline}"
-    dots = view.labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
+    title = f"{given_camera.name}: {labels}\n{'no mask' if given_mask is None else outline}"
+    dots = given_labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
     colors = np.where(close[given, None], to_rgb(_INLIER_COLOR), to_rgb(_OUTLIER_COLOR))
     return Panel(title, picture, dots, colors)
-
-
-def _zoom(view: SeenView, pixels: FloatArray) -> FloatArray:
-    """Return the (3, 3) map from the picture's pixels to the panel's that shows frame, mask and labels."""
-    height, width = view.camera.shape
-    shown = [pixels[np.isfinite(pixels).all(1)], view.labels[np.isfinite(view.labels).all(1)]]
-    if view.mask is not None:
-        shown.append(np.argwhere(view.mask)[:, ::-1].astype(np.float64))
-    points = np.concatenate(shown)
-    limit = np.array([width, height]) - 0.5
-    if len(points) == 0:
-        points = np.array([[-0.5, -0.5], limit])
-    room = _MARGIN * np.array([width, height])
-    points = np.clip(points, -0.5 - room, limit + room)
-    low, high = points.min(0), points.max(0)
-    half = max(float(np.max(high - low)) / 2 * (1 + 2 * _MARGIN), 4.0)
-    corner, scale = (low + high) / 2 - half, _SIZE / (2 * half)
-    shift = -scale * corner - 0.5
-    return np.array([[scale, 0, shift[0]], [0, scale, shift[1]], [0, 0, 1]])

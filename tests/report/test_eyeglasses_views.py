@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from scan2albedo.eyeglasses import Camera, register_on_face
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.report import eyeglasses_views
-from scan2albedo.report.eyeglasses_views import SeenView, registration_panels
+from scan2albedo.report.eyeglasses_views import registration_panels
 from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
@@ -27,7 +27,7 @@ def person():
 def views(person):
     shape = person.masks.shape[1:]
     cameras = [Camera(f"c{n}", matrix, shape) for n, matrix in enumerate(person.cameras)]
-    return [SeenView(*parts) for parts in zip(cameras, person.masks, person.labels, strict=True)]
+    return list(zip(cameras, person.masks, person.labels, strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -79,12 +79,12 @@ def test_what_the_head_hides_is_blue(person, frame, views):
 
 
 def test_labels_are_green_and_outliers_red(frame, views):
-    labels = views[1].labels.copy()
+    labels = views[1][2].copy()
     labels[0] += 90
     errors, inliers = frame.label_errors_px.copy(), frame.inliers.copy()
     errors[1, 0], inliers[1, 0] = 127.0, False
     wrong = replace(frame, label_errors_px=errors, inliers=inliers)
-    panel = registration_panels(wrong, [views[0], replace(views[1], mask=None, labels=labels), views[2]])[1]
+    panel = registration_panels(wrong, [views[0], (views[1][0], None, labels), views[2]])[1]
     assert "1 outliers" in panel.title
     assert "no mask" in panel.title
     assert panel.dot_colors.shape == (20, 3)
@@ -108,8 +108,8 @@ def test_what_is_not_observed_is_red(frame, views):
 
 
 def test_a_frame_behind_the_camera_and_many_views_are_drawn(frame, views):
-    gone = replace(views[0].camera, matrix=views[0].camera.matrix @ np.diag([1, 1, 1, -1.0]))
-    nowhere = SeenView(gone, None, np.full((20, 2), np.nan))
+    gone = replace(views[0][0], matrix=views[0][0].matrix @ np.diag([1, 1, 1, -1.0]))
+    nowhere = (gone, None, np.full((20, 2), np.nan))
     twenty = 20 * [0]
     many = replace(frame, label_errors_px=frame.label_errors_px[twenty], inliers=frame.inliers[twenty])
     many = replace(many, outline_rms_px=frame.outline_rms_px[twenty])

@@ -210,19 +210,17 @@ def without_glass(
         panes = pane_faces(vertices, faces[kept], plane, marks)
         if panes.any():
             kept[np.flatnonzero(kept)[panes]] = False
-            notes.append(
-                f"the {lens.name}: the frame's own glass there, {int(panes.sum())} faces, is left out"
-            )
+            count = int(panes.sum())
+            notes.append(f"the {lens.name}: the frame's own glass there, {count} faces, is left out")
         if is_covered(vertices, faces[kept], plane, marks):
             notes.append(
                 f"the {lens.name}: the frame covers it, it seems by glass of one piece with the rim, which "
                 "may have been taken for the rim; cut it out of the mesh"
             )
-    if kept.all():
-        return frame, tuple(notes)
-    uv = None if frame.uv is None else np.asarray(frame.uv)
-    uv = uv[kept] if uv is not None and uv.ndim == 3 else uv
-    return replace(frame, faces=faces[kept], uv=uv), tuple(notes)
+    if not kept.all():
+        uv = None if frame.uv is None else np.asarray(frame.uv)
+        frame = replace(frame, faces=faces[kept], uv=uv[kept] if uv is not None and uv.ndim == 3 else uv)
+    return frame, tuple(notes)
 
 
 @dataclass(frozen=True)

@@ -47,19 +47,14 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         d' ~ (p - o) (1 + u P) - (c - o).
 
     This is the ray to the conjugate image of c (Hecht, "Optics", 5th ed., section 5.2.3; equations S11 and
-    S12 of Li et al.) times 1 + u P: it holds for P = 0, where it is the ray itself, for 1 + u P = 0, where
-    all rays become parallel, and beyond, where the image lies in front.
+    S12 of Li et al., with f = 1 / P) times 1 + u P: it holds for P = 0, where it is the ray itself, for
+    1 + u P = 0, where all rays become parallel, and beyond, where the image lies in front.
 
     `camera` is the centre of projection (3,), or one origin a ray (N, 3), in mm. `points` (N, 3) mm are where
     rays are heading: any point on each but its origin, such as a hit on a lens mesh, which need not be flat.
 
     Raises EyeglassesError when numbers are not finite, the normal is zero, a camera lies in the lens plane,
     or a ray runs along the plane or away from it; ValueError for a wrong shape.
-
-    Notes
-    -----
-    MEGANE's supplement works with f = 1 / P, infinite for plane glass and positive for what shrinks;
-    the sign of the dioptres here is the optician's.
 
     Examples
     --------

@@ -45,8 +45,6 @@ _DENT = 0.0025
 """Part of the radius by which the edge may lie inside a chord between its neighbours."""
 _STEP = 0.05
 """Lens radii between neighbouring hits that part two surfaces, such as the outer wall seen in a cut tube."""
-_JUMP = 0.12
-"""Hits this much off the median of their neighbourhood, in lens radii, are something in the way."""
 _PULL = 0.25
 """Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
 
@@ -187,8 +185,7 @@ def find_lens_rim(
 
     Rays from the axis outward meet the rim's inner edge. Gaps of up to 30 degrees are bridged between their
     ends; wider ones, such as the open side of a half-rimless frame, take their shape from the rim's key
-    points, shifted so that it joins what was measured. Lenses that are parts of their own are looked
-    through.
+    points, shifted so that it joins what was measured. Lenses that are parts of their own are looked through.
 
     The frame's `vertices` (V, 3) and `faces` (F, 3) are in any unit, of any number of parts and any winding.
     `center` (3,) is inside the rim, about in the lens plane, `rim_points` (K, 3) are three or more key points
@@ -198,8 +195,6 @@ def find_lens_rim(
     Raises EyeglassesError when the mesh is empty or not finite, neither rim points nor a normal are given, or
     too little of a rim lies around the centre to do without rim points; ValueError for a wrong shape.
 
-    Notes
-    -----
     MEGANE's supplement subdivides from the key points throughout, which stops a tube's radius off the inner
     edge; here that is the fallback. Cost: some 130 rays a point.
 
@@ -279,8 +274,7 @@ def shoot_rim(
         level = _local_median(height, np.isfinite(radius))
         radius, height = _nearest(caster, plane, angles, level, lens_radius, reach)
     found = np.isfinite(radius)
-    found &= ~(np.abs(radius - _local_median(radius, found)) > _JUMP * lens_radius)
-    # Neither count hits on pieces that less than half the window sees.
+    # Hits on pieces that less than half the window sees are something in the way.
     count, half = len(angles), _half_window(len(angles))
     outline = np.where(found, radius, np.nan)
     steepest = lens_radius * max(_STEP, 2 * np.pi / count)

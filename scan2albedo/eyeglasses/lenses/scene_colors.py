@@ -313,7 +313,7 @@ class PhotographedScene:
     def _shown(self, number: int) -> tuple[cKDTree, FloatArray]:
         """Return the points of a surface that pixels of the region show, and their colours."""
         if number not in self._known:
-            corner = [part.start for part in self._region]
+            corner = [part.start or 0 for part in self._region]
             row, column = (np.argwhere(self._labels[self._region] == number) + corner).T
             shown = self._scene.rays(self._center, pixel_directions(self._camera, np.stack([column, row], 1)))
             on = np.flatnonzero(shown.hits.face >= 0)

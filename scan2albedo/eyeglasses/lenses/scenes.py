@@ -102,17 +102,13 @@ class SceneRays:
     @classmethod
     def joined(cls, sets: Sequence[SceneRays]) -> SceneRays:
         """Return the rays of all sets, with their pixels moved apart: those of two sets are no neighbours."""
-        hits = [rays.hits for rays in sets]
+        hits = ((rays.hits.face, rays.hits.barycentric, rays.hits.distance) for rays in sets)
         pixels = [rays.pixels for rays in sets if rays.pixels is not None]
         width = 2 * np.ceil(max(p[:, 0].max(initial=0) for p in pixels)) + 4
         return cls(
             np.concatenate([rays.origins for rays in sets]),
             np.concatenate([rays.directions for rays in sets]),
-            RayHits(
-                np.concatenate([hit.face for hit in hits]),
-                np.concatenate([hit.barycentric for hit in hits]),
-                np.concatenate([hit.distance for hit in hits]),
-            ),
+            RayHits(*map(np.concatenate, zip(*hits, strict=True))),
             np.concatenate([p + [number * width, 0] for number, p in enumerate(pixels)]),
         )
 

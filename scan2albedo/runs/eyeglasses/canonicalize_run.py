@@ -29,7 +29,7 @@ from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
 from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 from scan2albedo.io.units import MM_PER_UNIT
-from scan2albedo.report.eyeglasses_views import MOST_SHOWN, DrawnFrame, glasses_panels
+from scan2albedo.report.eyeglasses_views import MOST_SHOWN, glasses_panels
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.runs.eyeglasses.inputs import GlassesFrame
 
@@ -142,7 +142,7 @@ def canonicalize_frames(
         FailedFrameRecord(file=frames[i].files["mesh"].file, reason=reason)
         for i, reason in result.failures.items()
     )
-    options = {"mode": mode, "handles": handles, "widths_mm": widths_mm, "mean": mean}
+    options: dict[str, Any] = {"mode": mode, "handles": handles, "widths_mm": widths_mm, "mean": mean}
     options |= {"budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     done = tuple(frames[i] for i in result.numbers)
     return CanonicalFiles(done, result, (*failures, *lost), options, time.perf_counter() - begun)
@@ -191,10 +191,8 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
         write_keypoints(staging.folder / "mean_keypoints.json", result.mean_keypoints, unit="mm")
         result.trace.to_csv(staging.folder / "trace.csv")
         staging.figure("error_vs_time.png", result.trace.plot())
-        drawn = [
-            DrawnFrame(f.name, f.scan.vertices, f.keypoints, c)
-            for f, c in zip(done.frames, result.frames, strict=True)
-        ]
+        both = zip(done.frames, result.frames, strict=True)
+        drawn = [(frame.name, frame.scan.vertices, canonical) for frame, canonical in both]
         title = f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
         if len(drawn) > MOST_SHOWN:
             title = f"{MOST_SHOWN} of {title}"

@@ -61,11 +61,9 @@ class GlassesDemoReport:
     placed: PlacedFrame
     head: Head
     errors: Mapping[str, float]
-    """Lengths in mm, shares of the vertices: of vertices that the true head leaves visible in a view or more
-    (`seen`), of `all`, of those that the registration calls `observed`, and of the key points;
-    `depth_error_mm` is along the line of sight, in the view where it is least. Deviations are the
-    registration's own estimate: root mean squares over the observed vertices, each in its worst direction,
-    and along the line of sight."""
+    """Lengths in mm and shares of the vertices: of those that the true head leaves visible in a view or more
+    (`seen`), of `all`, of those called `observed`, and of the key points; `depth_error_mm` is along the line
+    of sight, in the view where it is least. Deviations are the registration's own estimate."""
 
     def figures(self) -> dict[str, Any]:
         """Return the figures as plain values for JSON."""

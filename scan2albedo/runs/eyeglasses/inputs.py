@@ -177,8 +177,8 @@ def read_registration(
     `mesh` has key points beside it, or is the `canonical.npz` of a canonical frame; `masks` is a folder of
     masks named after the cameras, `head` a mesh in the cameras' frame, `start` a pose or the `registered.npz`
     of an earlier run; the unit is that of the mesh. Raises EyeglassesError or ScanError, naming the file,
-    when one cannot be read or they do not belong together; ValueError for an unknown unit, or key points for
-    a frame that already has them.
+    when one cannot be read or they do not belong together; ValueError for an unknown unit, or key points that
+    the frame already has.
     """
     views = read_cameras(cameras)
     files = {"cameras": _hashed(cameras), "labels": _hashed(labels)}

@@ -25,7 +25,7 @@ from scan2albedo.eyeglasses.frame_files import write_frame_glb
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.report.eyeglasses_views import MOST_SHOWN, SeenView, registration_panels
+from scan2albedo.report.eyeglasses_views import MOST_SHOWN, registration_panels
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
@@ -187,7 +187,7 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
         result.trace.to_csv(folder / "trace.csv")
         staging.figure("error_vs_time.png", result.trace.plot())
         assert given.labels is not None
-        views = [SeenView(*seen) for seen in zip(given.cameras, given.masks, given.labels, strict=True)]
+        views = list(zip(given.cameras, given.masks, given.labels, strict=True))
         title = f"{done.summary()}\norange: its outline, blue: behind the head; dots: labels, red: outliers"
         if len(views) > MOST_SHOWN:
             title += f"; {MOST_SHOWN} of {len(views)} views"
