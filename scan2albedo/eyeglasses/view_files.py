@@ -23,11 +23,7 @@ from scan2albedo.io.units import MM_PER_UNIT
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera.
-
-    Raises ValueError, naming the camera, when the name is not a file name, the matrix is not finite, has
-    another shape or a singular left 3x3 part, or the shape is not positive.
-    """
+    """A pinhole camera; raises ValueError, naming it, when its name, matrix or shape is not usable."""
 
     name: str
     """Of its picture, labels and mask."""

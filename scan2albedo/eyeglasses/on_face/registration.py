@@ -31,7 +31,7 @@ from scan2albedo.eyeglasses.on_face.objective import (
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, FrameMesh, OutlineSampler
 from scan2albedo.eyeglasses.on_face.report import WORN_MM, depth_open, mark_deviations, report
 from scan2albedo.eyeglasses.on_face.start_poses import require_unmirrored, starting_poses
-from scan2albedo.eyeglasses.weighting.weights import solve_weights
+from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist, squareform
 from scan2albedo.core import Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.weighting.lattice import (
+from scan2albedo.eyeglasses.lattice import (
     Lattice,
     enclosed_cells,
     join_parts,

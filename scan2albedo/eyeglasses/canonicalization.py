@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.mean_keypoints import (
+from scan2albedo.eyeglasses.keypoints import (
+    KEY_POINT_COUNT,
+    KEY_POINT_NAMES,
+    checked_keypoints,
+    checked_weights,
+)
+from scan2albedo.eyeglasses.mean_keypoints import (
     BEHIND,
     WIDTHS_MM,
     MeanKeyPoints,
@@ -27,15 +33,9 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     unit_exponent,
     unit_factors,
 )
-from scan2albedo.eyeglasses.canonical.unbending import front_halves, symmetric_key_points, unbent_transforms
-from scan2albedo.eyeglasses.keypoints import (
-    KEY_POINT_COUNT,
-    KEY_POINT_NAMES,
-    checked_keypoints,
-    checked_weights,
-)
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
-from scan2albedo.eyeglasses.weighting.weights import solve_weights
+from scan2albedo.eyeglasses.unbending import front_halves, symmetric_key_points, unbent_transforms
+from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.rigid import transform_points
 
 CanonicalMode = Literal["unbend", "mean"]

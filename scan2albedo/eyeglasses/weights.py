@@ -13,10 +13,10 @@ from scipy import sparse
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
-from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES, embed
-from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy, unique_cells
-from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
+from scan2albedo.eyeglasses.lattice import Lattice, biharmonic_energy, unique_cells
+from scan2albedo.eyeglasses.sparse_cholesky import SparseCholesky
 
 TOLERANCE = 1e-7
 """Scaled residual of the optimality conditions at which a handle's weights are done."""
@@ -110,7 +110,6 @@ def solve_weights(
     Parameters
     ----------
     vertices : (V, 3) array_like of float
-        Any unit; the result does not depend on it.
     faces : (F, 3) array_like of int
     handles : (K, 3) array_like of float
         Key points, on the mesh or near it.
