@@ -195,9 +195,9 @@ class ViewLabels:
     """Labels of C views."""
 
     camera_names: tuple[str, ...]
-    """Of the C views."""
     pixels: FloatArray
-    """(C, 20, 2) column and row, centres of pixels at integers; NaN where a key point is not labelled."""
+    """(C, 20, 2) column and row in the views of `camera_names`, centres of pixels at integers; NaN where a
+    key point is not labelled."""
 
     def of_cameras(self, names: Sequence[str]) -> FloatArray:
         """Return (N, 20, 2) labels of the cameras `names`, in their order; NaN for one without labels.

@@ -40,7 +40,7 @@ class BoundedBiharmonicWeights:
     weights: FloatArray
     """(V, K); rows sum to 1, entries in [0, 1]."""
     converged: bool
-    """Whether every handle's residual is at most the tolerance."""
+    """Whether every handle's `residual` is at most the tolerance."""
     iterations: IntArray
     """(K,) Newton steps of each key point's handle on the finest lattice."""
     residual: FloatArray
@@ -48,9 +48,8 @@ class BoundedBiharmonicWeights:
     energy: FloatArray
     """(K,) x^T A x / 2 of the weights before they are normalised, in units of the spacing."""
     spacing: float
-    """Of the lattice, in the mesh's unit."""
     node_count: int
-    """Nodes of the lattice."""
+    """Of the lattice; its `spacing` is in the mesh's unit."""
     plan: Plan
     """The spacing, key points that share a handle, and the parts left out, with the reasons."""
     trace: Trace

@@ -47,13 +47,11 @@ class RegisteredEyeglasses:
     """A frame where the pictures show it; lengths in the cameras' unit. See `register_on_face`."""
 
     vertices: FloatArray
-    """(V, 3) in the world."""
     faces: IntArray
-    """(F, 3)."""
     weights: FloatArray
-    """(V, 20); zero columns for key points that the frame lacks."""
     keypoints: FloatArray
-    """(20, 3) in the world, NaN where the frame lacks them."""
+    """(20, 3) in the world as `vertices` (V, 3), NaN where the frame lacks them; `faces` (F, 3) and `weights`
+    (V, 20) are as given."""
     world_from_glasses: FloatArray
     """(4, 4) rigid, the bend left aside."""
     handle_transforms: FloatArray
@@ -66,8 +64,8 @@ class RegisteredEyeglasses:
     """(V,) root mean square distance that each vertex may be off: two in three lie nearer, 19 in 20 within
     twice as much."""
     observed: BoolArray
-    """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more
-    than a third of the labels do not fit, or the budget ended before the bend was found."""
+    """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more than a
+    third of the labels do not fit, or the budget ended before the bend was found."""
     keypoint_deviation: FloatArray
     """(20,) as `deviation`, NaN where the frame lacks them."""
     keypoints_observed: BoolArray
@@ -104,21 +102,21 @@ class RegisteredEyeglasses:
 
 @dataclass(frozen=True)
 class RegistrationInputs:
-    """Lengths in mm of a frame of usual size, the caller's lengths divided by `unit`."""
+    """Lengths in mm of a frame of usual size, the caller's lengths divided by `unit`.
+
+    `keypoints` (20, 3) are NaN where the frame lacks them; the `plan` names masks that do not count.
+    """
 
     vertices: FloatArray
     faces: IntArray
     keypoints: FloatArray
-    """(20, 3), NaN where the frame lacks them."""
     weights: FloatArray | None
     views: tuple[ObservedView, ...]
     masks: tuple[BoolArray | None, ...]
     head: tuple[FloatArray, IntArray] | None
     start: FloatArray | None
     unit: float
-    """Caller's lengths in one of these millimetres."""
     plan: tuple[PlanStep, ...]
-    """Masks that do not count."""
 
     @property
     def known(self) -> BoolArray:

@@ -322,7 +322,7 @@ def descend(
     meter: Meter,
     *,
     steps: int = 40,
-    error: Literal["median_label_px", "mean_outline_px"],
+    error: Literal["median_label_px", "mean_outline_px", "cost"],
     tolerance: float = 1e-5,
 ) -> FrameEstimate:
     """Return the best state that `steps` Levenberg-Marquardt steps from `state` reach.
