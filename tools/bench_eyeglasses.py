@@ -58,9 +58,9 @@ from scipy import sparse
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
-from scan2albedo.eyeglasses.weighting.lattice import biharmonic_energy
-from scan2albedo.eyeglasses.weighting.weights import (
+from scan2albedo.eyeglasses.embedding import Embedding, embed
+from scan2albedo.eyeglasses.lattice import biharmonic_energy
+from scan2albedo.eyeglasses.weights import (
     TOLERANCE,
     minimize_bounded,
     optimality_residual,

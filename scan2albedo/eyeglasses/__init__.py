@@ -1,11 +1,10 @@
 """Eyeglasses, after the supplement of Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023.
 
-S2, canonical frames: `weighting` (bounded biharmonic weights), `skinning` (linear blend skinning) and
-`canonical`. S3, registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files
-that people exchange: `frame_files`, `view_files`.
+S2, canonical frames: `weights` (bounded biharmonic), `skinning` (linear blend), `canonicalization`. S3,
+registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files: `frame_files`, `view_files`.
 """
 
-from scan2albedo.eyeglasses.canonical.canonicalization import (
+from scan2albedo.eyeglasses.canonicalization import (
     CanonicalEyeglasses,
     CanonicalizationOptions,
     CanonicalSet,
@@ -41,7 +40,7 @@ from scan2albedo.eyeglasses.view_files import (
     write_labels,
     write_masks,
 )
-from scan2albedo.eyeglasses.weighting.weights import (
+from scan2albedo.eyeglasses.weights import (
     BoundedBiharmonicWeights,
     bounded_biharmonic_weights,
     solve_weights,

@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from scan2albedo.core import Plan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
+from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import (
     KEY_POINT_COUNT,
     KEY_POINT_NAMES,

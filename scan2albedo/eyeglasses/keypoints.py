@@ -13,16 +13,17 @@ from scan2albedo.errors import EyeglassesError
 
 
 class KeyPointPlace(NamedTuple):
-    """Where a key point goes: of the frame's middle, or of each side (`name` without the side)."""
+    """Where a key point goes: of the frame's middle, or of each side (`name` without the side).
+
+    `absent` says what to do if the frame has none, `typical_mm` where the left one is on a typical frame: x
+    to the wearer's left, y up, z to the front.
+    """
 
     name: str
     where: str
     spot: str
-    """On the surface, or in the middle of the tube."""
     absent: str
-    """What to do if the frame has none."""
     typical_mm: tuple[float, float, float]
-    """On a typical frame, of the left one: x to the wearer's left, y up, z to the front."""
 
 
 _ABSENT = "leave out, or null"

@@ -23,11 +23,7 @@ from scan2albedo.io.units import MM_PER_UNIT
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera.
-
-    Raises ValueError, naming the camera, when the name is not a file name, the matrix is not finite, has
-    another shape or a singular left 3x3 part, or the shape is not positive.
-    """
+    """A pinhole camera; raises ValueError, naming it, when its name, matrix or shape is not usable."""
 
     name: str
     """Of its picture, labels and mask."""
@@ -199,9 +195,9 @@ class ViewLabels:
     """Labels of C views."""
 
     camera_names: tuple[str, ...]
-    """Of the C views."""
     pixels: FloatArray
-    """(C, 20, 2) column and row, centres of pixels at integers; NaN where a key point is not labelled."""
+    """(C, 20, 2) column and row in the views of `camera_names`, centres of pixels at integers; NaN where a
+    key point is not labelled."""
 
     def of_cameras(self, names: Sequence[str]) -> FloatArray:
         """Return (N, 20, 2) labels of the cameras `names`, in their order; NaN for one without labels.

@@ -9,8 +9,8 @@ from scipy.ndimage import affine_transform, binary_dilation
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
-from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalEyeglasses
-from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, in_own_axes
+from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
+from scan2albedo.eyeglasses.mean_keypoints import align_key_points, in_own_axes
 from scan2albedo.eyeglasses.on_face.outline import cover, covered_points, hidden_by
 from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster

@@ -138,7 +138,7 @@ class SameLoss:
             Meter("bench", "px"),
             steps=60,
             tolerance=1e-6,
-            error=lambda at: at.cost,
+            error="cost",
         )
         return found.state, found.at
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from benchmarks.sweep import Setting
-from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES
-from scan2albedo.eyeglasses.weighting.weights import TOLERANCE
+from scan2albedo.eyeglasses.embedding import MAX_NODES
+from scan2albedo.eyeglasses.weights import TOLERANCE
 from scan2albedo.pipeline.options import PRESETS
 
 STANDARD = "standard"

@@ -12,8 +12,8 @@ from benchmarks.presets import SpacingOptions, preset_settings
 from benchmarks.sweep import Cost, ErrorKind, Outcome, Peer, Setting, StageBenchmark, timed, varied, within
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import solve_weights
-from scan2albedo.eyeglasses.weighting.embedding import Embedding, embed
-from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
+from scan2albedo.eyeglasses.embedding import Embedding, embed
+from scan2albedo.eyeglasses.lattice import CORNERS, Lattice
 from scan2albedo.synthetic import GlassesBend, SyntheticEyeglasses, eyeglasses
 
 _REFERENCE_MM, _QUICK_REFERENCE_MM = 1.25, 2.5

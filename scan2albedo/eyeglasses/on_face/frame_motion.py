@@ -32,12 +32,10 @@ _TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POI
 
 @dataclass(frozen=True)
 class SkinnedPoints:
-    """N points that follow the key points of a frame at rest."""
+    """Points at `rest` (N, 3) that follow a frame's key points with `weights` (N, K), whose rows sum to 1."""
 
     rest: FloatArray
-    """(N, 3)."""
     weights: FloatArray
-    """(N, K), rows sum to 1."""
 
     def __getitem__(self, chosen: Any) -> SkinnedPoints:
         return SkinnedPoints(self.rest[chosen], self.weights[chosen])
@@ -45,14 +43,14 @@ class SkinnedPoints:
 
 @dataclass(frozen=True)
 class FrameState:
-    """Where a frame is and how it is bent."""
+    """Where a frame is and how it is bent: by `shifts` (K, 3) of the key points, in the frame's axes.
+
+    `rotation` (3, 3) is `world_from_frame`, `origin` (3,) where the centroid of the key points at rest goes.
+    """
 
     rotation: FloatArray
-    """(3, 3) `world_from_frame`."""
     origin: FloatArray
-    """(3,) where the centroid of the key points at rest goes."""
     shifts: FloatArray
-    """(K, 3) of the key points, in the frame's axes."""
 
     def moved(self, step: FloatArray) -> FrameState:
         """Return the state after a step (6,) or (6 + 3 K,): turn, translation, shifts."""
@@ -105,7 +103,7 @@ class FrameMotion:
         return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3])
 
     def covariances(self, points: SkinnedPoints, root: FloatArray) -> FloatArray:
-        """Return covariances (N, 3, 3) of points in the world that follow from root root^T, a step's own.
+        """Return covariances (N, 3, 3) of points in the world that follow from that of a step, root root^T.
 
         `root` is (6, P) for a frame that stays rigid, (6 + 3 K, P) for one that bends.
         """
@@ -126,10 +124,7 @@ class FrameMotion:
         *,
         with_matrix: bool = True,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return sums of vote value row and vote row row^T over N values, turns of handles apart.
-
-        `chained` brings sums (6 + 6 K) of any number of calls to those of a step's (6 + 3 K) derivatives.
-        """
+        """Return sums of vote value row and vote row row^T over N values, for `chained`."""
         given = points.rest, points.weights, positions, slopes, values, votes
         gradient, matrix = _normal_sums(*given, *self._placement, with_matrix)
         return gradient, matrix
@@ -272,10 +267,7 @@ def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row
 
 @njit(cache=True, nogil=True)
 def _point_covariances(rest, weights, positions, turns, keypoints, rotation, origin, root):  # type: ignore[no-untyped-def]
-    """Return (N, 3, 3) covariances of points under parameters of covariance root root^T.
-
-    `root` is (6 + 6 K, P), in the order of `_normal_sums`, whose other arguments these are.
-    """
+    """Return (N, 3, 3) covariances under that of parameters, root root^T, `root` (6 + 6 K, P)."""
     count, size, parameters = len(rest), 6 + 6 * weights.shape[1], root.shape[1]
     result = np.empty((count, 3, 3))
     row, place, axes = np.empty(size), np.empty(size, np.int64), np.eye(3)

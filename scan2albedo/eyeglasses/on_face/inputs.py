@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.mean_keypoints import require_posable, usual_size_factor
 from scan2albedo.eyeglasses.keypoints import (
     KEY_POINT_COUNT,
     KEY_POINT_NAMES,
@@ -20,6 +19,7 @@ from scan2albedo.eyeglasses.keypoints import (
     checked_mesh,
     checked_weights,
 )
+from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 
@@ -47,13 +47,11 @@ class RegisteredEyeglasses:
     """A frame where the pictures show it; lengths in the cameras' unit. See `register_on_face`."""
 
     vertices: FloatArray
-    """(V, 3) in the world."""
     faces: IntArray
-    """(F, 3)."""
     weights: FloatArray
-    """(V, 20); zero columns for key points that the frame lacks."""
     keypoints: FloatArray
-    """(20, 3) in the world, NaN where the frame lacks them."""
+    """(20, 3) in the world as `vertices` (V, 3), NaN where the frame lacks them; `faces` (F, 3) and `weights`
+    (V, 20) are as given."""
     world_from_glasses: FloatArray
     """(4, 4) rigid, the bend left aside."""
     handle_transforms: FloatArray
@@ -63,12 +61,11 @@ class RegisteredEyeglasses:
     visible: BoolArray
     """(C, V) vertices in the picture that the head does not hide, whether the frame hides them or not."""
     deviation: FloatArray
-    """(V,) root mean square distance that each vertex may be off, from what pictures and the bend's prior
-    leave open, errors that views share, and bends that key points cannot follow: two in three lie nearer, 19
-    in 20 within twice as much."""
+    """(V,) root mean square distance that each vertex may be off: two in three lie nearer, 19 in 20 within
+    twice as much."""
     observed: BoolArray
-    """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more
-    than a third of the labels do not fit, or the budget ended before the bend was found."""
+    """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more than a
+    third of the labels do not fit, or the budget ended before the bend was found."""
     keypoint_deviation: FloatArray
     """(20,) as `deviation`, NaN where the frame lacks them."""
     keypoints_observed: BoolArray
@@ -105,21 +102,21 @@ class RegisteredEyeglasses:
 
 @dataclass(frozen=True)
 class RegistrationInputs:
-    """Lengths in mm of a frame of usual size, the caller's lengths divided by `unit`."""
+    """Lengths in mm of a frame of usual size, the caller's lengths divided by `unit`.
+
+    `keypoints` (20, 3) are NaN where the frame lacks them; the `plan` names masks that do not count.
+    """
 
     vertices: FloatArray
     faces: IntArray
     keypoints: FloatArray
-    """(20, 3), NaN where the frame lacks them."""
     weights: FloatArray | None
     views: tuple[ObservedView, ...]
     masks: tuple[BoolArray | None, ...]
     head: tuple[FloatArray, IntArray] | None
     start: FloatArray | None
     unit: float
-    """Caller's lengths in one of these millimetres."""
     plan: tuple[PlanStep, ...]
-    """Masks that do not count."""
 
     @property
     def known(self) -> BoolArray:
@@ -187,7 +184,10 @@ def checked_inputs(
                 plan.append(PlanStep("glasses.mask", False, reason))
         views.append(ObservedView(camera, np.where(labelled[:, None], marks, np.nan), distance, shape))
         checked.append(mask)
-    skull = None if head is None else _mesh("the head", head)
+    skull = None
+    if head is not None:
+        points, index = (head.vertices, head.faces) if hasattr(head, "vertices") else head
+        skull = checked_mesh(points, index, "the head")
     pose = None
     if start is not None:
         pose = np.array(start, np.float64)
@@ -228,7 +228,7 @@ def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray
             "glasses must have vertices, faces and keypoints, or be a tuple of them and maybe weights, got "
             f"{type(glasses).__name__}"
         )
-    vertices, faces = _mesh("the glasses", (parts[0], parts[1]))
+    vertices, faces = checked_mesh(parts[0], parts[1], "the glasses")
     keypoints = checked_keypoints("the glasses' keypoints", parts[2])
     keypoints[~np.isfinite(keypoints).all(1)] = np.nan
     require_posable(keypoints, "the glasses")
@@ -240,8 +240,3 @@ def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray
     if weights[:, ~np.isfinite(keypoints).all(1)].any():
         raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
     return vertices, faces, keypoints, weights
-
-
-def _mesh(owner: str, mesh: Any) -> tuple[FloatArray, IntArray]:
-    vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-    return checked_mesh(vertices, faces, owner)

@@ -93,13 +93,13 @@ def fit_lenses_to_masks(
         steps_out = np.arange(2, 13)[:, None, None] / 20
         places = (rim.mean(0) + steps_out * (edge - rim.mean(0))).reshape(-1, 3)
         shares = np.full(count, np.nan)
-        for number, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
+        for view, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
             if mask is not None:
                 pixels, depth = project(camera, places[~hidden_by(head, camera, places)])
                 column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64).T
                 inside = (row >= 0) & (column >= 0) & (row < mask.shape[0]) & (column < mask.shape[1])
                 if inside.sum() >= _FEWEST:
-                    shares[number] = mask[row[inside], column[inside]].mean()
+                    shares[view] = mask[row[inside], column[inside]].mean()
         if np.isnan(shares).all():
             continue
         # A view that cannot say is taken to be like the others.

@@ -44,15 +44,17 @@ _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES
 
 @dataclass(frozen=True)
 class Linearization:
-    """The objective at a state: cost, half gradient (P,) and Gauss-Newton matrix (P, P)."""
+    """The objective at a state: cost, half gradient (P,) and Gauss-Newton matrix (P, P).
+
+    `labels_px` (C, K) and `outline_px` (N,) are the errors, NaN where there are no labels, or samples do not
+    count.
+    """
 
     cost: float
     gradient: FloatArray
     matrix: FloatArray
     labels_px: FloatArray
-    """(C, K) errors of the labels; NaN where there are none."""
     outline_px: FloatArray
-    """(N,) errors of the outline's samples; NaN where they do not count."""
 
     @property
     def median_label_px(self) -> float:
@@ -151,7 +153,7 @@ class RegistrationObjective:
         """Return the objective at a state, with outlines where there are `samples`.
 
         `rigid`: of turn and translation alone, without a prior. Without `with_matrix` labels and outlines add
-        to cost and gradient alone, as descents of first order need.
+        to cost and gradient alone.
         """
         motion = self.motion(state)
         sums = _Sums(motion, with_matrix)
@@ -320,13 +322,13 @@ def descend(
     meter: Meter,
     *,
     steps: int = 40,
-    error: Literal["median_label_px", "mean_outline_px"],
+    error: Literal["median_label_px", "mean_outline_px", "cost"],
     tolerance: float = 1e-5,
 ) -> FrameEstimate:
     """Return the best state that `steps` Levenberg-Marquardt steps from `state` reach.
 
-    It ends early when a step lowers the cost by less than the part `tolerance`, or with the meter's budget.
-    The meter records `error` of every improvement.
+    It ends early when a step lowers the cost by less than the part `tolerance`, or with the meter's budget,
+    which records `error` of every improvement.
     """
     found = minimize(
         _Point(linearize, state, meter),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
@@ -34,18 +36,17 @@ _HEAD_MARGIN_PX = 4.0
 
 @dataclass(frozen=True)
 class MaskDistance:
-    """Distance in pixels from a mask's outermost covered pixels: 0 there, positive outside."""
+    """Distance in pixels from a mask's outermost covered pixels: 0 there, positive outside.
+
+    The `field` (h, w) is that of a window around the mask, whose first pixel is `corner` (column, row).
+    """
 
     field: NDArray[np.float32]
-    """(h, w) of a window around the mask."""
     corner: tuple[int, int]
-    """Column and row of the window's first pixel."""
 
     @classmethod
     def of(cls, mask: BoolArray) -> MaskDistance:
         """Return the distances of a mask (H, W) that has both covered and uncovered pixels."""
-        from scipy.ndimage import distance_transform_edt
-
         rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
         top, left = max(0, rows[0] - _MARGIN_PX), max(0, columns[0] - _MARGIN_PX)
         window = mask[top : rows[-1] + _MARGIN_PX + 1, left : columns[-1] + _MARGIN_PX + 1]
@@ -135,7 +136,7 @@ class OutlineSamples:
 
 @dataclass(frozen=True)
 class FrameMesh:
-    """A frame at rest; weights (V, K)."""
+    """A frame at rest."""
 
     points: SkinnedPoints
     faces: IntArray
@@ -255,21 +256,14 @@ class OutlineSampler:
         `deviation_mm` (K,) says how well the key points are known so far: an uncertain one reaches far.
         """
         vertices = motion.positions(self.mesh.points)
-        nowhere = np.zeros((0, 2))
-        none = SkinnedPoints(np.zeros((0, 3)), np.zeros((0, self.mesh.points.weights.shape[1])))
-        parts = [OutlineSamples(np.zeros(0, np.int64), none, nowhere, nowhere)]
+        # View, places at rest, weights, edges, outward.
+        none = np.zeros(0, np.int64), np.zeros((0, 3)), self.mesh.points.weights[:0], *np.zeros((2, 0, 2))
+        parts: list[tuple[NDArray[Any], ...]] = [none]
         for number, view in enumerate(self.views):
             if view.distance is not None and view.shape is not None:
                 parts.append(self._of_view(number, view.distance, view.shape, vertices, deviation_mm))
-        return OutlineSamples(
-            np.concatenate([p.view for p in parts]),
-            SkinnedPoints(
-                np.concatenate([p.points.rest for p in parts]),
-                np.concatenate([p.points.weights for p in parts]),
-            ),
-            np.concatenate([p.edges for p in parts]),
-            np.concatenate([p.outward for p in parts]),
-        )
+        number_of, rest, weights, edges, outward = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward)
 
     def mask(self, motion: FrameMotion, number: int) -> tuple[BoolArray, IntArray]:
         """Return (H, W) True where a view should show the frame, the head in front, and its `shown` faces."""
@@ -292,7 +286,7 @@ class OutlineSampler:
         shape: tuple[int, int],
         vertices: FloatArray,
         deviation_mm: FloatArray,
-    ) -> OutlineSamples:
+    ) -> tuple[NDArray[Any], ...]:
         mesh, faces, camera = self.mesh, self.shown[number], self.views[number].camera
         pixels, depth = project(camera, vertices)
         covered = cover(pixels, depth, faces, shape)
@@ -327,11 +321,7 @@ class OutlineSampler:
                 ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
                 hidden |= hidden_by(self.head, camera, center + far * ray)
             corners, share, kept = corners[~hidden], share[~hidden], kept[~hidden]
-        return OutlineSamples(
-            np.full(len(kept), number),
-            SkinnedPoints(
-                *(np.einsum("nk,nki->ni", share, a[corners]) for a in (mesh.points.rest, mesh.points.weights))
-            ),
-            edges[kept],
-            outline.outward[kept],
+        rest, weights = (
+            np.einsum("nk,nki->ni", share, a[corners]) for a in (mesh.points.rest, mesh.points.weights)
         )
+        return np.full(len(kept), number), rest, weights, edges[kept], outline.outward[kept]

@@ -31,7 +31,7 @@ from scan2albedo.eyeglasses.on_face.objective import (
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, FrameMesh, OutlineSampler
 from scan2albedo.eyeglasses.on_face.report import WORN_MM, depth_open, mark_deviations, report
 from scan2albedo.eyeglasses.on_face.start_poses import require_unmirrored, starting_poses
-from scan2albedo.eyeglasses.weighting.weights import solve_weights
+from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
@@ -141,9 +141,8 @@ class _Registration:
         occluder = None
         if given.head is not None:
             coarse = thinned(*given.head, _RESOLUTION_MM)
-            occluder = (
-                RayCaster(coarse.vertices, coarse.faces) if len(coarse.faces) else RayCaster(*given.head)
-            )
+            mesh_of_head = (coarse.vertices, coarse.faces) if len(coarse.faces) else given.head
+            occluder = RayCaster(*mesh_of_head)
         self.sampler = OutlineSampler(mesh, given.views, occluder)
 
     def run(self) -> RegisteredEyeglasses:
@@ -202,11 +201,9 @@ class _Registration:
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
         """The pose and the bend that the labels ask for."""
-        if not self.options.bend:
-            self._note("key_points", False, "the frame stays as it is: options.bend is off")
-            return before
-        if not self.given.labelled:
-            self._note("key_points", False, "no key point is labelled")
+        if not (self.options.bend and self.given.labelled):
+            reason = "no key point is labelled" if self.options.bend else "the frame stays as it is"
+            self._note("key_points", False, reason)
             return before
         if self.meter.exhausted and not self.meter.out_of_time:
             self._note("key_points", False, "the budget has ended")
@@ -223,11 +220,9 @@ class _Registration:
         motion = self.objective.motion(before.state)
         depth = depth_open(self.given, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"
-        if depth <= _RESOLUTION_MM:
-            self._note("contact", False, "the views see depth", evidence)
-            return before
-        if self.given.head is None:
-            self._note("contact", False, "there is no head to rest on", evidence)
+        if depth <= _RESOLUTION_MM or self.given.head is None:
+            reason = "the views see depth" if depth <= _RESOLUTION_MM else "there is no head to rest on"
+            self._note("contact", False, reason, evidence)
             return before
         contact = HeadContact(self.sampler.mesh.points, *self.given.head)
         if not contact or self.meter.exhausted:

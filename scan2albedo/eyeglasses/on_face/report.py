@@ -185,10 +185,7 @@ def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization
 
 
 def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> FloatArray:
-    """Return (20,) standard deviations in mm of the key points, each in its worst direction.
-
-    They are far off without labels and outlines.
-    """
+    """Return (20,) standard deviations in mm of the key points, each in its worst direction."""
     if not given.labelled and len(at.outline_px) == 0:
         return np.full(len(given.keypoints), _ANYWHERE_MM)
     covariances = motion.covariances(motion.marks, _root(at.matrix))
@@ -224,8 +221,8 @@ def compare_masks(
 ) -> tuple[float, FloatArray]:
     """Return how a view's mask (H, W) agrees with the pixels that the frame covers, the head in front.
 
-    The intersection over the union, and (K,) pixels of either mask away from the other, by the key point they
-    belong to. A pixel of the mask far from the frame is counted for the vertex nearest to it in the picture.
+    The intersection over the union, and (K,) pixels of either mask away from the other, by the key point of
+    the vertex nearest in the picture.
     """
     vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
     view, faces = sampler.views[number], sampler.shown[number]

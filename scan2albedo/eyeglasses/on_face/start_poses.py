@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, needs_extra
-from scan2albedo.eyeglasses.canonical.mean_keypoints import is_posable
 from scan2albedo.eyeglasses.keypoints import MIRROR
+from scan2albedo.eyeglasses.mean_keypoints import is_posable
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.objective import (
@@ -38,7 +38,7 @@ def starting_poses(
     """Return at least one unbent state to start from, of a frame with key points (K, 3) at rest.
 
     Poses come from triangulated key points, from each view alone, and from the caller (`given`). Raises
-    EyeglassesError when the labels fix no pose and none was given, or the units of frame and cameras differ.
+    EyeglassesError when there is none, or the units of frame and cameras differ.
     """
     poses = [] if given is None else [given]
     labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
@@ -143,8 +143,8 @@ class TriangulatedPoints:
     points: FloatArray
     """(K, 3) in the unit of the cameras; NaN rows where fewer than two views see a point."""
     errors_px: FloatArray
-    """(C, K) distances of labels from the reprojected points; NaN where a label or a point is missing,
-    infinite where a point lies behind the camera."""
+    """(C, K) distances of labels from the reprojected points; NaN where one is missing, infinite where a
+    point lies behind the camera."""
     inliers: BoolArray
     """(C, K) labels within three times the noise of their point."""
 
@@ -176,10 +176,8 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
 
     Notes
     -----
-    Two views that contradict each other have no majority: the point still minimises the loss, its errors
-    show it. A third view outvotes one outlier. Views from one centre see no depth: their points are NaN.
-
-    Cost: C (C - 1) / 2 linear systems a point.
+    Two views that contradict each other have no majority: the point's errors show it. Views from one centre
+    see no depth: their points are NaN. Cost: C (C - 1) / 2 linear systems a point.
 
     Examples
     --------
@@ -195,24 +193,21 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         raise ValueError(f"cameras must have shape ({len(labels)}, 3, 4), got {matrices.shape}")
     if not noise_px > 0:
         raise ValueError(f"noise_px must be > 0, got {noise_px}")
-    count = labels.shape[1]
-    points = np.full((count, 3), np.nan)
+    points = np.full((labels.shape[1], 3), np.nan)
     errors = np.full(labels.shape[:2], np.nan)
-    for k in range(count):
+    for k in range(len(points)):
         seen = np.flatnonzero(np.isfinite(labels[:, k]).all(1))
         if len(seen) < 2:
             continue
-        points[k] = _place(labels[seen, k], matrices[seen], noise_px)
-        if np.isfinite(points[k]).all():
-            residual = _errors(points[k], labels[seen, k], matrices[seen])[0]
-            errors[seen, k] = np.linalg.norm(residual, axis=-1)
+        if (found := _placed(labels[seen, k], matrices[seen], noise_px)) is not None:
+            points[k], errors[seen, k] = found.place, np.linalg.norm(found.errors, axis=-1)
     with np.errstate(invalid="ignore"):
         inliers = errors <= 3 * noise_px
     return TriangulatedPoints(points, errors, inliers)
 
 
-def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArray:
-    """Return the point (3,) of labels (C, 2), NaN where no pair of views gives one."""
+def _placed(labels: FloatArray, cameras: FloatArray, noise_px: float) -> _Point | None:
+    """Return the point of labels (C, 2), None where no pair of views gives one."""
     starts = []
     for pair in itertools.combinations(range(len(labels)), 2):
         # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
@@ -223,15 +218,10 @@ def _place(labels: FloatArray, cameras: FloatArray, noise_px: float) -> FloatArr
         if rank == 3 and (own[:, 2, :3] @ place + own[:, 2, 3] > 0).all():
             starts.append(place)
     if not starts:
-        return np.full(3, np.nan)
-    nearest = min(starts, key=lambda place: _loss(_errors(place, labels, cameras)[0], noise_px))
-    found = minimize(
-        _Point(nearest, labels, cameras, noise_px),
-        trials=50,
-        step_tolerance=1e-12 * (1 + float(np.linalg.norm(nearest))),
-        damping=_DAMPING,
-    )
-    return found.best.place
+        return None
+    nearest = min((_Point(place, labels, cameras, noise_px) for place in starts), key=lambda p: p.cost)
+    least = 1e-12 * (1 + float(np.linalg.norm(nearest.place)))
+    return minimize(nearest, trials=50, step_tolerance=least, damping=_DAMPING).best
 
 
 class _Point:
@@ -239,11 +229,13 @@ class _Point:
 
     def __init__(self, place: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float) -> None:
         self.place, self._given = place, (labels, cameras, noise_px)
-        errors, self._slopes, front = _errors(place, labels, cameras)
-        self._errors = errors[front]
-        self._slopes = self._slopes[front]
+        pixels, slopes, front = projected(cameras, np.tile(place, (len(cameras), 1)))
+        self.errors = np.where(front[:, None], pixels - labels, np.inf)
+        """(C, 2), infinite behind a camera."""
+        self._errors, self._slopes = self.errors[front], slopes[front]
         self._weights = 1 / (1 + (self._errors**2).sum(1) / (2 * noise_px) ** 2)
-        self.cost = _loss(errors, noise_px)
+        square = (self.errors**2).sum(1) / (2 * noise_px) ** 2
+        self.cost = float(np.log1p(np.minimum(square, np.finfo(float).max)).sum())
 
     def normal_equations(self) -> NormalEquations:
         """Return those of the reweighted squares, without cameras that have the point behind them."""
@@ -255,16 +247,3 @@ class _Point:
     def moved(self, step: FloatArray) -> _Point:
         """Return the place a step (3,) away."""
         return _Point(self.place + step, *self._given)
-
-
-def _errors(
-    place: FloatArray, labels: FloatArray, cameras: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return a reprojected place minus labels (C, 2), infinite behind a camera; slopes; what is in front."""
-    pixels, slopes, front = projected(cameras, np.tile(place, (len(cameras), 1)))
-    return np.where(front[:, None], pixels - labels, np.inf), slopes, front
-
-
-def _loss(errors: FloatArray, noise_px: float) -> float:
-    square = (errors**2).sum(-1) / (2 * noise_px) ** 2
-    return float(np.log1p(np.minimum(square, 1e300)).sum())

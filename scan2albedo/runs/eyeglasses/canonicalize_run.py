@@ -21,9 +21,9 @@ from scan2albedo.eyeglasses import (
     write_canonical,
     write_keypoints,
 )
-from scan2albedo.eyeglasses.canonical.canonicalization import CanonicalMode
-from scan2albedo.eyeglasses.canonical.mean_keypoints import WIDTHS_MM
+from scan2albedo.eyeglasses.canonicalization import CanonicalMode
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
+from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
 from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord

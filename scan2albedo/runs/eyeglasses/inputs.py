@@ -23,9 +23,9 @@ from scan2albedo.eyeglasses import (
     read_registered,
     read_start,
 )
-from scan2albedo.eyeglasses.canonical.mean_keypoints import WIDTHS_MM
 from scan2albedo.eyeglasses.frame_files import KeyPoints, read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM
 from scan2albedo.eyeglasses.view_files import mask_path
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.images import read_image_linear

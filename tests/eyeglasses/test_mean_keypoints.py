@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.mean_keypoints import (
+from scan2albedo.eyeglasses.mean_keypoints import (
     WIDTHS_MM,
     front_width,
     outliers,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
+from scan2albedo.eyeglasses.sparse_cholesky import SparseCholesky
 
 
 def random_spd(count, density, seed):

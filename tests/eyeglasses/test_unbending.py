@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from scan2albedo.eyeglasses import CanonicalizationOptions, bounded_biharmonic_weights, canonicalize
-from scan2albedo.eyeglasses.canonical.unbending import front_halves
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
+from scan2albedo.eyeglasses.unbending import front_halves
 from scan2albedo.geometry.rigid import (
     compose,
     procrustes,

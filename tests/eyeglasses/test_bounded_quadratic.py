@@ -7,8 +7,8 @@ from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from scan2albedo.core import Budget, Meter
-from scan2albedo.eyeglasses.weighting.lattice import CORNERS, Lattice
-from scan2albedo.eyeglasses.weighting.weights import minimize_bounded
+from scan2albedo.eyeglasses.lattice import CORNERS, Lattice
+from scan2albedo.eyeglasses.weights import minimize_bounded
 
 
 def solve(matrix, right, start=None, budget=None, tolerance=1e-10):

@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.canonical.mean_keypoints import (
+from scan2albedo.eyeglasses.keypoints import (
+    KEY_POINT_COUNT,
+    KEY_POINT_NAMES,
+    checked_keypoints,
+    checked_weights,
+)
+from scan2albedo.eyeglasses.mean_keypoints import (
     BEHIND,
     WIDTHS_MM,
     MeanKeyPoints,
@@ -27,15 +33,9 @@ from scan2albedo.eyeglasses.canonical.mean_keypoints import (
     unit_exponent,
     unit_factors,
 )
-from scan2albedo.eyeglasses.canonical.unbending import front_halves, symmetric_key_points, unbent_transforms
-from scan2albedo.eyeglasses.keypoints import (
-    KEY_POINT_COUNT,
-    KEY_POINT_NAMES,
-    checked_keypoints,
-    checked_weights,
-)
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
-from scan2albedo.eyeglasses.weighting.weights import solve_weights
+from scan2albedo.eyeglasses.unbending import front_halves, symmetric_key_points, unbent_transforms
+from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.rigid import transform_points
 
 CanonicalMode = Literal["unbend", "mean"]
@@ -59,16 +59,17 @@ class CanonicalizationOptions:
 
 @dataclass(frozen=True)
 class CanonicalEyeglasses:
-    """A frame in canonical pose and shape, and the way there and back; see `canonicalize`."""
+    """A frame in canonical pose and shape, and the way there and back; see `canonicalize`.
+
+    `vertices` (V, 3) and `faces` (F, 3) are its mesh, `weights` (V, 20) zero for key points that it lacks.
+    """
 
     vertices: FloatArray
-    """(V, 3)."""
     faces: IntArray
-    """(F, 3)."""
     weights: FloatArray
-    """(V, 20); zero columns for key points that the frame lacks."""
     keypoints: FloatArray
-    """(20, 3) canonical, NaN where the frame lacks them: its own, unbent, or in mode "mean" the mean's."""
+    """(20, 3) canonical, those of `vertices`, `faces` and `weights`: its own, unbent, or in mode "mean" the
+    mean's; NaN where the frame lacks them."""
     canonical_from_frame: FloatArray
     """(4, 4) rigid, after `scale`."""
     scale: float
@@ -76,8 +77,7 @@ class CanonicalEyeglasses:
     handle_transforms: FloatArray
     """(20, 4, 4) from the frame as given to canonical space, scale and rigid part included."""
     residual: float
-    """Root mean square distance of the key points from `keypoints` after the rigid part: how bent it was,
-    and in mode "mean" also how unlike the mean."""
+    """Root mean square distance of the key points from `keypoints` after the rigid part: how bent it was."""
     unbent: bool
     """Whether it keeps its own shape and sizes (mode "unbend"); False: its key points are the mean's."""
     converged: bool
@@ -120,8 +120,7 @@ class CanonicalSet:
     failures: Mapping[int, str]
     """Why, for each mesh that was left out; empty unless `CanonicalizationOptions.skip_failed`."""
     outliers: Mapping[int, str]
-    """What is unusual about a mesh of the set, by its number: its width or its key points, in sets of four or
-    more. Outliers are canonicalised like the others and count in the mean."""
+    """What is unusual about a mesh, by its number: its width or key points, in sets of four or more."""
     plan: Plan
     """What ran and what was left out; the steps of a frame say its number."""
     trace: Trace
@@ -141,8 +140,8 @@ def canonicalize(
 ) -> CanonicalSet:
     """Return frames without pose and bend, in their own shape or in the proportions of their mean.
 
-    Each frame is aligned rigidly to the mean key points, then its key points p are moved to targets x and the
-    surface follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k).
+    Each frame is aligned rigidly to the mean, then its key points p are moved to targets x and the surface
+    follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k).
 
     Mode "unbend": the targets are the frame's own. Its halves are laid on each other and each moved half the
     way, so that rims, bridge and temples move rigidly and come to mirror each other. A bend common to both
@@ -180,10 +179,9 @@ def canonicalize(
     Notes
     -----
     Equation S2 of Li et al., read literally, collapses the frame; the case R_k = 1 is what it must mean.
-    Shifts alone flatten a bend between key points, where turning ones halve the error.
-
-    Frames are 110 to 170 mm wide, so that the width tells a frame's unit. Frames of different units are
-    brought to the unit of the mean that is given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
+    Shifts alone flatten a bend between key points, where turning ones halve the error. The width of the
+    front, 110 to 170 mm, tells a frame's unit. Frames of different units are brought to that of the mean that
+    is given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
 
     Examples
     --------
@@ -333,7 +331,30 @@ def _weighted(
             exponent = unit_exponent(frame.points, options.widths_mm, width)
             used = frame if reference is None else replace(frame, points=shared)
             if used.weights is None:
-                used = _solved(used, spacing, meter, len(frames) - i)
+                seen = np.flatnonzero(np.isfinite(used.points).all(1))
+                own = meter.sub_meter(f"eyeglasses.weights.{frame.number}", "scaled KKT residual")
+                seconds, evaluations, left = own.budget.seconds, own.budget.evaluations, len(frames) - i
+                own.budget = Budget(
+                    None if seconds is None else seconds / left,
+                    None if evaluations is None else max(evaluations // left, 1),
+                )
+                names, mesh = [KEY_POINT_NAMES[k] for k in seen], (used.vertices, used.faces)
+                try:
+                    found = solve_weights(*mesh, used.points[seen], spacing, names=names, meter=own)
+                finally:
+                    meter.merge(own)
+                weights = np.zeros((len(used.vertices), KEY_POINT_COUNT))
+                weights[:, seen] = found.weights
+                how = "cut short by the budget" if own.exhausted else "did not settle"
+                step = PlanStep(
+                    "eyeglasses.weights",
+                    True,
+                    "solved" if found.converged else how,
+                    f"residual {found.residual.max():.1e} after {own.evaluations} steps on "
+                    f"{found.node_count} nodes",
+                )
+                plan = Plan((step,)) + found.plan
+                used = replace(used, weights=weights, converged=found.converged, plan=plan)
             done.append(replace(used, unit_exponent=exponent, width=width))
         except EyeglassesError as error:
             if not options.skip_failed:
@@ -343,30 +364,6 @@ def _weighted(
     if not done:
         raise EyeglassesError("; ".join(named))
     return done, failures
-
-
-def _solved(frame: _Frame, spacing: str | float, meter: Meter, frames_left: int) -> _Frame:
-    """Return the frame with weights that are solved in an even share of the budget left."""
-    seen = np.flatnonzero(np.isfinite(frame.points).all(1))
-    own = meter.sub_meter(f"eyeglasses.weights.{frame.number}", "scaled KKT residual")
-    seconds, evaluations = own.budget.seconds, own.budget.evaluations
-    own.budget = Budget(
-        None if seconds is None else seconds / frames_left,
-        None if evaluations is None else max(evaluations // frames_left, 1),
-    )
-    names, places = [KEY_POINT_NAMES[k] for k in seen], frame.points[seen]
-    try:
-        found = solve_weights(frame.vertices, frame.faces, places, spacing, names=names, meter=own)
-    finally:
-        meter.merge(own)
-    weights = np.zeros((len(frame.vertices), KEY_POINT_COUNT))
-    weights[:, seen] = found.weights
-    how = "solved" if found.converged else "cut short by the budget" if own.exhausted else "did not settle"
-    evidence = (
-        f"residual {found.residual.max():.1e} after {own.evaluations} steps on {found.node_count} nodes"
-    )
-    plan = Plan((PlanStep("eyeglasses.weights", True, how, evidence),)) + found.plan
-    return replace(frame, weights=weights, converged=found.converged, plan=plan)
 
 
 def _moved(

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.weighting.lattice import (
+from scan2albedo.eyeglasses.lattice import (
     Lattice,
     biharmonic_energy,
     enclosed_cells,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.eyeglasses.canonical.mean_keypoints import align_key_points, is_posable
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
+from scan2albedo.eyeglasses.mean_keypoints import align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.closest_points import ClosestPointQuery

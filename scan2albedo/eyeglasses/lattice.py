@@ -146,8 +146,7 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
     """Return the unique cells (C, 3) that triangles (T, 3, 3) touch, None where they are far beyond `limit`.
 
     Lengths are in lattice spacings; cell (i, j, k) is the closed cube [i, i + 1] x [j, j + 1] x [k, k + 1]
-    and the test is exact (separating axes). Winding, repetitions and holes do not matter. A triangle without
-    area contributes the cells of its corners. `limit` keeps a far too fine spacing from filling the memory.
+    and the test is exact (separating axes). A triangle without area contributes the cells of its corners.
     """
     # Every cell is found by the few triangles that touch it; 64 times the limit is beyond any mesh's share.
     room = 64 * limit

@@ -14,7 +14,7 @@ from scipy.spatial.distance import pdist, squareform
 from scan2albedo.core import Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.weighting.lattice import (
+from scan2albedo.eyeglasses.lattice import (
     Lattice,
     enclosed_cells,
     join_parts,
@@ -182,14 +182,13 @@ def _automatic(
     max_nodes: int,
     finest: float,
 ) -> tuple[float, IntArray, PlanStep]:
-    """Return a spacing, its cells (C, 3) and the step of the plan: as fine as thin parts and key points ask
-    for, as coarse as the nodes allow.
+    """Return a spacing as fine as thin parts and key points ask for, its cells (C, 3), the step of the plan.
 
     The size is divided into a whole number of parts: rounding in another unit does not change the lattice.
     """
-    # The thickness that a tenth of the surface's area stays below, measured across the faces at places spread
-    # evenly over the area, on the side where the mesh is met first: winding does not matter, and a narrow gap
-    # counts like a thin part. Infinite where nothing is met.
+    # The thickness that a tenth of the surface's area stays below, measured across faces on the side where
+    # the mesh is met first: winding does not matter, a narrow gap counts like a thin part. Infinite where
+    # nothing is met.
     thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
     if area[-1] > 0:
         chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])

@@ -101,7 +101,7 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoi
         both = np.isfinite(mean).all(1)
         change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
         # Up to rounding.
-        settled = change <= 400 * np.finfo(float).eps * size and bool((both == (count[:, 0] > 0)).all())
+        settled = bool(change <= 400 * np.finfo(float).eps * size and (both == (count[:, 0] > 0)).all())
         mean = new
         meter.count()
         meter.record(change / size)

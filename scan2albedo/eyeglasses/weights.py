@@ -13,10 +13,10 @@ from scipy import sparse
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
-from scan2albedo.eyeglasses.weighting.embedding import MAX_NODES, embed
-from scan2albedo.eyeglasses.weighting.lattice import Lattice, biharmonic_energy, unique_cells
-from scan2albedo.eyeglasses.weighting.sparse_cholesky import SparseCholesky
+from scan2albedo.eyeglasses.lattice import Lattice, biharmonic_energy, unique_cells
+from scan2albedo.eyeglasses.sparse_cholesky import SparseCholesky
 
 TOLERANCE = 1e-7
 """Scaled residual of the optimality conditions at which a handle's weights are done."""
@@ -40,7 +40,7 @@ class BoundedBiharmonicWeights:
     weights: FloatArray
     """(V, K); rows sum to 1, entries in [0, 1]."""
     converged: bool
-    """Whether every handle's residual is at most the tolerance."""
+    """Whether every handle's `residual` is at most the tolerance."""
     iterations: IntArray
     """(K,) Newton steps of each key point's handle on the finest lattice."""
     residual: FloatArray
@@ -48,9 +48,8 @@ class BoundedBiharmonicWeights:
     energy: FloatArray
     """(K,) x^T A x / 2 of the weights before they are normalised, in units of the spacing."""
     spacing: float
-    """Of the lattice, in the mesh's unit."""
     node_count: int
-    """Nodes of the lattice."""
+    """Of the lattice; its `spacing` is in the mesh's unit."""
     plan: Plan
     """The spacing, key points that share a handle, and the parts left out, with the reasons."""
     trace: Trace
@@ -110,7 +109,6 @@ def solve_weights(
     Parameters
     ----------
     vertices : (V, 3) array_like of float
-        Any unit; the result does not depend on it.
     faces : (F, 3) array_like of int
     handles : (K, 3) array_like of float
         Key points, on the mesh or near it.

@@ -13,8 +13,8 @@ from scan2albedo.eyeglasses import (
     bounded_biharmonic_weights,
     canonicalize,
 )
-from scan2albedo.eyeglasses.canonical.mean_keypoints import front_width
 from scan2albedo.eyeglasses.keypoints import MIRROR
+from scan2albedo.eyeglasses.mean_keypoints import front_width
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 

@@ -1,1 +1,0 @@
-"""Frames brought to the mean of their key points, without pose and bend (S2)."""

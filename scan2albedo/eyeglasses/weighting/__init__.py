@@ -1,1 +1,0 @@
-"""Bounded biharmonic weights on a voxel lattice around any mesh (S2)."""
