@@ -51,8 +51,7 @@ def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = Fa
 
         figures = write_olat(read_capture(capture), out)
         valid = f"{100 * figures['valid_share']:.2f} % of the pixels valid"
-        _report(progress, "olat", out, f"{figures['pairs']} pairs, {valid}")
-    _summarise(figures, out, json_summary)
+        _report(progress, "olat", out, f"{figures['pairs']} pairs, {valid}", figures, json_summary)
 
 
 @app.command()
@@ -131,8 +130,7 @@ def fit(
             text += f", {left_out} left out"
         if "held_out" in figures:
             text += f"; pictures left out are predicted to {100 * figures['held_out']['relative_rmse']:.1f} %"
-        _report(progress, "fit", out, text)
-    _summarise(figures, out, json_summary)
+        _report(progress, "fit", out, text, figures, json_summary)
 
 
 @app.command()
@@ -186,8 +184,7 @@ def build(
         figures = write_model_folder(built, out, options)
         known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
         text = f"{figures['components']} directions from {figures['samples']} faces, {known}"
-        _report(progress, "build", out, text)
-    _summarise(figures, out, json_summary)
+        _report(progress, "build", out, text, figures, json_summary)
 
 
 @app.command()
@@ -206,8 +203,7 @@ def sample(
         from scan2albedo.runs.reflectance.model_run import write_samples
 
         figures = write_samples(model, out, count=count, seed=seed, scale=scale)
-        _report(progress, "sample", out, f"{count} reflectances")
-    _summarise(figures, out, json_summary)
+        _report(progress, "sample", out, f"{count} reflectances", figures, json_summary)
 
 
 @app.command("fit-image")
@@ -239,8 +235,8 @@ def fit_image(
         done = fit_photograph(taken, models, budget=spend, on_progress=progress.update)
         figures = write_fitted_photograph(done, models, out, {"budget": budget})
         rmse = f"relative RMSE {100 * figures['relative_rmse']:.1f} %"
-        _report(progress, "fit-image", out, f"{rmse} over {figures['seen_vertices']} vertices")
-    _summarise(figures, out, json_summary)
+        text = f"{rmse} over {figures['seen_vertices']} vertices"
+        _report(progress, "fit-image", out, text, figures, json_summary)
 
 
 @app.command("finetune")
@@ -277,8 +273,8 @@ def finetune(
         )
         changes = f"{len(figures['accepted_steps'])} changes accepted"
         before, after = figures["held_out_before"], figures["held_out_after"]
-        _report(progress, "finetune", out, f"{changes}, held-out {before:.4g} -> {after:.4g}")
-    _summarise(figures, out, json_summary)
+        text = f"{changes}, held-out {before:.4g} -> {after:.4g}"
+        _report(progress, "finetune", out, text, figures, json_summary)
 
 
 @app.command()
@@ -303,8 +299,9 @@ def demo(
             on_progress=progress.update,
             say=lambda line: progress.say(f"demo: {line}"),
         )
-    _summarise(figures, out, json_summary)
-    if not json_summary:
+    if json_summary:
+        echo_json({"out": str(out), **figures})
+    else:
         typer.echo("\n".join(report_lines(figures)))
 
 
@@ -324,15 +321,14 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
         yield progress
 
 
-def _report(progress: ProgressLines, name: str, out: Path, text: str) -> None:
+def _report(
+    progress: ProgressLines, name: str, out: Path, text: str, figures: dict[str, Any], json_summary: bool
+) -> None:
     """Say the notes of a command's record, and what it did."""
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.reflectance import FILES
 
     for note in (*RunFolder(out, FILES).read().notes, f"{text}; files in {out}"):
         progress.say(f"{name}: {note}")
-
-
-def _summarise(figures: dict[str, Any], out: Path, json_summary: bool) -> None:
     if json_summary:
         echo_json({"out": str(out), **figures})
