@@ -134,9 +134,8 @@ def fit_face(
     observation : ImageObservation
         Give it the transfer of `light_transfer`.
     model : MorphableReflectanceModel
-    vertices : (V, 3) array_like of float
+    vertices, faces : (V, 3) array_like of float, (F, 3) array_like of int
         Millimetres.
-    faces : (F, 3) array_like of int
     lighting : LightingModel, optional
     budget, on_progress : optional
         Of each of the fits, see `fit_image`.
