@@ -63,18 +63,14 @@ def fit(
     ] = False,
     loss: Annotated[str, typer.Option(help="cauchy, charbonnier or squares.")] = "cauchy",
     held_out_every: Annotated[
-        int,
-        typer.Option(help="One in so many pairs tests a fit without them; 0 for no test.", min=0),
+        int, typer.Option(help="One pair of this many tests a fit without it; 0: no test.", min=0)
     ] = 10,
     least_pairs: Annotated[
         int, typer.Option(help="Vertices seen in fewer pairs are left unknown.", min=1)
     ] = 3,
     normal_sigma: Annotated[
         str,
-        typer.Option(
-            help="Standard deviation of the mesh's normals in degrees, 0 if they are right; or auto.",
-            metavar="DEGREES|auto",
-        ),
+        typer.Option(help="Deviation of the mesh's normals; 0 if they are right.", metavar="DEGREES|auto"),
     ] = "auto",
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
@@ -138,28 +134,20 @@ def build(
     out: OutFolder,
     samples: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Folders of fits or of processed scans, or reflectances (.npz); one topology.",
-            metavar="[SAMPLE...]",
-        ),
+        typer.Argument(help="Folders of fits or processed scans, or .npz files.", metavar="[SAMPLE...]"),
     ] = None,
     synthetic: Annotated[
-        int | None,
-        typer.Option(help="Learn from so many synthetic people, in place of samples; 200 is good.", min=2),
+        int | None, typer.Option(help="Learn from this many synthetic people instead, as 200.", min=2)
     ] = None,
     components: Annotated[
         int | None,
-        typer.Option(
-            help="Directions to keep; when omitted all, of synthetic people those that predict others best.",
-            min=0,
-        ),
+        typer.Option(help="Directions to keep; otherwise all, of synthetic people the best number.", min=0),
     ] = None,
     least_support: Annotated[
         float, typer.Option(help="Share of the samples that must know a vertex, above 0 and up to 1.")
     ] = 0.5,
     landmark_vertices: Annotated[
-        Path | None,
-        typer.Option(help="JSON list of the 68 landmarks' vertices; then shapes are learned, too."),
+        Path | None, typer.Option(help="JSON list of the 68 landmarks' vertices, to learn shapes too.")
     ] = None,
     json_summary: JsonOption = False,
 ) -> None:
@@ -209,15 +197,13 @@ def sample(
 @app.command("fit-image")
 def fit_image(
     photograph: Annotated[
-        Path,
-        typer.Argument(help="A photograph file: image, camera, mesh or landmarks.", metavar="PHOTOGRAPH"),
+        Path, typer.Argument(help="A file with image, camera, mesh or landmarks.", metavar="PHOTOGRAPH")
     ],
     out: OutFolder,
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Folder that `reflectance build` or `finetune` wrote; when omitted, the model that comes "
-            "with the package, which `build --synthetic 200` makes."
+            help="Folder that `build` or `finetune` wrote; otherwise that of `build --synthetic 200`."
         ),
     ] = None,
     budget: BudgetOption = None,
@@ -248,9 +234,7 @@ def finetune(
     out: OutFolder,
     held_out: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="A photograph to test on, may be repeated, best six or more; otherwise one of three."
-        ),
+        typer.Option(help="A photograph to test on, repeatedly, best six or more; otherwise one of three."),
     ] = None,
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
