@@ -36,8 +36,6 @@ from scan2albedo.templates import AnnotatedFaceModel
 DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
 _LEVELS = 1
 """Refinements of the default face model's surface for synthetic people."""
-_SHOWN_DIRECTIONS = 4
-"""In the sheet of a model."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +221,7 @@ def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) ->
         if built.shape is not None:
             built.shape.save(results.folder / SHAPE_FILE)
         title = f"{model.samples} samples, {model.components} directions"
-        if shown := min(_SHOWN_DIRECTIONS, model.components):
+        if shown := min(4, model.components):
             part = 100 * model.explained[:shown].sum()
             title += f"; the first {shown} hold {part:.0f} % of the variance"
         white = albedo_white(built.mean.reflectance.diffuse_linear)
