@@ -44,6 +44,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     geometry_fit,
     geometry_terms,
+    image_fit,
     refine_geometry,
 )
 from scan2albedo.reflectance.geometry_terms import SmoothImage
@@ -269,9 +270,8 @@ def print_method(name: str, method: Method, scenes: list[Scene], **settings: flo
     start = time.process_time()
     with ExitStack() as stack:
         for setting, value in settings.items():
-            for module in (geometry_fit, geometry_terms):
-                if hasattr(module, setting):
-                    stack.enter_context(patch.object(module, setting, value))
+            module = next(one for one in (geometry_fit, geometry_terms, image_fit) if hasattr(one, setting))
+            stack.enter_context(patch.object(module, setting, value))
         fits = [method(s) for s in scenes]
     used = (time.process_time() - start) / len(scenes)
     believed = sum(fit.plan.ran("reflectance.geometry.photometry") for fit in fits)

@@ -91,7 +91,7 @@ def print_fits(picture: str | None) -> None:
     model = learned(60, 40)
     faces = [person(k) for k in range(8)]
     of_mean = np.mean([albedo_error(model.diffuse.mean, face) for face in faces])
-    best = np.mean([albedo_error(model.project(f).nearest.reflectance.diffuse_linear, f) for f in faces])
+    best = np.mean([albedo_error(model.project(f).reflectance.diffuse_linear, f) for f in faces])
     print(f"mean face {of_mean:.4f}, nearest of the model {best:.4f}")
     print(
         f"{'prior':>8}{'softness':>10}"
@@ -176,7 +176,7 @@ class ShadowedCases:
 
 def people_of_the_model(first: int) -> list[VertexReflectance]:
     model = learned(60, 40)
-    return [model.project(person(1000 + first + k)).nearest.reflectance for k in range(8)]
+    return [model.project(person(1000 + first + k)).reflectance for k in range(8)]
 
 
 def print_received_light() -> None:
@@ -217,7 +217,7 @@ def print_shadows() -> None:
     print(f"{'':44}{'albedo':>10}{'worst':>10}{'relit':>10}{'fit':>10}")
     for name, cases in groups.items():
         print(f"{name + ', mean face':44}{cases.errors([mean] * 8)}")
-        nearest = [model.project(face).nearest.reflectance for face in cases.faces]
+        nearest = [model.project(face).reflectance for face in cases.faces]
         print(f"{name + ', nearest of the model':44}{cases.errors(nearest)}")
         for with_transfer in (False, True):
             for prior in (1e-3, 3e-4, 1e-4):

@@ -51,8 +51,7 @@ def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = Fa
 
         figures = write_olat(read_capture(capture), out)
         valid = f"{100 * figures['valid_share']:.2f} % of the pixels valid"
-        _report(progress, "olat", out, f"{figures['pairs']} pairs, {valid}")
-    _summarise(figures, out, json_summary)
+        _report(progress, "olat", out, f"{figures['pairs']} pairs, {valid}", figures, json_summary)
 
 
 @app.command()
@@ -64,18 +63,14 @@ def fit(
     ] = False,
     loss: Annotated[str, typer.Option(help="cauchy, charbonnier or squares.")] = "cauchy",
     held_out_every: Annotated[
-        int,
-        typer.Option(help="One in so many pairs tests a fit without them; 0 for no test.", min=0),
+        int, typer.Option(help="One pair of this many tests a fit without it; 0: no test.", min=0)
     ] = 10,
     least_pairs: Annotated[
         int, typer.Option(help="Vertices seen in fewer pairs are left unknown.", min=1)
     ] = 3,
     normal_sigma: Annotated[
         str,
-        typer.Option(
-            help="Standard deviation of the mesh's normals in degrees, 0 if they are right; or auto.",
-            metavar="DEGREES|auto",
-        ),
+        typer.Option(help="Deviation of the mesh's normals; 0 if they are right.", metavar="DEGREES|auto"),
     ] = "auto",
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
@@ -131,8 +126,7 @@ def fit(
             text += f", {left_out} left out"
         if "held_out" in figures:
             text += f"; pictures left out are predicted to {100 * figures['held_out']['relative_rmse']:.1f} %"
-        _report(progress, "fit", out, text)
-    _summarise(figures, out, json_summary)
+        _report(progress, "fit", out, text, figures, json_summary)
 
 
 @app.command()
@@ -140,28 +134,20 @@ def build(
     out: OutFolder,
     samples: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Folders of fits or of processed scans, or reflectances (.npz); one topology.",
-            metavar="[SAMPLE...]",
-        ),
+        typer.Argument(help="Folders of fits or processed scans, or .npz files.", metavar="[SAMPLE...]"),
     ] = None,
     synthetic: Annotated[
-        int | None,
-        typer.Option(help="Learn from so many synthetic people, in place of samples; 200 is good.", min=2),
+        int | None, typer.Option(help="Learn from this many synthetic people instead, as 200.", min=2)
     ] = None,
     components: Annotated[
         int | None,
-        typer.Option(
-            help="Directions to keep; when omitted all, of synthetic people those that predict others best.",
-            min=0,
-        ),
+        typer.Option(help="Directions to keep; otherwise all, of synthetic people the best number.", min=0),
     ] = None,
     least_support: Annotated[
         float, typer.Option(help="Share of the samples that must know a vertex, above 0 and up to 1.")
     ] = 0.5,
     landmark_vertices: Annotated[
-        Path | None,
-        typer.Option(help="JSON list of the 68 landmarks' vertices; then shapes are learned, too."),
+        Path | None, typer.Option(help="JSON list of the 68 landmarks' vertices, to learn shapes too.")
     ] = None,
     json_summary: JsonOption = False,
 ) -> None:
@@ -186,8 +172,7 @@ def build(
         figures = write_model_folder(built, out, options)
         known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
         text = f"{figures['components']} directions from {figures['samples']} faces, {known}"
-        _report(progress, "build", out, text)
-    _summarise(figures, out, json_summary)
+        _report(progress, "build", out, text, figures, json_summary)
 
 
 @app.command()
@@ -206,22 +191,19 @@ def sample(
         from scan2albedo.runs.reflectance.model_run import write_samples
 
         figures = write_samples(model, out, count=count, seed=seed, scale=scale)
-        _report(progress, "sample", out, f"{count} reflectances")
-    _summarise(figures, out, json_summary)
+        _report(progress, "sample", out, f"{count} reflectances", figures, json_summary)
 
 
 @app.command("fit-image")
 def fit_image(
     photograph: Annotated[
-        Path,
-        typer.Argument(help="A photograph file: image, camera, mesh or landmarks.", metavar="PHOTOGRAPH"),
+        Path, typer.Argument(help="A file with image, camera, mesh or landmarks.", metavar="PHOTOGRAPH")
     ],
     out: OutFolder,
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Folder that `reflectance build` or `finetune` wrote; when omitted, the model that comes "
-            "with the package, which `build --synthetic 200` makes."
+            help="Folder that `build` or `finetune` wrote; otherwise that of `build --synthetic 200`."
         ),
     ] = None,
     budget: BudgetOption = None,
@@ -239,8 +221,8 @@ def fit_image(
         done = fit_photograph(taken, models, budget=spend, on_progress=progress.update)
         figures = write_fitted_photograph(done, models, out, {"budget": budget})
         rmse = f"relative RMSE {100 * figures['relative_rmse']:.1f} %"
-        _report(progress, "fit-image", out, f"{rmse} over {figures['seen_vertices']} vertices")
-    _summarise(figures, out, json_summary)
+        text = f"{rmse} over {figures['seen_vertices']} vertices"
+        _report(progress, "fit-image", out, text, figures, json_summary)
 
 
 @app.command("finetune")
@@ -252,9 +234,7 @@ def finetune(
     out: OutFolder,
     held_out: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="A photograph to test on, may be repeated, best six or more; otherwise one of three."
-        ),
+        typer.Option(help="A photograph to test on, repeatedly, best six or more; otherwise one of three."),
     ] = None,
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
@@ -277,8 +257,8 @@ def finetune(
         )
         changes = f"{len(figures['accepted_steps'])} changes accepted"
         before, after = figures["held_out_before"], figures["held_out_after"]
-        _report(progress, "finetune", out, f"{changes}, held-out {before:.4g} -> {after:.4g}")
-    _summarise(figures, out, json_summary)
+        text = f"{changes}, held-out {before:.4g} -> {after:.4g}"
+        _report(progress, "finetune", out, text, figures, json_summary)
 
 
 @app.command()
@@ -303,8 +283,9 @@ def demo(
             on_progress=progress.update,
             say=lambda line: progress.say(f"demo: {line}"),
         )
-    _summarise(figures, out, json_summary)
-    if not json_summary:
+    if json_summary:
+        echo_json({"out": str(out), **figures})
+    else:
         typer.echo("\n".join(report_lines(figures)))
 
 
@@ -324,15 +305,14 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
         yield progress
 
 
-def _report(progress: ProgressLines, name: str, out: Path, text: str) -> None:
+def _report(
+    progress: ProgressLines, name: str, out: Path, text: str, figures: dict[str, Any], json_summary: bool
+) -> None:
     """Say the notes of a command's record, and what it did."""
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.reflectance import FILES
 
     for note in (*RunFolder(out, FILES).read().notes, f"{text}; files in {out}"):
         progress.say(f"{name}: {note}")
-
-
-def _summarise(figures: dict[str, Any], out: Path, json_summary: bool) -> None:
     if json_summary:
         echo_json({"out": str(out), **figures})

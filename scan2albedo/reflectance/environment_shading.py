@@ -184,7 +184,6 @@ def shade_environment(
     Parameters
     ----------
     reflectance : VertexReflectance
-        Of V vertices.
     normals, toward_camera : (V, 3) array_like of float
         Unit vectors n and v.
     light : (81, 3) array_like of float

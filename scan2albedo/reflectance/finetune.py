@@ -74,14 +74,11 @@ def finetune(
     Parameters
     ----------
     model : MorphableReflectanceModel
-    observations : sequence of ImageObservation
-        M, one or more; different faces and lights.
-    held_out : sequence of ImageObservation
-        Best six or more, of faces that are not in `observations`: the fewer, the more they must agree.
-    faces : (F, 3) array_like of int
-        Triangles over the model's V vertices, for smoothing.
-    vertices : (V, 3) array_like of float
-        Their positions in mm, of any face at rest.
+    observations, held_out : sequence of ImageObservation
+        One or more of different faces and lights, and best six or more of other faces: the fewer, the more
+        they must agree.
+    faces, vertices : (F, 3) array_like of int, (V, 3) array_like of float
+        Of any face at rest, mm, for smoothing.
     lighting : LightingModel, optional
     budget, on_progress : optional
         Image fits or seconds, the best model so far is returned when it ends; called with every `TraceRow`.

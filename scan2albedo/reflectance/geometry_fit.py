@@ -109,16 +109,13 @@ def refine_geometry(
     landmarks_px : (68, 2) array_like of float
         Column and row, iBUG-68 order; NaN rows are not seen.
     shape_model : MorphableShapeModel
-    reflectance : VertexReflectance, optional
-        Of the model's V vertices, in the unit that goes with `light`; without it landmarks alone are used.
-    light : (81, 3) array_like of float, optional
-        Harmonics of the light in the scene's frame; goes with `reflectance`.
+    reflectance, light : VertexReflectance, (81, 3) array_like of float, optional
+        Of the model's V vertices, and harmonics of the light in the scene's frame; without them landmarks
+        alone are used.
     mask : (H, W) array_like of bool, optional
         Where the image shows skin.
-    initial_scene_from_model : (4, 4) array_like of float, optional
-        Rigid; found from the landmarks when omitted.
-    initial_identity, initial_expression : (N_S,), (N_E,) array_like of float, optional
-        Zeros when omitted.
+    initial_scene_from_model, initial_identity, initial_expression : array_like of float, optional
+        (4, 4), rigid, found from the landmarks when omitted; (N_S,), (N_E,), zeros when omitted.
     budget, on_progress : optional
         When it ends the best so far is returned with `converged=False`; called with every `TraceRow`.
 

@@ -18,14 +18,16 @@ from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
-from scan2albedo.reflectance.image_fit import PHOTOMETRIC_WEIGHT, SOFTNESS
+from scan2albedo.reflectance.image_fit import photometric_penalty
 from scan2albedo.reflectance.map_fit import LocalTerm
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
-LANDMARK_WEIGHT, PRIOR_WEIGHT = 0.2, 1e-3
-"""Of the mean squared distance of landmarks, in mm at the face's depth, and of the squared coefficients."""
+LANDMARK_WEIGHT = 0.2
+"""Of the mean squared distance of landmarks, in mm at the face's depth."""
+PRIOR_WEIGHT = 1e-3
+"""Of the squared coefficients."""
 _VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
 """Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer
 than so many pixels to an edge of the surface in the image."""
@@ -150,9 +152,7 @@ class PhotometricTerm:
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where a vertex has no normal or lies behind the camera."""
         off = self.differences(vertices)
-        if off is None:
-            return np.inf
-        return PHOTOMETRIC_WEIGHT * float(np.mean(np.hypot(off, SOFTNESS) - SOFTNESS))
+        return np.inf if off is None else photometric_penalty(off)[0]
 
     def differences(self, vertices: FloatArray) -> FloatArray | None:
         """Return r (U, 3), or None when a vertex has no normal or lies behind the camera."""
@@ -197,7 +197,7 @@ class PhotometricTerm:
         blocks[column == used[row]] += direct
         shape = (3 * len(used), by_vertex.shape[1])
         jacobian = sparse.bsr_matrix((blocks / self.unit, column, start), shape=shape)
-        weight = PHOTOMETRIC_WEIGHT / off.size / np.hypot(off, SOFTNESS)
+        _, weight = photometric_penalty(off)
         return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
     def _sight(self, vertices: FloatArray) -> FloatArray:

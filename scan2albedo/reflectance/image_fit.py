@@ -22,9 +22,10 @@ from scan2albedo.reflectance.photograph import ImageObservation
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """See `fit_image`."""
 
-PHOTOMETRIC_WEIGHT, SOFTNESS = 2.0, 0.01
-"""Of the mean absolute difference, in units of the image's median colour; differences below that share of it
-count by their squares (Charbonnier's epsilon)."""
+PHOTOMETRIC_WEIGHT = 2.0
+"""Of the mean absolute difference, in units of the image's median colour."""
+SOFTNESS = 0.01
+"""Differences below this share of it count by their squares (Charbonnier's epsilon)."""
 PRIOR_WEIGHT = {True: 3e-4, False: 1e-3}
 """Of the squared coefficients, with the face's own shadows and without: those must not pass for skin."""
 MOST_UNEXPLAINED = 0.25
@@ -147,6 +148,12 @@ def fit_image(
     )
 
 
+def photometric_penalty(off: FloatArray) -> tuple[float, FloatArray]:
+    """Return 2 mean(sqrt(r^2 + eps^2) - eps) of differences r, and its derivatives over r, as weights."""
+    size = np.hypot(off, SOFTNESS)
+    return PHOTOMETRIC_WEIGHT * float(np.mean(size - SOFTNESS)), PHOTOMETRIC_WEIGHT / off.size / size
+
+
 @dataclass(frozen=True)
 class Prediction:
     """Colours (U, 3) of the vertices used at parameters p = (b, g, t), and their parts."""
@@ -264,14 +271,13 @@ class ImageTerms:
     def value(self, state: Prediction) -> float:
         """Return Charbonnier's penalty of the differences, and the caller's."""
         off = (state.color - self.observed) / self.unit
-        cost = PHOTOMETRIC_WEIGHT * float(np.mean(np.hypot(off, SOFTNESS) - SOFTNESS))
-        return cost + _PERCEPTUAL_WEIGHT * state.distance
+        return photometric_penalty(off)[0] + _PERCEPTUAL_WEIGHT * state.distance
 
     def local_terms(self, state: Prediction) -> Iterator[LocalTerm]:
         """Yield the penalties of all colours: Charbonnier's as weighted squares, the caller's by slope."""
         jacobian = self.jacobian(state) / self.unit
         off = ((state.color - self.observed) / self.unit).ravel()
-        curvature = PHOTOMETRIC_WEIGHT / len(off) / np.hypot(off, SOFTNESS)
+        _, curvature = photometric_penalty(off)
         slope = curvature * off
         if state.gradient is not None:
             slope += _PERCEPTUAL_WEIGHT * self.unit * state.gradient.ravel()

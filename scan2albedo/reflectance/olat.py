@@ -94,10 +94,9 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
 
     Parameters
     ----------
-    flash : (J, H, W, 3) array or sequence of (H, W, 3) arrays
-        Displayed values: floats, white = 1, or integers of 8 or 16 bits; NaN where there is nothing.
-    room : (J, H, W, 3) or (H, W, 3) array, or sequence of arrays
-        Likewise; one picture of the room's light serves all.
+    flash, room : (J, H, W, 3) array or sequence of (H, W, 3) arrays
+        Displayed values: floats, white = 1, or integers of 8 or 16 bits; NaN where there is nothing. One
+        picture of the room's light serves all.
     options : OlatOptions
 
     Examples

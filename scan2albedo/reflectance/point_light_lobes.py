@@ -28,10 +28,8 @@ def point_light_lobes(
 
     Parameters
     ----------
-    vertices, normals : (V, 3) array_like of float
-        Millimetres; unit.
-    camera_positions, light_positions : (J, 3) array_like of float
-        Of each picture, in mm.
+    vertices, normals, camera_positions, light_positions : array_like of float
+        (V, 3) mm; (V, 3) unit; (J, 3) twice, of each picture, in mm.
     reference_distance_mm : float, optional
         Lights fall off with the square of their distance, to 1 at this one; without it they do not.
 

@@ -64,10 +64,6 @@ class ReflectanceFit:
     """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
     level: float
     """Unit of the prior: the median albedo without highlights."""
-    bounded_albedos: int
-    """Vertices with an albedo of 0."""
-    settled: BoolArray
-    """(V,): known and done when the fit ended."""
     converged: bool
     """All known vertices and the gains are; False when the budget or the `iterations` ended the fit first."""
     iterations: int
@@ -189,9 +185,9 @@ def fit_reflectance(
     std = deviation * np.fmax(misfit, 1.0)[:, None]
     low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, estimate)
     identifiability = np.minimum(deviation * np.sqrt(data.prior), 1.0)
-    known, impossible, settled = np.zeros((3, count), bool)
+    known, impossible = np.zeros((2, count), bool)
     identified = np.zeros((count, 6), bool)
-    known[rows], settled[rows], identified[rows] = True, fitted.settled, identifiability < _IDENTIFIED_BELOW
+    known[rows], identified[rows] = True, identifiability < _IDENTIFIED_BELOW
     if options.most_albedo is not None:
         too_bright = (estimate[:, :3] > options.most_albedo).any(1)
         impossible[rows] = too_bright
@@ -216,8 +212,6 @@ def fit_reflectance(
         normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
         light_gain=gain,
         level=level,
-        bounded_albedos=int((estimate[:, :3] == 0).any(1).sum()),
-        settled=settled,
         converged=bool(fitted.settled.all()) and gains_settled,
         iterations=fitted.iterations,
         residual=fitted.residual,

@@ -21,8 +21,6 @@ RAY_OFFSET_MM = 0.2
 _DEPTH_STEP_MM, _MOST_SLOPE = 3.0, 5.0
 """A step in depth above this, and above what the slope of the surface against the picture plane explains, is
 an edge; a steeper slope explains no more than this one."""
-MARGIN_PX = 1.5
-"""Distance in the picture from edges of the surface at which vertices count."""
 
 
 def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, IntArray]:
@@ -83,7 +81,7 @@ class VertexVisibility:
         beside[self._edges[hidden[self._edges[:, 0]], 1]] = True
         return reached & ~beside
 
-    def seen(self, camera: FloatArray, cosine: float, margin_px: float = MARGIN_PX) -> BoolArray:
+    def seen(self, camera: FloatArray, cosine: float, margin_px: float = 1.5) -> BoolArray:
         """Return (V,) vertices that a camera (3, 4) sees, normals at least `cosine` to the line of sight.
 
         The surface must continue `margin_px` to all four sides, without a hole or a depth step beyond its

@@ -19,7 +19,6 @@ from scan2albedo.rendering.pictures import seen_samples
 from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel
 
-_SIZE = 360
 _BRIGHT = 0.8
 """Linear level at which the albedo's 99th percentile is shown: its scale is not known."""
 _MOST_ERROR = 0.2
@@ -60,9 +59,7 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
 def face_picture(mesh: MeshReflectance, color: FloatArray) -> NDArray[np.uint8]:
     """Return the mesh seen from +z in sRGB colours (V, 3), without shading."""
     view = View.around(mesh.vertices)
-    return render_mesh(
-        mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=_SIZE, shaded=False
-    )
+    return render_mesh(mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=360, shaded=False)
 
 
 def filled_albedo(mesh: MeshReflectance, drawn: BoolArray | None = None) -> FloatArray:

@@ -10,7 +10,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     shade_environment,
 )
-from scan2albedo.reflectance.albedo_details import ShadingDivided, detail_field
+from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field
 
 SIDE = 41
 X, Y = (axis.ravel() for axis in np.meshgrid(3.0 * np.arange(SIDE), 3.0 * np.arange(SIDE)))

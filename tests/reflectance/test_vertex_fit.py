@@ -60,7 +60,6 @@ def assert_sound(fit):
 def test_one_per_cent_of_noise(fit, capture):
     assert_sound(fit)
     assert fit.converged
-    assert fit.settled.all()
     assert diffuse_error(fit, capture) < 0.03
     sure, truth = fit.identified, capture.parameters
     inside = ((fit.low <= truth) & (truth <= fit.high))[sure].mean()
@@ -288,7 +287,7 @@ def test_a_black_channel(capture):
     fit = fit_reflectance(samples_of(dark, noise=0.01))
     assert_sound(fit)
     black = dark.truth.diffuse_linear == 0
-    assert fit.bounded_albedos > 300
+    assert (fit.parameters[:, :3] == 0).any(1).sum() > 300
     assert (fit.low[:, :3][black] == 0).mean() > 0.95
     assert fit.reflectance.diffuse_linear[black].mean() < 0.01
     assert diffuse_error(fit, dark) < 0.03

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -71,10 +70,8 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
         "valid_share": float(olat.valid.all(-1).mean()),
         "pairs_left_out": [d.pair for d in olat.diagnostics if d.left_out],
     }
-    notes = (*_notes_of_file(capture), *_notes_of_pairs(capture, olat))
-    with publishing(
-        out, "olat", (capture.path,), {"gamma": capture.content.gamma}, figures, notes
-    ) as results:
+    options, notes = {"gamma": capture.content.gamma}, _notes_of_capture(capture, olat)
+    with publishing(out, "olat", (capture.path,), options, figures, notes) as results:
         for number, linear in enumerate(olat.linear):
             write_exr(results.folder / f"olat_{number:03d}.exr", linear)
         # A sheet of all pictures in rows, small, as bright as their brightest percentile allows.
@@ -120,7 +117,9 @@ def fit_capture(
         )
         samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
         fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
-    notes, error = _notes_of_file(capture), None
+    notes, error = [], None
+    if not fit.converged:
+        notes.append("the fit stopped before it had converged")
     # One of `held_out_every` pairs that can be used; none where fewer than four would remain.
     usable, held_out = np.flatnonzero(samples.valid.any((1, 2))), np.zeros(len(samples.light), bool)
     if held_out_every > 0 and len(usable) >= 5:
@@ -130,9 +129,32 @@ def fit_capture(
         try:
             error = relighting_error(samples, held_out, options=options)
         except ReflectanceError as cause:
-            notes += (f"the fit was not tested on pictures left out: {cause}",)
-    notes += tuple(_notes_of_fit(fit, error, capture.content.gamma))
-    return FittedCapture(capture, olat, samples, fit, held_out, error, notes)
+            notes.append(f"the fit was not tested on pictures left out: {cause}")
+    if fit.impossible.any():
+        notes.append(
+            f"{fit.impossible.sum()} vertices have an albedo above 1, which is impossible, and count as not "
+            "identified: creases, or mesh, poses or flash_strength are off there"
+        )
+    # Signs that mesh, poses, masks or gamma do not fit the pictures.
+    known, signs = fit.reflectance.known, []
+    sigma = float(np.median(fit.normal_sigma_degrees[known])) if known.any() else 0.0
+    misfit = float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else 0.0
+    if sigma > _DOUBTFUL_SIGMA_DEGREES:
+        signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
+    if misfit > _DOUBTFUL_MISFIT:
+        signs.append(f"residuals are {misfit:.1f} times the noise")
+    if signs and error is not None and error.relative_rmse > _DOUBTFUL_HELD_OUT * error.noise_part:
+        signs.append(
+            f"pictures left out are predicted to {100 * error.relative_rmse:.0f} %, noise alone would be "
+            f"{100 * error.noise_part:.0f} %"
+        )
+    if signs:
+        notes.append(
+            f"{'; '.join(signs)}: mesh, poses or masks may be off; it may also come from a wrong gamma "
+            f"(light is taken as value^{capture.content.gamma:g})"
+        )
+    notes += _notes_of_capture(capture, olat)
+    return FittedCapture(capture, olat, samples, fit, held_out, error, tuple(notes))
 
 
 def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -165,8 +187,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
             "psnr_db": done.error.psnr_db,
         }
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
-    notes = (*done.notes, *_notes_of_pairs(capture, done.olat))
-    with publishing(out, "fit", (capture.path,), options, figures, notes) as results:
+    with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:
         write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
         write_trace(results, fit.trace)
         results.figure("overview.png", overview_figure(title, reflectance_panels(mesh, fit), 5))
@@ -221,23 +242,23 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     return linear, capture.content.flash_strength * made, known
 
 
-def _notes_of_file(capture: CaptureFiles) -> tuple[str, ...]:
-    """Return the caveats of a file without gamma, and of a mesh that is not of a head's size in its unit."""
-    content = capture.content
-    notes = gamma_notes(capture)
-    unit, (low, high) = content.unit, PLAUSIBLE_EXTENT_MM
-    components = vertex_components(len(capture.vertices), capture.faces)
-    extent_mm = largest_extent(capture.vertices, components)
-    if low <= extent_mm < high:
-        return notes
-    extent = extent_mm / MM_PER_UNIT[unit]
-    others = [f'"{name}"' for name, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
-    advice = f'give "unit": {" or ".join(others)}' if others else "correct the mesh"
-    return (
-        *notes,
-        f"{content.mesh} is {extent:.3g} {unit} long, and a head measures {low:g} to {high:g} mm: if "
-        f"it is of a head, {advice}, and see that the translations and falloff_distance are in the same unit",
-    )
+def _notes_of_capture(capture: CaptureFiles, olat: OlatImages) -> list[str]:
+    """Return the caveats of a file without gamma, of the mesh's size, and of pairs of pictures."""
+    content, (low, high), names = capture.content, PLAUSIBLE_EXTENT_MM, capture.pair_names()
+    notes = [*gamma_notes(capture)]
+    extent_mm = largest_extent(capture.vertices, vertex_components(len(capture.vertices), capture.faces))
+    if not low <= extent_mm < high:
+        extent = extent_mm / MM_PER_UNIT[content.unit]
+        others = [f'"{name}"' for name, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
+        advice = f'give "unit": {" or ".join(others)}' if others else "correct the mesh"
+        notes.append(
+            f"{content.mesh} is {extent:.3g} {content.unit} long, and a head measures {low:g} to {high:g} "
+            f"mm: if it is of a head, {advice}, and see that the translations and falloff_distance are in "
+            "the same unit"
+        )
+    # Every capture has clipped highlights.
+    faults = [one for one in olat.diagnostics if one.name != "saturated" or one.part > 0.05]
+    return notes + [f"{names[one.pair]}: {one.message}" for one in faults]
 
 
 def gamma_notes(files: CaptureFiles | PhotographFiles) -> tuple[str, ...]:
@@ -247,42 +268,4 @@ def gamma_notes(files: CaptureFiles | PhotographFiles) -> tuple[str, ...]:
     return (
         f"{files.path.name} gives no gamma: light is taken as value^{files.content.gamma:g}; say "
         '"gamma": 1 for linear pictures, about 2.2 for ordinary sRGB pictures',
-    )
-
-
-def _notes_of_fit(fit: ReflectanceFit, error: RelightingError | None, gamma: float) -> Iterator[str]:
-    """Yield the caveats of a fit; the last, that mesh, poses, masks or gamma may not fit the pictures."""
-    if not fit.converged:
-        yield "the fit stopped before it had converged"
-    if fit.impossible.any():
-        yield (
-            f"{fit.impossible.sum()} vertices have an albedo above 1, which is impossible, and count as not "
-            "identified: creases, or mesh, poses or flash_strength are off there"
-        )
-    known, signs = fit.reflectance.known, []
-    sigma = float(np.median(fit.normal_sigma_degrees[known])) if known.any() else 0.0
-    misfit = float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else 0.0
-    if sigma > _DOUBTFUL_SIGMA_DEGREES:
-        signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
-    if misfit > _DOUBTFUL_MISFIT:
-        signs.append(f"residuals are {misfit:.1f} times the noise")
-    if signs and error is not None and error.relative_rmse > _DOUBTFUL_HELD_OUT * error.noise_part:
-        signs.append(
-            f"pictures left out are predicted to {100 * error.relative_rmse:.0f} %, noise alone would be "
-            f"{100 * error.noise_part:.0f} %"
-        )
-    if signs:
-        yield (
-            f"{'; '.join(signs)}: mesh, poses or masks may be off; it may also come from a wrong gamma "
-            f"(light is taken as value^{gamma:g})"
-        )
-
-
-def _notes_of_pairs(capture: CaptureFiles, olat: OlatImages) -> tuple[str, ...]:
-    """Return the faults of pairs; clipped highlights, which every capture has, only where they are many."""
-    names = capture.pair_names()
-    return tuple(
-        f"{names[one.pair]}: {one.message}"
-        for one in olat.diagnostics
-        if one.name != "saturated" or one.part > 0.05
     )

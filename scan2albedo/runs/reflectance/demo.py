@@ -126,7 +126,7 @@ def run_reflectance_demo(
     for _ in range(30):
         a, b = nearest.diffuse_linear[used], truth[used]
         scaled = VertexReflectance(truth * (np.sum(a * b) / np.sum(b * b)), np.zeros_like(truth), seen)
-        nearest = models.model.project(scaled, prior=np.finfo(float).eps).nearest.reflectance
+        nearest = models.model.project(scaled, prior=np.finfo(float).eps).reflectance
 
     def scaled_error(found: VertexReflectance) -> float:
         """Return the relative RMSE at the best scale, over vertices that were seen and are known."""

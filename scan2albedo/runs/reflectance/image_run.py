@@ -94,19 +94,12 @@ def fit_photograph(
     or nothing is seen.
     """
     lighting, faces = LightingModel.default(), models.mean.faces
-    with naming(f"photograph {photograph.path}"):
+    with _named(photograph):
         vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
         observation = observe(photograph, vertices, faces)
-        with _unconverged_allowed():
-            face = fit_face(
-                observation,
-                models.model,
-                vertices,
-                faces,
-                lighting,
-                budget=budget,
-                on_progress=on_progress,
-            )
+        face = fit_face(
+            observation, models.model, vertices, faces, lighting, budget=budget, on_progress=on_progress
+        )
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
 
@@ -137,9 +130,8 @@ def shaped_vertices(
             "the model with --landmark-vertices"
         )
     first = _geometry(photograph, models.shape, budget=budget, on_progress=on_progress)
-    with _unconverged_allowed():
-        seen = observe(photograph, first.vertices, models.mean.faces)
-        skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
+    seen = observe(photograph, first.vertices, models.mean.faces)
+    skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
     refined = _geometry(
         photograph,
         models.shape,
@@ -155,9 +147,9 @@ def shaped_vertices(
 
 
 @contextmanager
-def _unconverged_allowed() -> Iterator[None]:
-    """Leave out the warning of a fit that stopped early, which `FittedPhotograph.notes` tells."""
-    with warnings.catch_warnings():
+def _named(photograph: PhotographFiles) -> Iterator[None]:
+    """Name a photograph in errors, and leave out warnings of fits that stopped early, which notes say."""
+    with naming(f"photograph {photograph.path}"), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
         yield
 
@@ -219,15 +211,8 @@ def write_fitted_photograph(
 
 def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
     assert photograph.landmarks_px is not None
-    with _unconverged_allowed():
-        return refine_geometry(
-            _linear(photograph),
-            photograph.camera,
-            photograph.landmarks_px,
-            shape,
-            mask=photograph.mask,
-            **options,
-        )
+    image, camera = _linear(photograph), photograph.camera
+    return refine_geometry(image, camera, photograph.landmarks_px, shape, mask=photograph.mask, **options)
 
 
 def _linear(photograph: PhotographFiles) -> FloatArray:
@@ -274,7 +259,7 @@ def tune_model(
         say(f"reading {path}")
         photograph = read_photograph(path)
         notes.extend(gamma_notes(photograph))
-        with naming(f"photograph {photograph.path}"):
+        with _named(photograph):
             vertices, _, _ = shaped_vertices(photograph, models, lighting)
             return observe(photograph, vertices, models.mean.faces)
 

@@ -36,8 +36,6 @@ from scan2albedo.templates import AnnotatedFaceModel
 DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
 _LEVELS = 1
 """Refinements of the default face model's surface for synthetic people."""
-_SHOWN_DIRECTIONS = 4
-"""In the sheet of a model."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +60,17 @@ def read_sample(path: Path) -> MeshReflectance:
 
     Raises `ReflectanceError` or `ApplicationError` when it is none of them, or damaged.
     """
-    if (path / RESULT_FILE).is_file():
+    if not path.is_dir() or (path / RESULT_FILE).is_file():
         return read_reflectance(path)
-    if path.is_dir() and (path / "result.json").is_file():
-        from scan2albedo.applications import reflectance_of_processed
-
-        face = reflectance_of_processed(path)
-        return MeshReflectance(face.mesh.vertices, face.mesh.faces, face.reflectance)
-    if path.is_dir():
+    if not (path / "result.json").is_file():
         raise ReflectanceError(
             f"{path} holds neither {RESULT_FILE} nor result.json: give the folder of a fit or of a "
             "processed scan, or a reflectance's .npz file"
         )
-    return read_reflectance(path)
+    from scan2albedo.applications import reflectance_of_processed
+
+    face = reflectance_of_processed(path)
+    return MeshReflectance(face.mesh.vertices, face.mesh.faces, face.reflectance)
 
 
 def build_model(
@@ -225,7 +221,7 @@ def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) ->
         if built.shape is not None:
             built.shape.save(results.folder / SHAPE_FILE)
         title = f"{model.samples} samples, {model.components} directions"
-        if shown := min(_SHOWN_DIRECTIONS, model.components):
+        if shown := min(4, model.components):
             part = 100 * model.explained[:shown].sum()
             title += f"; the first {shown} hold {part:.0f} % of the variance"
         white = albedo_white(built.mean.reflectance.diffuse_linear)
@@ -246,17 +242,13 @@ def read_model_folder(path: Path) -> FaceModels:
     if not path.is_dir():
         raise ReflectanceError(f"{path} is not a folder; give the one that `reflectance build` wrote")
     model, mean = MorphableReflectanceModel.load(path / MODEL_FILE), read_reflectance(path / MEAN_FILE)
-    if len(mean.vertices) != len(model.known):
-        raise ReflectanceError(
-            f"{path}: {MODEL_FILE} has {len(model.known)} vertices and {MEAN_FILE} {len(mean.vertices)}; "
-            "build the model again"
-        )
     shape = MorphableShapeModel.load(path / SHAPE_FILE) if (path / SHAPE_FILE).exists() else None
-    if shape is not None and len(shape.mean) != len(model.known):
-        raise ReflectanceError(
-            f"{path}: {SHAPE_FILE} has {len(shape.mean)} vertices and {MODEL_FILE} {len(model.known)}; build "
-            "the model again"
-        )
+    counts = {MODEL_FILE: len(model.known), MEAN_FILE: len(mean.vertices)}
+    if shape is not None:
+        counts[SHAPE_FILE] = len(shape.mean)
+    if len(set(counts.values())) > 1:
+        text = ", ".join(f"{name} has {count} vertices" for name, count in counts.items())
+        raise ReflectanceError(f"{path}: {text}; build the model again")
     return FaceModels(model, mean, shape, folder=path)
 
 
