@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.raw_scan import require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.gltf_file import MARK, GltfFile
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
-from scan2albedo.io.repair import require_valid_indices
 from scan2albedo.io.scan_folder import ScanFolder
 
 if TYPE_CHECKING:
