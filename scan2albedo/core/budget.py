@@ -84,11 +84,6 @@ class Meter:
         return time.perf_counter() - self._wall_start
 
     @property
-    def cpu_s(self) -> float:
-        """CPU seconds of this process (all threads) since the stage began."""
-        return time.process_time() - self._cpu_start
-
-    @property
     def exhausted(self) -> bool:
         """Whether the budget has ended."""
         evaluations = self.budget.evaluations
@@ -110,9 +105,8 @@ class Meter:
 
     def record(self, error: float, stage: str | None = None) -> None:
         """Append a trace row with the error reached so far; `stage` names a part with a curve of its own."""
-        row = TraceRow(
-            stage or self.stage, self.elapsed_s, self.cpu_s, self.evaluations, float(error), self.unit
-        )
+        cpu_s, name = time.process_time() - self._cpu_start, stage or self.stage
+        row = TraceRow(name, self.elapsed_s, cpu_s, self.evaluations, float(error), self.unit)
         self.rows.append(row)
         if self.on_progress is not None:
             self.on_progress(row)

@@ -73,7 +73,8 @@ class GeometryImage:
     """(K, 3): where the cameras stood, millimetres in the model's frame; given along with `camera`."""
 
     def __post_init__(self) -> None:
-        grid = np.asarray(self.mask).shape
+        mask = np.asarray(self.mask, bool)
+        grid = mask.shape
         for field, (dtype, channels) in _SHAPES.items():
             value = getattr(self, field)
             if value is None:
@@ -89,11 +90,10 @@ class GeometryImage:
                 raise GeometryImageError(
                     f"{field} has shape {array.shape}, expected {wanted} to match the mask"
                 )
-            object.__setattr__(self, field, array.astype(dtype, copy=False))
-        for field in ("position", "normal", "texture_linear", "specular_scale", "skin"):
-            value = getattr(self, field)
-            if value is not None and not np.isfinite(value[self.mask]).all():
+            array = array.astype(dtype, copy=False)
+            if array.dtype.kind == "f" and not np.isfinite(array[mask]).all():
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
+            object.__setattr__(self, field, array)
         if self.skin is not None and not ((self.skin >= 0) & (self.skin <= 1))[self.mask].all():
             raise GeometryImageError("skin holds values beyond 0 to 1 inside the mask")
         if (self.camera is None) != (self.camera_positions is None):

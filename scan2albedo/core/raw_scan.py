@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arguments import linear_doubt, require_linear
+from scan2albedo.core.arrays import IntArray
 from scan2albedo.core.landmarks import LARGEST_COORDINATE, PlacedLandmarks
 from scan2albedo.errors import ScanError, printable
 
@@ -45,6 +46,16 @@ def is_folder_name(name: str) -> bool:
     return fitting and not name.startswith(".") and name != "" and not set(name) & set("/\\")
 
 
+def require_valid_indices(faces: IntArray, vertex_count: int, name: str) -> None:
+    """Raise `ScanError` when a face refers to a vertex that is not there."""
+    low, high = int(faces.min(initial=0)), int(faces.max(initial=-1))
+    if low < 0 or high >= vertex_count:
+        raise ScanError(
+            f"{name}: a face refers to vertex {low if low < 0 else high}, but there are {vertex_count} "
+            "vertices (counting from 0); the file is damaged or truncated: export it again"
+        )
+
+
 @dataclass(frozen=True)
 class TextureTile:
     """One of several pictures that a texture was packed of: its material's name, and its place in pixels."""
@@ -57,12 +68,8 @@ class TextureTile:
 
     def holds(self, uv: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Return (F,) which faces, by their corners' coordinates (F, 3, 2), lie on it in a texture (H, W)."""
-        column, row = (
-            uv[..., 0].mean(1) * shape[1] - self.left,
-            (1 - uv[..., 1].mean(1)) * shape[0] - self.top,
-        )
-        inside = (column >= 0) & (column <= self.width) & (row >= 0) & (row <= self.height)
-        return np.asarray(inside)
+        across, down = self.own_uv(uv.mean(1), shape).T
+        return np.asarray((across >= 0) & (across <= 1) & (down >= 0) & (down <= 1))
 
     def own_uv(self, uv: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return coordinates of the texture (H, W) as those of this picture alone."""
@@ -120,12 +127,7 @@ class RawScan:
             raise ScanError(
                 f"{self.name}: the scan has no faces ({len(vertices)} vertices); a surface mesh is needed"
             )
-        low, high = int(faces.min()), int(faces.max())
-        if low < 0 or high >= len(vertices):
-            raise ScanError(
-                f"{self.name}: a face refers to vertex {low if low < 0 else high}"
-                f", but there are {len(vertices)} vertices; the file is damaged or truncated"
-            )
+        require_valid_indices(faces, len(vertices), self.name)
         if (reach := float(np.abs(vertices).max(initial=0.0))) > LARGEST_COORDINATE:
             raise ScanError(
                 f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}; the file is "

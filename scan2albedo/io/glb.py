@@ -29,6 +29,7 @@ class GlbFile:
         self.views: list[dict[str, int]] = []
         self.accessors: list[dict[str, Any]] = []
         self.meshes: list[dict[str, Any]] = []
+        self.images: list[dict[str, Any]] = []
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
         """Append bytes and return the number of their buffer view."""
@@ -36,6 +37,11 @@ class GlbFile:
         self.views.append(view if target is None else {**view, "target": target})
         self.data += data + b"\0" * (-len(data) % 4)
         return len(self.views) - 1
+
+    def add_picture(self, png: bytes, **entries: str) -> dict[str, int]:
+        """Append a picture with further entries, such as a name, and return a material's reference to it."""
+        self.images.append({**entries, "bufferView": self.add_bytes(png), "mimeType": "image/png"})
+        return {"index": len(self.images) - 1}
 
     def add_array(
         self, array: NDArray[Any], kind: str, target: int | None = None, *, bounds: bool = False
@@ -86,6 +92,7 @@ class GlbFile:
         self, path: str | Path, nodes: list[dict[str, Any]], roots: list[int], **entries: list[dict[str, Any]]
     ) -> None:
         """Write the file atomically, with `nodes`, of which `roots` stand in the scene, and further lists."""
+        textures = [{"source": number} for number in range(len(self.images))]
         tree = {
             "asset": {"version": "2.0", "generator": "scan2albedo"},
             "scene": 0,
@@ -93,6 +100,7 @@ class GlbFile:
             "nodes": nodes,
             "meshes": self.meshes,
             **entries,
+            **({"images": self.images, "textures": textures} if textures else {}),
             "accessors": self.accessors,
             "bufferViews": self.views,
             "buffers": [{"byteLength": len(self.data)}],
@@ -133,7 +141,6 @@ def write_glb(
         raise ValueError(f"uv has shape {np.shape(uv)}, expected ({len(points)}, 2)")
     file = GlbFile()
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
-    textures: dict[str, list[dict[str, Any]]] = {}
     if uv is not None:
         from_top = np.asarray(uv, np.float64) * (1, -1) + (0, 1)
         attributes["TEXCOORD_0"] = (from_top.astype("f4"), "VEC2")
@@ -141,14 +148,13 @@ def write_glb(
     grey = 200 / 255 if texture_srgb is None else 1.0
     material = plain_material("albedo", (grey, grey, grey, 1.0), double_sided=False)
     if texture_srgb is not None:
-        view = file.add_bytes(encode_image(np.asarray(texture_srgb, np.uint8), ".png"))
-        textures = {"images": [{"bufferView": view, "mimeType": "image/png"}], "textures": [{"source": 0}]}
+        picture = file.add_picture(encode_image(np.asarray(texture_srgb, np.uint8), ".png"))
         if emissive:
             material["pbrMetallicRoughness"]["baseColorFactor"] = [0.0, 0.0, 0.0, 1.0]
-            material |= {"emissiveTexture": {"index": 0}, "emissiveFactor": [1.0, 1.0, 1.0]}
+            material |= {"emissiveTexture": picture, "emissiveFactor": [1.0, 1.0, 1.0]}
         else:
-            material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
-    file.write(path, [{"name": "face", "mesh": mesh}], [0], materials=[material], **textures)
+            material["pbrMetallicRoughness"]["baseColorTexture"] = picture
+    file.write(path, [{"name": "face", "mesh": mesh}], [0], materials=[material])
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.raw_scan import require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.gltf_file import MARK, GltfFile
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
-from scan2albedo.io.repair import require_valid_indices
 from scan2albedo.io.scan_folder import ScanFolder
 
 if TYPE_CHECKING:
@@ -57,15 +57,21 @@ def _read_parts(file: GltfFile) -> ParsedMesh:
 
     file.require_readable()
     # trimesh only warns of a compression that it cannot decode, and goes on with zeros.
-    warned = _Warnings()
-    logging.getLogger("trimesh").addHandler(warned)
+    warned: list[str] = []
+
+    def collect(record: logging.LogRecord) -> bool:
+        if record.levelno >= logging.WARNING:
+            warned.append(record.getMessage())
+        return True
+
+    logging.getLogger("trimesh").addFilter(collect)
     try:
         stream, kind = io.BytesIO(file.for_trimesh()), "glb" if file.binary else "gltf"
         scene = trimesh.load_scene(stream, file_type=kind, resolver=file, process=False)  # type: ignore[arg-type]
     finally:
-        logging.getLogger("trimesh").removeHandler(warned)
-    if warned.messages:
-        raise ScanError(f"{file.path.name}: {warned.messages[0]}; export it again without compression")
+        logging.getLogger("trimesh").removeFilter(collect)
+    if warned:
+        raise ScanError(f"{file.path.name}: {warned[0]}; export it again without compression")
     # trimesh drops base colour textures that it cannot read without a word.
     textured = {
         declared.get("name", "material")
@@ -88,17 +94,6 @@ def _read_parts(file: GltfFile) -> ParsedMesh:
         for name in lost
     )
     return _joined(parts, tuple(materials.values()), tuple(dict.fromkeys(notes)))
-
-
-class _Warnings(logging.Handler):
-    """Collects trimesh's warnings."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.messages: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.messages.append(record.getMessage())
 
 
 def _part(

@@ -149,8 +149,20 @@ def _read_elements(path: Path) -> tuple[dict[str, Columns], list[str]]:
         limits.require_at_most(path.name, what, count, limits.MATERIALS, "export it again")
     if order is None:
         columns = _ascii_columns(path, number_lines(data, end.end(), path.name), elements)
-    else:
-        columns = _binary_columns(path, np.frombuffer(data, np.uint8, offset=end.end()), elements, order)
+        return columns, _texture_files(header)
+    columns, body = {}, np.frombuffer(data, np.uint8, offset=end.end())
+    for element in elements:
+        result = _uniform_rows(body, element, order)
+        # A property of a row has a byte at least: a count beyond the file is not worth making room for.
+        cells = element.count * len(element.properties)
+        if result is None and cells <= len(body):
+            what = f"properties of {element.name} with lists of several lengths"
+            limits.require_at_most(path.name, what, cells, 8 * limits.TRIANGLES, "decimate it")
+            result = _ragged_rows(body, element, order)
+        if result is None:
+            raise _cut_short(path, element)
+        columns[element.name], size = result
+        body = body[size:]
     return columns, _texture_files(header)
 
 
@@ -225,25 +237,6 @@ def _ascii_columns(path: Path, lines: NumberLines, elements: list[_Element]) -> 
 def _cut_short(path: Path, element: _Element) -> ScanError:
     what = f"it declares {element.count} {element.name} rows, but ends before that"
     return damaged(path, what, "PLY")
-
-
-def _binary_columns(
-    path: Path, body: NDArray[np.uint8], elements: list[_Element], order: str
-) -> dict[str, Columns]:
-    columns: dict[str, Columns] = {}
-    for element in elements:
-        result = _uniform_rows(body, element, order)
-        # A property of a row has a byte at least: a count beyond the file is not worth making room for.
-        cells = element.count * len(element.properties)
-        if result is None and cells <= len(body):
-            what = f"properties of {element.name} with lists of several lengths"
-            limits.require_at_most(path.name, what, cells, 8 * limits.TRIANGLES, "decimate it")
-            result = _ragged_rows(body, element, order)
-        if result is None:
-            raise _cut_short(path, element)
-        columns[element.name], size = result
-        body = body[size:]
-    return columns
 
 
 def _uniform_rows(body: NDArray[np.uint8], element: _Element, order: str) -> tuple[Columns, int] | None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, IntArray
-from scan2albedo.core.raw_scan import LARGEST_COORDINATE
+from scan2albedo.core.raw_scan import LARGEST_COORDINATE, require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.io.parsed_mesh import ParsedMesh
@@ -38,16 +38,6 @@ def require_usable(mesh: ParsedMesh, name: str) -> None:
                 f"{LARGEST_COORDINATE:g}), the first is vertex {broken[0]} (counting from 0); "
                 "repair the scan or export it again"
             )
-
-
-def require_valid_indices(faces: IntArray, vertex_count: int, name: str) -> None:
-    """Raise `ScanError` when a face refers to a vertex that is not there."""
-    low, high = int(faces.min(initial=0)), int(faces.max(initial=-1))
-    if low < 0 or high >= vertex_count:
-        raise ScanError(
-            f"{name}: a face refers to vertex {low if low < 0 else high}, but there are {vertex_count} "
-            "vertices (counting from 0); the file is damaged or truncated: export it again"
-        )
 
 
 def first_equal_row(rows: NDArray[np.generic]) -> IntArray:

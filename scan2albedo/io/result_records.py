@@ -95,23 +95,22 @@ def _light_content(light: PointLight) -> LightRecord:
     return LightRecord(azimuth_deg=azimuth_deg, elevation_deg=elevation_deg, **rest)
 
 
-def _read_environment(given: Any) -> EnvironmentLight:
-    if isinstance(given, EnvironmentLight):
-        return given
-    return EnvironmentLight(**dict(EnvironmentRecord.model_validate(given)))
-
-
-def _environment_content(light: EnvironmentLight) -> EnvironmentRecord:
-    return EnvironmentRecord(**vars(light) | {"coefficients": light.coefficients.tolist()})
-
-
 Light = Annotated[
     PointLight, PlainValidator(_read_light), PlainSerializer(_light_content, return_type=LightRecord)
 ]
 Environment = Annotated[
     EnvironmentLight,
-    PlainValidator(_read_environment),
-    PlainSerializer(_environment_content, return_type=EnvironmentRecord),
+    PlainValidator(
+        lambda given: (
+            given
+            if isinstance(given, EnvironmentLight)
+            else EnvironmentLight(**dict(EnvironmentRecord.model_validate(given)))
+        )
+    ),
+    PlainSerializer(
+        lambda light: EnvironmentRecord(**vars(light) | {"coefficients": light.coefficients.tolist()}),
+        return_type=EnvironmentRecord,
+    ),
 ]
 
 

@@ -1,14 +1,8 @@
-"""STL files, through trimesh, and ASCII OFF files, with vertex colours when they are COFF.
-
-Undamaged text STL files of one solid are read here, in a quarter of trimesh's time. OFF is read here since
-trimesh leaves out vertex colours and damaged faces without a word.
-"""
+"""STL files, binary or as text, and ASCII OFF files, with vertex colours when they are COFF."""
 
 from __future__ import annotations
 
 import re
-import warnings
-from io import BytesIO, StringIO
 from pathlib import Path
 
 import numpy as np
@@ -24,54 +18,34 @@ _HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
 
 def read_stl(path: Path, _folder: ScanFolder) -> ParsedMesh:
     """Read a binary or ASCII STL file. Raises ScanError, naming it, when it is damaged, cut or empty."""
-    from trimesh.exchange.stl import load_stl_ascii, load_stl_binary
-
     data = limits.read_bytes(path, advice="decimate it")
     declared = int.from_bytes(data[80:84], "little")
     needed = 84 + 50 * declared
-    try:
-        if len(data) == needed:
-            limits.require_at_most(path.name, "triangles", declared, limits.TRIANGLES, "decimate it")
-            loaded = load_stl_binary(BytesIO(data))
-        elif b"endsolid" in data[-4096:].lower() and b"\0" not in data[:512]:
-            limits.require_at_most(path.name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
-            if (found := _undamaged(data)) is not None:
-                return found
-            # trimesh makes strings of all words.
-            advice = "save it as binary STL"
-            limits.require_at_most(path.name, "bytes", len(data), limits.FILE_BYTES // 4, advice)
-            with warnings.catch_warnings():
-                warnings.simplefilter("error", DeprecationWarning)  # of text that is not numbers
-                loaded = load_stl_ascii(StringIO(data.decode("utf-8", "replace")))
-        else:
-            what = f"it has {len(data)} bytes, but {declared} triangles need {needed}"
-            raise damaged(path, f"{what}, and it does not end with endsolid", "STL")
-    except (ValueError, LookupError, DeprecationWarning) as error:
-        raise damaged(path, str(error), "STL") from error
-    solids = list(loaded["geometry"].values()) if "geometry" in loaded else [loaded]
-    if not solids:
+    if len(data) == needed:
+        limits.require_at_most(path.name, "triangles", declared, limits.TRIANGLES, "decimate it")
+        triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners = np.ndarray(declared, triangle, data, 84)["corners"].astype(np.float64)
+    elif b"endsolid" in data[-4096:].lower() and b"\0" not in data[:512]:
+        words = data.lower()
+        if re.search(rb"^[ \t]*vertex\s", words, re.MULTILINE) is None:  # several on a line
+            words = words.replace(b"vertex", b"\nvertex")
+        limits.require_at_most(path.name, "lines", words.count(b"\n"), limits.TEXT_LINES, "decimate it")
+        text = np.frombuffer(words, np.uint8)
+        starts, ends = tables.line_ranges(text)
+        kinds, starts = tables.split_keywords(text, starts, ends)
+        of_vertices = kinds == tables.keyword(b"vertex")
+        starts, ends = starts[of_vertices], ends[of_vertices]
+        counts = tables.count_tokens(text, starts, ends)
+        table = tables.NumberLines(text, starts, ends, counts).table(most=3)
+        if table.bad >= 0 or (counts < 3).any() or len(counts) % 3:
+            raise damaged(path, "a vertex has not three numbers, or a triangle not three vertices", "STL")
+        corners = table.values
+    else:
+        what = f"it has {len(data)} bytes, but {declared} triangles need {needed}"
+        raise damaged(path, f"{what}, and it does not end with endsolid", "STL")
+    if corners.size == 0:
         raise damaged(path, "it holds no triangles", "STL")
-    corners = np.concatenate([solid["vertices"] for solid in solids]).astype(np.float64)
-    return ParsedMesh(corners, np.arange(len(corners)).reshape(-1, 3))
-
-
-def _undamaged(data: bytes) -> ParsedMesh | None:
-    """Return the triangles of one undamaged solid as text, each vertex on its own line; else None."""
-    words = data.lower()
-    if not words.startswith(b"solid") or words.count(b"endsolid") != 1 or b"#" in words:
-        return None
-    text = np.frombuffer(words, np.uint8)
-    starts, ends = tables.line_ranges(text)
-    kinds, bodies = tables.split_keywords(text, starts, ends)
-    rows = np.flatnonzero(kinds == tables.keyword(b"vertex"))
-    found, last = words.count(b"vertex"), words.rfind(b"vertex")
-    if len(rows) == 0 or len(rows) != found or len(rows) % 3 or last > words.find(b"endsolid"):
-        return None
-    counts = tables.count_tokens(text, bodies[rows], ends[rows])
-    table = tables.NumberLines(text, bodies[rows], ends[rows], counts).table()
-    if table.bad >= 0 or (counts != 3).any() or not np.isfinite(table.values).all():
-        return None
-    return ParsedMesh(table.values.reshape(-1, 3), np.arange(len(table.values) // 3).reshape(-1, 3))
+    return ParsedMesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
 
 
 def read_off(path: Path, _folder: ScanFolder) -> ParsedMesh:

@@ -20,21 +20,10 @@ def _is_blank(byte):  # type: ignore[no-untyped-def]
     return byte == 32 or byte == 9 or byte == 13 or byte == 11 or byte == 12
 
 
-@njit(cache=True, nogil=True)
-def line_ranges(text):  # type: ignore[no-untyped-def]
-    """Return (start (L,), end (L,)) of each line of `text` (N,) uint8, newline excluded."""
-    count = 1
-    for byte in text:
-        count += byte == 10
-    starts = np.zeros(count, np.int64)
-    ends = np.full(count, text.size, np.int64)
-    line = 0
-    for position in range(text.size):
-        if text[position] == 10:
-            ends[line] = position
-            line += 1
-            starts[line] = position + 1
-    return starts, ends
+def line_ranges(text: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
+    """Return (start (L,), end (L,)) of each line of `text` (N,), newline excluded."""
+    breaks = np.flatnonzero(text == 10)
+    return np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [text.size]])
 
 
 @njit(cache=True, nogil=True)

@@ -92,19 +92,16 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
 
     Where there is a normal map they have tangents too. Raises OutputError.
     """
-    file, materials, images = GlbFile(), list[dict[str, Any]](), list[dict[str, Any]]()
-
-    def texture(name: str, png: bytes) -> dict[str, int]:
-        images.append({"name": Path(name).stem, "bufferView": file.add_bytes(png), "mimeType": "image/png"})
-        return {"index": len(images) - 1}
-
+    file, materials = GlbFile(), list[dict[str, Any]]()
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
         attributes: dict[str, tuple[NDArray[Any], str]] = {}
         if picture is not None:
-            material["pbrMetallicRoughness"]["baseColorTexture"] = texture(picture.name, picture.png)
+            material["pbrMetallicRoughness"]["baseColorTexture"] = file.add_picture(
+                picture.png, name=Path(picture.name).stem
+            )
         if mesh.uv is None:
             vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)
         else:
@@ -113,7 +110,9 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
                 frames = tangent_mesh(mesh.vertices, mesh.faces[chosen], mesh.uv[chosen], normals)
                 split = frames.split
                 attributes["TANGENT"] = (frames.tangents.astype("f4"), "VEC4")
-                material["normalTexture"] = texture(picture.normal_name, picture.normal_png)
+                material["normalTexture"] = file.add_picture(
+                    picture.normal_png, name=Path(picture.normal_name).stem
+                )
             vertex, faces = split.vertex, split.faces
             attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
         if picture is None and mesh.vertex_color_linear is not None:
@@ -128,9 +127,8 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
             normals=normals[vertex],
         )
         materials.append(material)
-    textures = {"images": images, "textures": [{"source": k} for k in range(len(images))]} if images else {}
     nodes = [{"name": file.meshes[k]["name"], "mesh": k} for k in range(len(materials))]
-    file.write(path, nodes, list(range(len(nodes))), materials=materials, **textures)
+    file.write(path, nodes, list(range(len(nodes))), materials=materials)
 
 
 def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.bool_]]]:
