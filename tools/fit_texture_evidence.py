@@ -39,9 +39,8 @@ from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import ColourScorer
 from scan2albedo.synthetic.face_paint import PaintedFeatures, landmark_uv, paint_face
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, Expression
-from scan2albedo.synthetic.raw_scan import scan_of
+from scan2albedo.synthetic.raw_scan import Scanner, scan_of
 from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.scenes import light_at
 from scan2albedo.synthetic.sitter import Painter, sit_down
 from scan2albedo.synthetic.textures import skin, smooth_noise, smoothstep

@@ -218,7 +218,7 @@ def write_face(
     inputs: Sequence[ProcessedFace],
     options: Mapping[str, Any] | None = None,
 ) -> Path:
-    """Write the face that an application made into a folder, whole or not at all; return the folder.
+    """Return the folder into which the face that an application made was written, whole or not at all.
 
     Files: geometry_image.npz, albedo.exr, albedo.png, fitted.glb with the albedo, picture.png under a
     portrait light, and application.json. A shape alone has no file of an albedo.

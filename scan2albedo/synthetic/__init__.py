@@ -6,9 +6,8 @@ from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
 from scan2albedo.synthetic.glossy_person import GlossyFace
 from scan2albedo.synthetic.population import population_reflectance
 from scan2albedo.synthetic.portraits import FacePhotograph, FlashCapture, face_photograph, flash_capture
-from scan2albedo.synthetic.raw_scan import SyntheticTruth, raw_scan
+from scan2albedo.synthetic.raw_scan import Scanner, SyntheticTruth, raw_scan
 from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.scanner import Scanner
 from scan2albedo.synthetic.scenes import (
     SyntheticScene,
     TextureName,

@@ -207,8 +207,37 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     outward = {"rim_top": 18, "rim_inner": 42, "rim_bottom": 54, "rim_outer": 66}
     half.marks |= {name: int(rim[i, 0]) for name, i in outward.items()}
     half.marks["rim_bridge"] = int(rim[_BRIDGE, _SECTION // 2])
-    _add_bridge(half, shape, *loops[_BRIDGE], welded=welded)
-    _add_temple(half, shape, *loops[_HINGE], welded=welded)
+    # Half the bridge.
+    loop, points = loops[_BRIDGE]
+    start, t = points.mean(0), np.linspace(0, 1, 9)
+    path = np.stack([start[0] * (1 - t), start[1] + 1.5 * t * (2 - t), start[2] * (1 - t) ** 2], 1)
+    path[-1, 0] = 0.0
+    frames = np.broadcast_to(_BRIDGE_FRAME, (len(path), 3, 3))
+    ellipse = _ellipse(len(loop), 0.45 * shape.rim_depth, shape.bridge_height / 2, -0.75 * np.pi)
+    rings = _blended(path, frames, points, ellipse, np.clip(2 * t, 0, 1))
+    if not welded:
+        rings[0] = path[0] + [0.6 * shape.rim_width, 0, 0] + 0.6 * ellipse @ frames[0]
+    half.seam = half.add_tube(rings, loop if welded else None)[-1]
+    half.marks |= {"bridge_top": int(half.seam[6]), "bridge_bottom": int(half.seam[14])}
+    # The temple; over 8 mm its section turns from the patch's outline into an ellipse.
+    loop, points = loops[_HINGE]
+    start = points.mean(0) + (0.0 if welded else np.array([1.0 + 0.25 * shape.rim_width, 0, 0]))
+    path = temple_path(shape, start)
+    frames = _path_frames(path)
+    frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
+    ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    rings = _blended(
+        path, frames, points, ellipse, np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
+    )
+    numbers = half.add_tube(rings, loop if welded else None)
+    outside, middle = 2, CORNER_RINGS + STRAIGHT_RINGS // 2
+    half.marks |= {
+        "hinge": int(numbers[CORNER_RINGS // 2, outside]),
+        "temple_middle": int(numbers[middle, outside]),
+        "ear_bend": int(numbers[CORNER_RINGS + STRAIGHT_RINGS + BEND_RINGS // 2, outside]),
+        "temple_tip": half.add_cap(numbers[-1], rings[-1], end=True),
+    }
     if nose_pads:
         # A thin arm out of the rim with a pad at its end.
         t = np.linspace(0, 1, 14)
@@ -233,45 +262,6 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         half.seam = np.concatenate([half.seam, last])
         half.marks["bridge_top"] = int(last[0])
     return half
-
-
-def _add_bridge(
-    half: _Half, shape: GlassesShape, loop: IntArray, points: FloatArray, *, welded: bool
-) -> None:
-    start = points.mean(0)
-    t = np.linspace(0, 1, 9)
-    path = np.stack([start[0] * (1 - t), start[1] + 1.5 * t * (2 - t), start[2] * (1 - t) ** 2], 1)
-    path[-1, 0] = 0.0
-    frames = np.broadcast_to(_BRIDGE_FRAME, (len(path), 3, 3))
-    ellipse = _ellipse(len(loop), 0.45 * shape.rim_depth, shape.bridge_height / 2, -0.75 * np.pi)
-    rings = _blended(path, frames, points, ellipse, np.clip(2 * t, 0, 1))
-    if not welded:
-        rings[0] = path[0] + [0.6 * shape.rim_width, 0, 0] + 0.6 * ellipse @ frames[0]
-    half.seam = half.add_tube(rings, loop if welded else None)[-1]
-    half.marks |= {"bridge_top": int(half.seam[6]), "bridge_bottom": int(half.seam[14])}
-
-
-def _add_temple(
-    half: _Half, shape: GlassesShape, loop: IntArray, points: FloatArray, *, welded: bool
-) -> None:
-    start = points.mean(0) + (0.0 if welded else np.array([1.0 + 0.25 * shape.rim_width, 0, 0]))
-    path = temple_path(shape, start)
-    frames = _path_frames(path)
-    frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
-    ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    # Over 8 mm the section turns from the patch's outline into an ellipse.
-    part = np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
-    rings = _blended(path, frames, points, ellipse, part)
-    numbers = half.add_tube(rings, loop if welded else None)
-    tip = half.add_cap(numbers[-1], rings[-1], end=True)
-    outside, middle = 2, CORNER_RINGS + STRAIGHT_RINGS // 2
-    half.marks |= {
-        "hinge": int(numbers[CORNER_RINGS // 2, outside]),
-        "temple_middle": int(numbers[middle, outside]),
-        "ear_bend": int(numbers[CORNER_RINGS + STRAIGHT_RINGS + BEND_RINGS // 2, outside]),
-        "temple_tip": tip,
-    }
 
 
 def _blended(

@@ -1,35 +1,264 @@
-"""Raw scans of a synthetic person with flash photographs, and their truth."""
+"""Raw scans of a synthetic person by a two-pod stereo scanner with flash photographs, and their truth."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
-from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
+from scan2albedo.geometry.rigid import (
+    compose,
+    invert_rigid,
+    random_rotation,
+    rotation_from_vector,
+    transform_points,
+)
+from scan2albedo.synthetic.camera import auto_exposure, photograph, toward
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumb_meshes, join, nose_tip
-from scan2albedo.synthetic.renderer import Material
-from scan2albedo.synthetic.scanner import (
-    AmbientLight,
-    Pod,
-    RangeMesh,
-    Scanner,
-    capture,
-    disturbed,
-    flash_pictures,
-    portrait_pods,
-    random_pose,
-)
+from scan2albedo.synthetic.renderer import Material, RayScene, render
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
-from scan2albedo.synthetic.sitter import Sitter, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
+
+_BACKDROP = np.array([0.010, 0.016, 0.030])
+_LEAST_COSINE = 0.12
+"""Between a triangle's normal and a ray that still measures it."""
+
+AmbientLight = Callable[[Sitter, RayScene, np.random.Generator], FloatArray]
+"""Gives the ambient light (V, 3) on a sitter's vertices."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scanner:
+    """How a scan of a person is taken."""
+
+    spacing_mm: float = 2.2
+    """Distance of neighbouring samples on the head."""
+    noise_mm: float = 0.2
+    """Standard deviation of the noise along the normals."""
+    holes: int = 5
+    spikes: int = 15
+    crumbs: int = 5
+    """`holes`, `spikes`, `crumbs`: holes of 2 to 6 mm radius, vertices thrown off, loose patches in the
+    air."""
+    rotation_max_deg: float = 180.0
+    """As in `random_pose`."""
+    picture_size: int = 900
+    """Height and width of each pod's picture in pixels."""
+    size: int = 512
+    """Texels of the truth's geometry image."""
+
+
+@dataclass(frozen=True)
+class Pod:
+    """A pinhole camera at `position_mm` (3,) that looks at `target_mm` (3,), +y up in its square picture.
+
+    `half_angle_rad` is half the angle that the picture spans.
+    """
+
+    position_mm: FloatArray
+    target_mm: FloatArray
+    half_angle_rad: float
+
+    @property
+    def axes(self) -> FloatArray:
+        """(3, 3) rows: to the right of the picture, up, and forward."""
+        forward = normalized(self.target_mm - self.position_mm)
+        right = normalized(np.cross(forward, [0.0, 1.0, 0.0]))
+        return np.stack([right, np.cross(right, forward), forward])
+
+    def directions(self, plane: ArrayLike) -> FloatArray:
+        """Return (N, 3) unit rays through picture-plane points (N, 2) in [-1, 1], +x right, +y up."""
+        xy = np.asarray(plane, float) * np.tan(self.half_angle_rad)
+        right, up, forward = self.axes
+        rays = xy[:, :1] * right + xy[:, 1:] * up + forward
+        rays /= np.sqrt(1 + np.einsum("ij,ij->i", xy, xy))[:, None]
+        return rays
+
+    def project(self, points: ArrayLike) -> FloatArray:
+        """Return (N, 2) picture-plane coordinates in [-1, 1] of points (N, 3) in front of the pod."""
+        seen = (np.asarray(points, float) - self.position_mm) @ self.axes.T
+        return seen[:, :2] / seen[:, 2:] / np.tan(self.half_angle_rad)
+
+
+def two_pods(center: FloatArray, *, reach_mm: float) -> tuple[Pod, Pod]:
+    """Return pods 1 m off, at the subject's left and right; pictures span `center` (3,) +- `reach_mm`."""
+    distance_mm = 1000.0
+    half_angle = float(np.arctan(reach_mm / distance_mm))
+    left, right = (
+        Pod(center + distance_mm * toward(yaw_deg, 5.0), center, half_angle) for yaw_deg in (35.0, -35.0)
+    )
+    return left, right
+
+
+def portrait_pods(nose_tip: FloatArray) -> tuple[Pod, Pod]:
+    """Return the pods before a person, whose pictures hold hair and shoulders."""
+    return two_pods(nose_tip + [0.0, -15.0, -70.0], reach_mm=205.0)
+
+
+@dataclass(frozen=True)
+class RangeMesh:
+    """The mesh that the pods measured: `vertices` (V, 3) mm, exactly on the scene, `faces` (F, 3) outward.
+
+    `face_pod` (F,) is the number of the pod that sees the face best and colours it.
+    """
+
+    vertices: FloatArray
+    faces: IntArray
+    face_pod: IntArray
+
+
+def capture(
+    vertices: FloatArray,
+    faces: IntArray,
+    pods: Sequence[Pod],
+    *,
+    spacing_mm: float,
+    rng: np.random.Generator,
+    axis_mm: FloatArray,
+) -> RangeMesh:
+    """Sample a scene irregularly and keep what at least one pod sees.
+
+    Jittered horizontal rays toward a vertical axis through `axis_mm` (3,), about `spacing_mm` apart where
+    they pass a head's surface, are triangulated in the unrolled cylinder. Triangles that bridge a jump in
+    depth, lean too far away, or hide from all pods are dropped, as stereo matching does.
+    """
+    from scipy.spatial import Delaunay
+
+    # Rays from a cylinder; unrolled coordinates are in mm at 100 mm radius.
+    radius, far, widest = 100.0, 600.0, np.deg2rad(115)
+    across = np.arange(-widest * radius, widest * radius, spacing_mm)
+    up = np.arange(vertices[:, 1].min(), vertices[:, 1].max(), spacing_mm)
+    unrolled = np.stack(np.meshgrid(across, up), -1).reshape(-1, 2)
+    unrolled = unrolled + rng.uniform(-0.42, 0.42, unrolled.shape) * spacing_mm
+    azimuth = unrolled[:, 0] / radius
+    outward = np.stack([np.sin(azimuth), np.zeros_like(azimuth), np.cos(azimuth)], 1)
+    foot = np.stack([np.full(len(azimuth), axis_mm[0]), unrolled[:, 1], np.full(len(azimuth), axis_mm[2])], 1)
+    origins, rays = foot + far * outward, -outward
+    scene = RayScene(vertices, faces)
+    hits = scene.first_hit(origins, rays)
+    seen = hits.face >= 0
+    points = origins[seen] + hits.distance[seen, None] * rays[seen]
+    # Counter-clockwise triangles of the plane without long edges.
+    plane = unrolled[seen]
+    triangles = Delaunay(plane).simplices.astype(np.int64)
+    a, b, c = (plane[triangles[:, k]] for k in range(3))
+    clockwise = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
+    triangles[clockwise] = triangles[clockwise][:, ::-1]
+    edges = np.stack([b - a, c - b, a - c], 1)
+    triangles = triangles[np.linalg.norm(edges, axis=2).max(1) < 2.5 * spacing_mm]
+    normals = face_normals(points, triangles)
+    leaning = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
+    # The cosine between each triangle's normal and each pod, -1 where the pod cannot see it.
+    facing = np.empty((len(triangles), len(pods)))
+    for k, pod in enumerate(pods):
+        toward_pod = normalized(pod.position_mm - points)
+        hidden = np.asarray((np.abs(pod.project(points)) > 0.995).any(1))
+        hidden[~hidden] = scene.occluded((points + 0.5 * toward_pod)[~hidden], toward_pod[~hidden])
+        cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
+        facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
+    kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
+    used, renumbered = np.unique(triangles[kept], return_inverse=True)
+    numbered, facing = renumbered.reshape(-1, 3).astype(np.int64), facing[kept]
+    # The pod that sees a face best, averaged twelve times around, so that the seam is one line.
+    lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(len(pods))], 1)
+    count = np.bincount(numbered.ravel(), minlength=numbered.max() + 1)
+    for k in range(len(pods)):
+        for _ in range(12):
+            around = np.bincount(numbered.ravel(), np.repeat(lead[:, k], 3), minlength=len(count)) / count
+            lead[:, k] = around[numbered].mean(1)
+    best = lead.argmax(1)
+    unseen = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
+    return RangeMesh(points[used], numbered, np.where(unseen, facing.argmax(1), best))
+
+
+def disturbed(
+    vertices: FloatArray, faces: IntArray, rng: np.random.Generator, noise_mm: float, spikes: int
+) -> FloatArray:
+    """Return the vertices with Gaussian noise along their normals and a few thrown far off."""
+    offset = rng.normal(scale=noise_mm, size=len(vertices))
+    thrown = rng.choice(len(vertices), spikes, replace=False)
+    offset[thrown] += rng.uniform(3, 15, spikes) * rng.choice([-1, 1], spikes)
+    return vertices + offset[:, None] * vertex_normals(vertices, faces)
+
+
+def random_pose(
+    rng: np.random.Generator, rotation_max_deg: float = 180.0, translation_max_mm: float = 300.0
+) -> FloatArray:
+    """Return a rigid transform (4, 4), each coordinate of its translation uniform in +- the maximum.
+
+    The rotation is uniform for 180 degrees or more, else about a random axis by at most that angle.
+    """
+    if rotation_max_deg >= 180:
+        rotation = random_rotation(rng)
+    else:
+        axis = rng.normal(size=3)
+        angle = np.deg2rad(rotation_max_deg) * rng.uniform()
+        rotation = rotation_from_vector(axis / np.linalg.norm(axis) * angle)
+    return compose(rotation, rng.uniform(-1, 1, 3) * translation_max_mm)
+
+
+def flash_pictures(
+    sitter: Sitter,
+    pods: tuple[Pod, Pod],
+    lights: tuple[PointLight, ...],
+    material: Material,
+    *,
+    size: int,
+    rng: np.random.Generator,
+    noise: float = 0.004,
+    colors: FloatArray | None = None,
+    ambient: AmbientLight | None = None,
+) -> tuple[NDArray[np.float32], float]:
+    """Return both pods' pictures side by side (size, 2 size, 3), linear from 8 bits, and their exposure.
+
+    The exposure keeps the face's brightest pixel just below white; clothes may clip, and have no highlight.
+    `noise` is a standard deviation, white = 1, as of a good camera; `colors` (1 + L, 3) are those of the
+    ambient light and of each lamp, white when None; `ambient` replaces the constant ambient light 1.
+    """
+    scene, radiances, faces_shown = RayScene(sitter.vertices, sitter.faces), [], []
+    soft = None if ambient is None else ambient(sitter, scene, rng)
+    for pod in pods:
+        rays = pod.directions(2 * texel_coordinates(size) - 1)
+        hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)
+        hit = hits.face >= 0
+        face, barycentric = hits.face[hit], hits.barycentric[hit]
+        corners = sitter.faces[face]
+        under = partial(
+            render,
+            np.einsum("nk,nkc->nc", barycentric, sitter.vertices[corners]),
+            normalized(np.einsum("nk,nkc->nc", barycentric, sitter.normals[corners])),
+            sitter.albedo_at(face, barycentric),
+            material=material,
+            occluder=scene,
+            view_direction=-rays[hit],
+            specular_scale=sitter.specular_scale_at(face),
+        )
+        radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
+        if colors is None and soft is None:
+            radiance[hit] = under(lights).radiance_linear
+        else:
+            tints = np.ones((1 + len(lights), 3)) if colors is None else colors
+            around = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
+            unlit = under(()).radiance_linear
+            lamps = [under((light,)).radiance_linear - unlit for light in lights]
+            parts = zip([tints[0] * around, *tints[1:]], (unlit, *lamps), strict=True)
+            radiance[hit] = np.asarray(sum(color * part for color, part in parts))
+        on_face[hit] = sitter.part[face] == BodyPart.FACE
+        radiances.append(radiance.reshape(size, size, 3))
+        faces_shown.append(radiance[on_face])
+    exposure = auto_exposure(np.concatenate(faces_shown))
+    both = np.concatenate(radiances, axis=1)
+    return photograph(both, exposure=exposure, noise=noise, bits=8, rng=rng), exposure
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from scan2albedo.synthetic.head import (
     nose_tip,
     shoulder_sheet,
 )
-from scan2albedo.synthetic.scanner import capture, disturbed, random_pose, two_pods
+from scan2albedo.synthetic.raw_scan import capture, disturbed, random_pose, two_pods
 
 
 def raw_like(

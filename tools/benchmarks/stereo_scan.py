@@ -27,7 +27,7 @@ from scan2albedo.synthetic.head import (
     join,
     nose_tip,
 )
-from scan2albedo.synthetic.scanner import (
+from scan2albedo.synthetic.raw_scan import (
     capture,
     disturbed,
     portrait_pods,

@@ -23,8 +23,7 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.synthetic.camera import toward
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
-from scan2albedo.synthetic.raw_scan import assembled, beside
-from scan2albedo.synthetic.scanner import Pod, RangeMesh, Scanner, capture, random_pose
+from scan2albedo.synthetic.raw_scan import Pod, RangeMesh, Scanner, assembled, beside, capture, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import BodyPart, Sitter
 

@@ -26,8 +26,7 @@ from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
-from scan2albedo.synthetic.raw_scan import assembled
-from scan2albedo.synthetic.scanner import Pod, RangeMesh, Scanner, capture, random_pose
+from scan2albedo.synthetic.raw_scan import Pod, RangeMesh, Scanner, assembled, capture, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.textures import HEMOGLOBIN, smooth_noise
 

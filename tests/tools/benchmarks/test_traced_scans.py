@@ -16,7 +16,7 @@ from benchmarks.traced_scans import (
 
 import scan2albedo as s2a
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic.scanner import capture
+from scan2albedo.synthetic.raw_scan import capture
 from scan2albedo.synthetic.sitter import sit_down
 
 
