@@ -32,9 +32,8 @@ from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_point
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
-RIGID_LEVEL, MIN_FIRST_CONTACT = 0, 0.03
-"""Samples while pose, size and proportions are found; least part of their area with scan near before it
-bends."""
+MIN_FIRST_CONTACT = 0.03
+"""Least part of the model's area with scan near before it bends."""
 
 
 class Posed(Protocol):
@@ -124,7 +123,7 @@ def fit(
         shown = scan.without_faces(covered) if covered.any() else scan
         painted = painted_pull(shown, pose, model, deformation.reference)
         pull = painted if pull is None else pull.with_more(painted)
-    samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
+    samples = SurfaceSamples.of(model, deformation.reference, 0)
     reference = proportioned(bare.scan, samples, deformation.reference, chosen, meter, pull)
     if pull is not None:
         pull, left_out = _believed(pull, model, reference)
@@ -192,7 +191,7 @@ def _scan_surface(
             f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "
             "register the scan first, and check its unit"
         )
-    points, faces = model.surface(RIGID_LEVEL)
+    points, faces = model.surface(0)
     return surface.turned_outward(points, vertex_normals(points, faces), GATE_MM[0])
 
 
@@ -205,7 +204,7 @@ def _refined(
     name: str,
 ) -> Similarity:
     """Return the similarity that lays the model on the scan; FitError where hardly any scan is near then."""
-    samples = SurfaceSamples.of(model, model.control_vertices, RIGID_LEVEL)
+    samples = SurfaceSamples.of(model, model.control_vertices, 0)
     rest = samples.matrix @ model.control_vertices
     similarity = refine_similarity(
         surface,

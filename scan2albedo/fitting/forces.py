@@ -18,7 +18,7 @@ MIN_NORMAL_COSINE = 0.6
 ROBUST_SCALE, MIN_ROBUST_MM, RIM_ROBUST_MM = 3.0, (3.0, 1.0), 0.25
 """Residuals beyond that many robust standard deviations lose their weight; floors of these in the first and
 last stage, and at the rim."""
-MUTUAL_SLOPE, MUTUAL_SPACING = 0.5, 0.1
+MUTUAL_SPACING = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,13 @@ class ScanForces:
 
         Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, x lies
         behind a part of the model that y belongs to, about as far as y is: such pairs must not pull. Kept are
-        those for which the sample nearest to y is within MUTUAL_SLOPE |y - x| of x, plus a part of the
+        those for which the sample nearest to y is within |y - x| / 2 of x, plus a part of the
         samples' spacing, which follows from their `area` (N,).
         """
         used = np.flatnonzero(self.weight > 0)
         _, back = cKDTree(samples, balanced_tree=False).query(samples[used] + self.offset[used])
         gap = np.linalg.norm(samples[back] - samples[used], axis=1)
-        reach = MUTUAL_SLOPE * np.linalg.norm(self.offset[used], axis=1)
+        reach = 0.5 * np.linalg.norm(self.offset[used], axis=1)
         kept = np.zeros(len(samples), bool)
         kept[used] = gap <= reach + MUTUAL_SPACING * np.sqrt(area[used])
         return kept

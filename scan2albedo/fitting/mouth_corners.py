@@ -13,7 +13,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.fitting.mouth_opening import EARS, REACH_MM
+from scan2albedo.fitting.mouth_opening import REACH_MM
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
@@ -82,7 +82,7 @@ class MouthCorners:
         beside = np.maximum(np.abs(across) - half_width, 0)
         share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / BESIDE_MM) ** 2)
         share = share * np.exp(-0.5 * (above / ABOVE_MM) ** 2)
-        toward = normalized(landmarks[list(EARS)] - corners)
+        toward = normalized(landmarks[[0, 16]] - corners)
         return cls(
             np.where(across < 0, share, 0.0)[:, None] * toward[0],
             np.where(across > 0, share, 0.0)[:, None] * toward[1],

@@ -17,6 +17,7 @@ from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import FILLED_REGION, MOUTH_REGION, REST_REGION
+from scan2albedo.fitting.landmark_pull import STILL
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -46,14 +47,8 @@ UPPER_PATCH_MM, MIDDLE_PATCH_MM = 22.0, 26.0
 """Sides of the patches over which differences are averaged, against noise."""
 LEAST_OF_A_PATCH, LEAST_OF_A_REGION = 0.4, 0.6
 """Part of the area that must be seen on both sides."""
-LEVEL, MIRROR_TOLERANCE_MM = 1, 0.1
-"""Refinements at which halves are compared; farthest a vertex of a mirror-symmetric model is from its
-twin."""
-ITERATIONS, ROBUST_MM = 6, 1.0
-"""Of laying the mirror image on the face: distances above `ROBUST_MM` count less and less."""
-UPPER = np.arange(17, 48)
-"""Brows, nose and eyes (iBUG-68), which jaw and lips do not move."""
-NOSE_TIP, OUTER_EYES = 30, [36, 45]
+MIRROR_TOLERANCE_MM = 0.1
+"""Farthest a vertex of a mirror-symmetric model is from its twin."""
 MEAN = np.array([0.017, -0.031, -0.043])
 COVARIANCE = np.array(
     [[0.00261, 0.00074, -0.00189], [0.00074, 0.00545, 0.00255], [-0.00189, 0.00255, 0.00692]]
@@ -153,7 +148,7 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
     distances are measured along the normals. Only models that are their own mirror image are judged.
     """
     model, landmarks = fitted.model, fitted.model.landmarks
-    level, mirror = min(LEVEL, fitted.levels), np.array([-1.0, 1.0, 1.0])
+    level, mirror = min(1, fitted.levels), np.array([-1.0, 1.0, 1.0])
     rest = model.surface(level)[0]
     gap, twin = cKDTree(rest).query(rest * mirror)
     if landmarks is None or gap.max() > MIRROR_TOLERANCE_MM:
@@ -167,13 +162,13 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
     upper = height > UPPER_ABOVE_MM
     if not (area * (seen & upper)).any():
         return None
-    # The mirror image is laid on the face robustly.
+    # The mirror image is laid on the face robustly: distances above 1 mm count less and less.
     image, normals = points[twin] * mirror, vertex_normals(points, faces)
     weight, robust = area * (seen & upper), np.ones(len(points))
-    for _ in range(ITERATIONS):
+    for _ in range(6):
         laid = transform_points(procrustes(image, points, weights=weight * robust), image)
         distance = np.einsum("ij,ij->i", laid - points, normals)
-        robust = 1 / (1 + (distance / ROBUST_MM) ** 2)
+        robust = 1 / (1 + distance**2)
 
     def unlike_mm(where: BoolArray, patch_mm: float) -> float:
         """RMS of the patches' means over the left half, weighted by seen area; 0 where too few are seen."""
@@ -245,16 +240,17 @@ def proportions(landmarks: FloatArray) -> Proportions:
     reference = default_model().landmarks
     assert reference is not None
     # The stretch is the symmetric factor S of the affine map R S; the sides of the jaw line show the width.
-    shown = np.concatenate([np.arange(4), np.arange(13, 17), UPPER])
+    shown = [*range(4), *range(13, 17), *STILL]
     source, target = (points[shown] - points[shown].mean(0) for points in (reference, landmarks))
     _, singular, vt = np.linalg.svd(np.linalg.lstsq(source, target, rcond=None)[0].T)
     width, height, depth = np.log(np.maximum(np.diag((vt.T * singular) @ vt), 1e-9))
 
     def nose_depth(points: FloatArray) -> float:
         """How far the nose's tip is before the outer corners of the eyes, relative to their distance."""
-        upright = transform_points(procrustes(points[UPPER], reference[UPPER]), points)
-        right, left = upright[OUTER_EYES]
-        before = upright[NOSE_TIP, 2] - (right[2] + left[2]) / 2
+        still = list(STILL)
+        upright = transform_points(procrustes(points[still], reference[still]), points)
+        right, left = upright[[36, 45]]
+        before = upright[30, 2] - (right[2] + left[2]) / 2
         return max(float(before / np.linalg.norm(left - right)), 1e-3)
 
     nose = np.log(nose_depth(landmarks) / nose_depth(reference))

@@ -16,7 +16,7 @@ from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
-RIM_MM, _AROUND_MM = 30.0, 15.0
+RIM_MM = 30.0
 _LEAST_RELIEF, _MOST_RELIEF = 0.1, 0.3
 """What a flat sample still counts for, and the turn of the normals (1 - cosine) beyond which none counts
 more: nose, lids, lips and ears reach it."""
@@ -73,7 +73,7 @@ class SurfaceSamples:
         """
         normals = self.normals(points)
         tree = cKDTree(points)
-        near = tree.sparse_distance_matrix(tree, _AROUND_MM, output_type="coo_matrix")
+        near = tree.sparse_distance_matrix(tree, RIM_MM / 2, output_type="coo_matrix")
         shape = (len(points), len(points))
         # The matrix leaves out distances of zero: each sample itself.
         around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()

@@ -12,17 +12,11 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
-from scan2albedo.optimization.least_squares import NormalEquations, damped_step
+from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
 
-_RIDGE = 1e-9
-"""Part of the normal equations' diagonal that is added to it: what nothing determines stays."""
 _INDEPENDENT = 300
 """Neighbouring pairs err together: all of them count as this many against the prior."""
-_LARGEST_GROWTH = 0.05
-"""Of the logarithm of the size in one step."""
 _MOST_CELLS = 1_500_000
-_LARGEST_TURN_RAD = 0.5
-"""Linearisations about a far pose are trusted no further."""
 
 
 @dataclass(frozen=True)
@@ -60,13 +54,12 @@ def align(
     points: FloatArray,
     weights: FloatArray,
     pairs: Callable[[Alignment, FloatArray], Pairs | None],
-    start: Alignment | Similarity,
+    start: Alignment | Similarity = Similarity(np.eye(3), np.zeros(3)),
     *,
     steps: int,
     modes: FloatArray | None = None,
     precision: FloatArray | None = None,
     scale_range: tuple[float, float] = (0.0, np.inf),
-    growth: float = _LARGEST_GROWTH,
     settled: float = 0.0,
 ) -> Alignment:
     """Return where reweighted Gauss-Newton steps take points (N, 3) with modes (N, 3, K) of their shape.
@@ -79,8 +72,8 @@ def align(
     with the targets y_i, normals n_i and robust weights r_i that `pairs` finds anew for the points (N, 3)
     where the present alignment puts them; None ends the search, as does a step shorter than `settled`.
     `weights` w (N,) have the sum W. `precision` P (K + 1, K + 1) is that of log s and c before the target is
-    seen, 0 by default; `scale_range` bounds s, and fixes it where both ends are the same; `growth` bounds the
-    change of log s in one step. One step costs O(N (K + 7)^2).
+    seen, 0 by default; `scale_range` bounds s, and fixes it where both ends are the same. One step costs
+    O(N (K + 7)^2).
     """
     count = 0 if modes is None else modes.shape[2]
     known = np.zeros((count + 1, count + 1)) if precision is None else precision
@@ -116,8 +109,9 @@ def align(
         gradient[6:] += prior @ np.concatenate([[size], c])
         upper, lower = np.full(7 + count, np.inf), np.full(7 + count, -np.inf)
         low, high = np.log(np.maximum(scale_range, 1e-300)) - size
-        lower[6], upper[6] = max(-growth, min(low, 0.0)), min(growth, max(high, 0.0))
-        change = damped_step(NormalEquations(matrix, gradient, lower, upper), _RIDGE)
+        lower[6], upper[6] = min(low, 0.0), max(high, 0.0)
+        # The damping is that of rounding: what nothing determines stays.
+        change = damped_step(NormalEquations(matrix, gradient, lower, upper), SMALLEST_DIAGONAL)
         pose = Similarity(
             rotation_from_vector(change[:3]) @ pose.rotation,
             pose.translation + change[3:6],
@@ -134,8 +128,8 @@ def align(
 class NearestGrid:
     """A voxel grid over a point cloud.
 
-    `nearest` (X, Y, Z) holds the index of (nearly) the nearest sample to each cell's centre, `origin` (3,) is
-    the corner of cell (0, 0, 0), `cell` the side of a cell.
+    `nearest` (X, Y, Z) holds the (nearly) nearest sample to each cell's centre, `origin` (3,) is the corner
+    of cell (0, 0, 0), `cell` the side of a cell.
     """
 
     samples: OrientedPoints
@@ -295,7 +289,7 @@ def _move(rotation, translation, step):  # type: ignore[no-untyped-def]
         translation[axis] += step[3 + axis]
     if angle < 1e-12:
         return
-    limited = min(angle, _LARGEST_TURN_RAD)
+    limited = min(angle, 0.5)  # radians: linearisations about a far pose are trusted no further
     a, b, c = step[0] / angle, step[1] / angle, step[2] / angle
     sin, cos = np.sin(limited), np.cos(limited)
     for column in range(3):

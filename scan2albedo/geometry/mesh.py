@@ -10,9 +10,6 @@ from scipy.sparse.csgraph import connected_components
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
 FAR_FACTOR, FAR_PERCENT, OBJECT_SHARE = 3.0, 75.0, 0.05
-_FAR_ROUNDS = 10
-_LONG_ROW = 64
-"""Neighbours, each as often as faces name it, from which insertion sorts them slower than `numpy.sort`."""
 
 
 def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -207,7 +204,7 @@ def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
     moment; the farthest of a head with shoulders lies at 2.1 times that distance.
     """
     far = ~used
-    for _ in range(_FAR_ROUNDS):
+    for _ in range(10):
         near = vertices[~far]
         distance = lengths(vertices - np.median(near, axis=0))
         farther = distance > FAR_FACTOR * np.percentile(distance[~far], FAR_PERCENT)
@@ -245,7 +242,8 @@ def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntAr
     np.cumsum(2 * np.bincount(index.ravel(), minlength=vertex_count), out=ends[1:])
     every = np.empty(ends[-1], np.int64)
     _list_corners(index, ends[:-1].copy(), every)
-    for long in np.flatnonzero(np.diff(ends) > _LONG_ROW):
+    # From about 64 on insertion is slower than `numpy.sort`.
+    for long in np.flatnonzero(np.diff(ends) > 64):
         every[ends[long] : ends[long + 1]].sort()
     begins = np.zeros_like(ends)
     count = _sort_rows_once(ends, every, begins)

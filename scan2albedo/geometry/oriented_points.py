@@ -13,7 +13,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 
 _MAX_RAW_SAMPLES = 400_000
-_MAX_SAMPLES_PER_FACE = 256
 _LEAST_AGREEMENT = 0.3
 
 
@@ -56,7 +55,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     cross = face_cross_products(vertices, faces)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     used = np.flatnonzero(area > 0)
-    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, _MAX_SAMPLES_PER_FACE).astype(np.int64)
+    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(np.int64)
     stride = int(np.ceil(per_face.sum() / _MAX_RAW_SAMPLES)) or 1
     used, per_face = used[::stride], per_face[::stride]
     owner = np.repeat(used, per_face)

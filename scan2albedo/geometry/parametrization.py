@@ -13,9 +13,6 @@ from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas, v
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
 3 fills 88 %. The corners take up some angular distortion."""
-SLIM_ITERATIONS = 30
-PADDING_TEXELS, RESOLUTION_TEXELS = 2, 512
-"""Margin that xatlas leaves around the chart, at this resolution."""
 
 
 def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None) -> FloatArray:
@@ -40,7 +37,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(unit.astype(np.float32), index.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.padding, pack.resolution = PADDING_TEXELS, RESOLUTION_TEXELS
+    pack.padding, pack.resolution = 2, 512
     pack.rotate_charts = pack.rotate_charts_to_axis = False
     atlas.generate(pack_options=pack)
     origin, _, packed = atlas.get_mesh(0)
@@ -88,7 +85,7 @@ def flatten_disc(
         np.asfortranarray(target),
         boundary_weight,
     )
-    uv = np.ascontiguousarray(igl.slim_solve(data, SLIM_ITERATIONS)[:, :2])
+    uv = np.ascontiguousarray(igl.slim_solve(data, 30)[:, :2])
     if mirror is None:
         return uv
     offset = uv - [0.5 * (uv[:, 0].min() + uv[:, 0].max()), 0.0]

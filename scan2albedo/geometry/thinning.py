@@ -10,9 +10,6 @@ import numpy as np
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import edges_with_faces
 
-_MOST_CELLS = 2**20
-"""Along a side of the grid."""
-
 
 @dataclass(frozen=True)
 class ThinnedSurface:
@@ -44,8 +41,8 @@ def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurfac
 
     `cell` is the side of the grid's cells in the mesh's unit, at least a millionth of the mesh's size.
     """
-    # Beyond that cells could not be numbered in 64 bits.
-    cell = max(cell, float(np.ptp(vertices, axis=0).max()) / _MOST_CELLS)
+    # With more along a side cells could not be numbered in 64 bits.
+    cell = max(cell, float(np.ptp(vertices, axis=0).max()) / 2**20)
     place = np.floor((vertices - vertices.min(0)) / cell + 0.5).astype(np.int64)
     span = place.max(0) + 1
     key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]

@@ -11,10 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.budget import Meter
 
 _FINAL_TEMPERATURE = 1e-4
-"""In units of the spread of the first `_SCALE_MOVES` costs."""
-_SCALE_MOVES = 20
-_SWEEP = 10
-"""Moves of each coordinate between two adaptations of its step length."""
+"""In units of the spread of the first costs."""
 _ACCEPTANCE = 0.44
 """Acceptance rate that the step lengths are steered to (one coordinate moves at a time)."""
 
@@ -96,7 +93,8 @@ def simulated_annealing(
     cost = evaluate(x)
     best_x, best_cost, used = x.copy(), cost, 1
     seen, scale = [cost], 0.0
-    accepted = np.zeros(x.size)
+    # Of each coordinate, before its step length is adapted.
+    accepted, moves = np.zeros(x.size), 10
     while used < evaluations and not meter.exhausted:
         k = (used - 1) % x.size
         trial = x.copy()
@@ -105,7 +103,7 @@ def simulated_annealing(
         trial[k] = np.clip(proposed if low[k] <= proposed <= high[k] else mirrored, low[k], high[k])
         trial_cost = evaluate(trial)
         used += 1
-        if len(seen) < _SCALE_MOVES:
+        if len(seen) < 20:
             seen.append(trial_cost)
             finite = [c for c in seen if np.isfinite(c)]
             scale = float(np.std(finite)) if len(finite) > 1 else 0.0
@@ -118,7 +116,7 @@ def simulated_annealing(
             if cost < best_cost:
                 best_x, best_cost = x.copy(), cost
                 meter.record(best_cost)
-        if (used - 1) % (_SWEEP * x.size) == 0:
-            step = np.clip(step * np.exp(accepted / _SWEEP - _ACCEPTANCE), 1e-9, high - low)
+        if (used - 1) % (moves * x.size) == 0:
+            step = np.clip(step * np.exp(accepted / moves - _ACCEPTANCE), 1e-9, high - low)
             accepted[:] = 0
     return AnnealingResult(best_x, best_cost, used, converged=used >= evaluations)

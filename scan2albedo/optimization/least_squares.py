@@ -12,7 +12,7 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 
-_SMALLEST_DIAGONAL = 1e-9
+SMALLEST_DIAGONAL = 1e-9
 """As a part of the largest: damps parameters that the cost does not depend on, so that they stay."""
 
 
@@ -33,9 +33,8 @@ class NormalEquations:
 class LeastSquaresPoint(Protocol):
     """A state with its cost: what `minimize` walks over.
 
-    The point counts its own evaluation in the meter. Where the weights of a robust loss are held fixed
-    during a step, `cost` of a point and of what `moved` makes of it must be under the same weights;
-    `minimize` reads `cost` only after `normal_equations`, which may settle new ones.
+    The point counts its own evaluation in the meter. A robust loss may settle new weights in
+    `normal_equations`, after which `cost` is read; what `moved` returns is under the same weights.
     """
 
     @property
@@ -148,13 +147,9 @@ def minimize(
 
 
 def damped_step(model: NormalEquations, damping: float) -> FloatArray:
-    """Return the damped step (P,) within its bounds; parameters that would leave them at once stay.
+    """Return the step (P,) with `damping` times the matrix's diagonal added to it, within its bounds.
 
-    Parameters
-    ----------
-    model : NormalEquations
-    damping : float
-        Factor of the matrix's diagonal that is added to it.
+    Parameters that would leave these at once stay.
     """
     free = np.ones(len(model.gradient), bool)
     if model.lower is not None:
@@ -166,7 +161,7 @@ def damped_step(model: NormalEquations, damping: float) -> FloatArray:
         return step
     matrix = model.matrix[np.ix_(free, free)]
     diagonal = np.diag(matrix)
-    diagonal = np.maximum(diagonal, _SMALLEST_DIAGONAL * max(float(diagonal.max()), 1e-30))
+    diagonal = np.maximum(diagonal, SMALLEST_DIAGONAL * max(float(diagonal.max()), 1e-30))
     damped = matrix + damping * np.diag(diagonal)
     try:
         step[free] = -np.linalg.solve(damped, model.gradient[free])

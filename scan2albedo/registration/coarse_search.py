@@ -19,7 +19,6 @@ _ROTATIONS, _CONE_RAD = 200, np.deg2rad(35.0)
 """Rotations tried at an anchor, and greatest angle of the model's +z axis to the averaged normal there."""
 _ROUNDS = ((60, 4, (20.0, 10.0)), (200, 8, (12.0, 5.0)))
 """Samples, steps, and first and last scale in mm: of the search from every start, and from the best."""
-_BLOCK = 128
 _DISTINCT_POSES = 160
 _SAME_ROTATION_RAD, _SAME_POSITION_MM = np.deg2rad(8), 10.0
 
@@ -53,10 +52,10 @@ def coarse_poses(
     for count, steps, sigma_mm in _ROUNDS:
         model, scores = template.first(count).samples, list[FloatArray]()
         rotations, translations = poses.rotations.copy(), poses.translations.copy()
-        for begin in range(0, len(poses), _BLOCK):
+        for begin in range(0, len(poses), 128):
             if begin and meter.exhausted:
                 break
-            block = slice(begin, begin + _BLOCK)
+            block = slice(begin, begin + 128)
             moving = rotations[block], translations[block]
             scores.append(align_on_grid(scan.grid, model, *moving, steps=steps, sigma=sigma_mm))
             meter.count(len(scores[-1]))

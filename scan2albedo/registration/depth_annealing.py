@@ -17,10 +17,8 @@ from scan2albedo.registration.relief import LOOK_THROUGH_MM, DepthFrame, depth_i
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 
-_TRUNCATION = 0.5
 _REACH = np.array([np.deg2rad(8.0)] * 3 + [8.0] * 2)
 """Half widths of the box: turns in radians, and mm."""
-_CHECK_SIGMAS_MM = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
@@ -78,7 +76,7 @@ class DepthDerivativeObjective:
         total = float(self._pixel_weights.sum())
         if total == 0:
             return 1.0
-        limit = _TRUNCATION * self._frame.pixel
+        limit = 0.5 * self._frame.pixel
         with np.errstate(invalid="ignore"):
             off = np.minimum(np.abs(self._slopes_of(self._draw(parameters)) - self._slopes), limit).sum(0)
         counted = self._pixel_weights > 0
@@ -203,8 +201,7 @@ def annealed(
     polished = tightened(scan.samples, template, near, options.settling_iterations, unseen).pose
     meter.count(unseen.evaluations)
     before_mm, after_mm = (
-        [rigid_distance_mm(scan.samples, template, p, sigma) for sigma in _CHECK_SIGMAS_MM]
-        for p in (start, polished)
+        [rigid_distance_mm(scan.samples, template, p, sigma) for sigma in (0.5, 2)] for p in (start, polished)
     )
     better = all(a < b for a, b in zip(after_mm, before_mm, strict=True))
     angle_deg = np.rad2deg(rotation_angle_rad(polished.rotation @ start.rotation.T))

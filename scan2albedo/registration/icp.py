@@ -18,14 +18,13 @@ from scan2albedo.registration.template import Template
 
 _SCALE_SD = 0.1
 _FARTHEST_MM, _INLIER_MM = 30.0, 10.0
-_LEAST_AGREEMENT = 0.5
 _SHAPED_MM, _NARROWING_MM, TIGHT_MM = (4.0, 3.0), (3.0, 1.0), 0.35
 """First and last scale of the weights of `shaped_icp` (with noise as in raw stereo, 2 mm scatters more than
 3) and of the tight ICP, and the scale at which that settles."""
 FEW, _FEW_STEPS, _MOST_STEPS = 500, 8, 16
 """Samples and steps with few samples; most steps with all of them."""
-_SETTLED, _TIGHTLY_SETTLED = 0.02, 1e-3
-"""Step, in degrees or mm, below which nothing more is gained."""
+_SETTLED = 0.02
+"""Step, in degrees or mm, below which nothing more is gained; of the tight ICP a twentieth."""
 _LOOSE = 6.0
 """Standard deviations that another width, height or depth may have where proportions are judged."""
 _STAGE = "shaped_icp"
@@ -58,8 +57,8 @@ class Residuals:
 
     @property
     def inlier(self) -> BoolArray:
-        """(M,): it is near and faces the same way."""
-        return self.near & (self.agreement > _LEAST_AGREEMENT)
+        """(M,): it is near and faces the same way, within 60 degrees."""
+        return self.near & (self.agreement > 0.5)
 
     def trust(self) -> FloatArray:
         """Return (M,) the squared agreement of the normals, 0 where there is no scan."""
@@ -219,7 +218,7 @@ def tightened(
     if near_mm > _NOISE_MM:
         return Tightened(start, PlanStep(stage, False, "the model is not of the same person", evidence))
     record(pose)
-    tight = icp(scan, template, pose, settling_steps * [TIGHT_MM], settled=_TIGHTLY_SETTLED)
+    tight = icp(scan, template, pose, settling_steps * [TIGHT_MM], settled=_SETTLED / 20)
     meter.count(tight.steps)
     record(tight.pose)
     return Tightened(tight.pose, PlanStep(stage, True, "the model is of the same person", evidence))

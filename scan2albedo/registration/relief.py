@@ -33,8 +33,6 @@ as without, as the two numbers below with the first 140 scans of tools/bench_doo
 its others (--offset)."""
 _LEAST_VARIANCE = 0.1
 """Of slopes that noise is compared with: a third of a face's, so that a flat scrap is not excused."""
-_LEAST_SIGNAL = 0.5
-"""Noise excuses no more than this: most of what it hides is not known to be there."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +165,8 @@ class FaceImage:
         blur_mm = _SMOOTHING_PIXELS * self.frame.pixel / scale
         of_noise = _NOISE_LEFT * noise_mm**2 * area_mm2 / (4 * np.pi * blur_mm**4)
         variance = max(of_scan / float(weights.sum()), _LEAST_VARIANCE)
-        return ReliefAgreement(coverage, local, whole, noise_mm, max(1 - of_noise / variance, _LEAST_SIGNAL))
+        # Noise excuses no more than half: most of what it hides is not known to be there.
+        return ReliefAgreement(coverage, local, whole, noise_mm, max(1 - of_noise / variance, 0.5))
 
     def _relief(self, depth: FloatArray, mask: BoolArray, smoothing: float) -> tuple[FloatArray, BoolArray]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""

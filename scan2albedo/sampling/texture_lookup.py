@@ -18,16 +18,12 @@ from scan2albedo.sampling.cameras import texture_cameras
 
 MAX_DISTANCE_MM = 4.0
 """Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
-MIN_NORMAL_COSINE = 0.5
-"""The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
 MIN_DENSITY = 0.1
 """Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
 CROP_MARGIN = 0.1
 """Faces are searched in the queried points' box, enlarged by this part of its size."""
 FEWEST_TAPS, MOST_TAPS, TAPS_PERCENTILE = 3, 64, 95
 """Bilinear samples along each side of a texel's footprint: one a pixel, for this part of the texels."""
-SIDEWAYS_MM = 0.5
-"""A point farther sideways of the scan's edge than this lies in a hole, not above the edge."""
 
 
 @dataclass(frozen=True)
@@ -101,13 +97,14 @@ class TextureLookup:
         face = near[hits.face]
         valid = hits.distance <= MAX_DISTANCE_MM
         facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
-        valid &= np.einsum("ij,ij->i", normals, facing) >= MIN_NORMAL_COSINE
+        # The raw surface must face the way the fitted one does, within 60 degrees.
+        valid &= np.einsum("ij,ij->i", normals, facing) >= 0.5
         on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
-        # In a hole the closest point is on the scan's edge, and the point sideways of it.
+        # In a hole the closest point is on the scan's edge, and the point 0.5 mm or more sideways of it.
         at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
         offset = points - hits.points
         sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-        valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM))
+        valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
         if scan.uv is not None and scan.texture_linear is not None:
             color, inside = self._photograph(near, hits, steps)
             valid &= self._dense_enough()[face] & inside

@@ -31,7 +31,6 @@ _SAME_AXES_DEG = 25.0
 """Templates look up or down by some degrees; only templates turned further get other axes."""
 _REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""
-_INNER = slice(17, 68)
 _LIPS = ("upper_lip", "lower_lip")
 
 
@@ -212,7 +211,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
         subdivision = model.subdivision(LANDMARK_LEVELS)
         points = project(subdivision, model.control_vertices, landmarks, normals)
         apart = subdivision.points_matrix(points) @ model.control_vertices - landmarks
-        farthest = float(np.linalg.norm(apart, axis=1)[_INNER].max())
+        farthest = float(np.linalg.norm(apart, axis=1)[17:].max())
         if farthest > _REACH_MM:
             notes.append(f"no landmarks: one would lie {farthest:.1f} mm beside the template")
         else:

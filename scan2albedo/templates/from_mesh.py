@@ -27,14 +27,12 @@ from scan2albedo.templates.cleaning import CleanTemplate, clean_template
 from scan2albedo.templates.limit_fit import ControlMesh, decimated, fit_limit_surface, project
 from scan2albedo.templates.surface import TemplateSurface
 
-FILLED_STIFFNESS = 0.5
-"""Faces over the template's own holes (eyes, mouth) are softer, so that a mouth may open."""
-LANDMARK_COUNT, LANDMARK_REACH_MM = 68, 30.0
+LANDMARK_REACH_MM = 30.0
 MAX_REGIONS, MIN_CONTROL_SIZE = 253, 20
 WIDE_OFFSET_MM = 1.0
-SAME_UV, UDIM_TILES, UV_SLACK = 1e-6, 10, 1e-3
-"""Corners of a vertex whose texture coordinates differ by less have one place. Tiles along a side, and how
-far beyond them coordinates may lie."""
+SAME_UV, UV_SLACK = 1e-6, 1e-3
+"""Corners of a vertex whose texture coordinates differ by less have one place; how far beyond the ten
+tiles of UDIM coordinates may lie."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,8 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         corners = template.vertices[template.faces[template.filled]]
         over_holes = project(subdivision, control.vertices, corners.mean(1), np.zeros((1, 3)))
         region[over_holes.face] = index
-        table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
+        # These faces are softer, so that a mouth may open.
+        table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
     chart, chart_note = _chart(vertex_uv(given), template, control, matrix, name)
     corners_uv, uv_note = corner_uv(given)
     cut = len(surface.faces) - int((~template.filled).sum())
@@ -146,8 +145,8 @@ def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
     why = ""
     if not np.isfinite(corners).all():
         why = f"{int((~np.isfinite(corners)).any((1, 2)).sum())} faces have no texture coordinates"
-    elif (corners < -UV_SLACK).any() or (corners > UDIM_TILES + UV_SLACK).any():
-        why = f"texture coordinates lie beyond the tiles of UDIM (u and v from 0 to {UDIM_TILES})"
+    elif (corners < -UV_SLACK).any() or (corners > 10 + UV_SLACK).any():
+        why = "texture coordinates lie beyond the tiles of UDIM (u and v from 0 to 10)"
     elif not np.ptp(corners, axis=1).any():
         why = "all corners have the same texture coordinates"
     return (None, f"no texture will be painted: {why}") if why else (corners, "")
@@ -225,12 +224,12 @@ def _landmarks(
     if landmarks is None:
         return None
     given = np.asarray(landmarks)
-    if given.shape == (LANDMARK_COUNT,) and given.dtype.kind in "iu":
+    if given.shape == (68,) and given.dtype.kind in "iu":
         if given.min() < 0 or given.max() >= len(vertices):
             wrong = given.min() if given.min() < 0 else given.max()
             raise ModelError(f"{name}: landmark vertex {wrong} out of range 0 ... {len(vertices) - 1}")
         chosen = given.astype(np.int64)
-    elif given.shape == (LANDMARK_COUNT, 3):
+    elif given.shape == (68, 3):
         # Points in the template's own unit and frame: the nearest cleaned vertices.
         points, cleaned = given.astype(float), vertices[template.source]
         if not np.isfinite(points).all():
