@@ -1,8 +1,6 @@
 """Before anything bends: pose and size over the rigid regions, then the face's proportions.
 
-Where a person's eyes, nose and mouth stand at other heights than the model's, closest points alone let the
-sheet slide along the face. So a few numbers that keep the face's symmetry and its features whole are found
-first; the bending starts from there.
+Closest points alone let the sheet slide along a face whose eyes, nose and mouth stand at other heights.
 """
 
 from __future__ import annotations
@@ -47,8 +45,8 @@ def refine_similarity(
 ) -> Similarity:
     """Return the similarity that moves the model's rigid regions onto the scan, from its present pose.
 
-    `rest` (C, 3) are the control points, `weight` (N,) of each sample its area times how much a motion shows
-    there. Closest points, gated and robust weights are found anew every iteration; `landmarks` pull whole.
+    `rest` (C, 3) are the control points, `weight` (N,) each sample's area times how much a motion shows
+    there.
     """
     forces: ScanForces | None = None
 
@@ -112,9 +110,8 @@ def proportioned(
 ) -> FloatArray:
     """Return control points (C, 3) whose face has the scan's proportions.
 
-    `proportion_iterations` steps on a rigid motion and three splines of height (`_modes`), with the gates and
-    robust weights of the forces. `reference` (C, 3) are control points at rest, in the scan's frame and about
-    of its size; `landmarks` are drawn to their targets as far as the splines allow.
+    `reference` (C, 3) are control points at rest, in the scan's frame and about of its size; a rigid motion
+    and the `_modes` move them onto the scan and to the `landmarks`.
     """
     modes, precision = _modes(reference)
     steps = options.proportion_iterations
@@ -145,8 +142,7 @@ def proportioned(
 def _modes(reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return displacements (C, 3, M) of the control points by each mode, and the precision for `align`.
 
-    Per spline of height: shift up, shift forward, and forward with the square of x in units of 60 mm
-    (how round the face is), all mirror-symmetric.
+    Per spline of height: up, forward, and forward with the square of x in units of 60 mm (roundness).
     """
     centred = reference - reference.mean(0)
     height = (centred[:, 1] - centred[:, 1].min()) / max(np.ptp(centred[:, 1]), 1e-9)

@@ -15,11 +15,9 @@ _DARKEST, _EVEN = 0.15, 0.02
 
 
 def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
-    """Return `brightness` (H, W) of a picture divided by the shading that its normals explain, about 1.
+    """Return brightness (H, W) without what the light did to it.
 
-    The light on a convex body of one colour is nearly a quadratic function of the normal [1]_; its nine
-    numbers are found by least squares, without squares that are darker or brighter than the others by much
-    (hair, lips, shadows, highlights).
+    Of a matt surface it is about an albedo times a quadratic in the normal [1]_, fitted robustly here.
 
     .. [1] R. Ramamoorthi, P. Hanrahan, "An Efficient Representation for Irradiance Environment Maps",
        SIGGRAPH 2001.

@@ -24,9 +24,8 @@ def guarded(
 ) -> FloatArray:
     """Return control points (C, 3) between `before` and `after` for which no triangle turns over.
 
-    The step is halved at the control points around each offending triangle and their neighbours, up to seven
-    times, then dropped there, then dropped everywhere. `face_normals` (F, 3) are unit normals of the sampled
-    triangles at `before`.
+    The step is halved around each offending triangle up to seven times, then dropped there, then everywhere.
+    `face_normals` (F, 3) are unit normals of the sampled triangles at `before`.
     """
     fraction = np.ones((len(before), 1))
     for attempt in range(9):
@@ -42,11 +41,7 @@ def guarded(
 
 
 class FoldFinder:
-    """Finds triangles (F, 3) at edges that folded over.
-
-    An edge folded over when its angle is above 150 degrees and 45 degrees more than at `rest` (V, 3): the
-    rims of lips and lids are creases of 130 degrees that may close.
-    """
+    """Finds triangles (F, 3) at edges of over 150 degrees, and 45 degrees more than at `rest` (V, 3)."""
 
     def __init__(self, rest: FloatArray, faces: IntArray) -> None:
         first, second, _ = neighbouring_faces(faces)

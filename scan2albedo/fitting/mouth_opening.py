@@ -1,8 +1,7 @@
 """Open the model's mouth before it bends: a search over one angle at the jaw's hinge.
 
-Closest points alone let the lips of a closed model slide along the chin of an open mouth; so opened
-models are tried, and chosen by the result of a coarse fit and by what lies behind the film, the part of the
-model's surface that spans from lip to lip. Landmarks that someone placed on the jaw show the angle.
+Closest points alone let closed lips slide along the chin of an open mouth; so opened models are tried, and
+chosen by a coarse fit and by what lies behind the film, the part of the surface from lip to lip.
 """
 
 from __future__ import annotations
@@ -54,10 +53,9 @@ measure its distance to the scan."""
 def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None) -> Deformation:
     """Return the deformation that starts from the mouth opened as far as the scan's.
 
-    Placed landmarks that the jaw moves show the angle. Without them opened models run through the first,
-    stiffest stages, each angle compared with its neighbours; trials count as evaluations but leave no rows in
-    the trace. An opening is believed where the jaw comes nearer to the scan by MIN_GAIN, and where the scan
-    has a gap, or an inner surface, behind GAP of the film between the lips.
+    Placed landmarks that the jaw moves show the angle. Without them opened models run through the first
+    stages; an opening is believed where the jaw comes nearer by MIN_GAIN, and GAP of the film has no scan
+    behind it.
     """
     hinge = JawHinge.of(deformation.model, deformation.reference)
     if hinge is None or deformation.meter.exhausted:
@@ -78,8 +76,8 @@ def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None
 class JawHinge:
     """How the lower face turns about an axis along x through `center` (3,).
 
-    `weight` (C,), 0 ... 1, is the part of the angle by which the limit surface turns at each control point;
-    `limit` (C, C) gives limit positions from control points.
+    `weight` (C,) is the part of the angle by which the limit surface turns at each control point; `limit` (C,
+    C) gives limit positions from control points.
     """
 
     center: FloatArray
@@ -120,11 +118,7 @@ class JawHinge:
         return factorized(self.limit.T @ self.limit + LIMIT_FREEDOM * near)
 
     def opened(self, control_points: FloatArray, angle_deg: float) -> FloatArray:
-        """Return the control points (C, 3) whose surface has its jaw turned down by `angle_deg`.
-
-        The surface is turned, not the control points: it averages them, so that turning these would round off
-        the lips' edges.
-        """
+        """Return the control points (C, 3) whose surface has its jaw turned down by `angle_deg`."""
         turned = self._turned(control_points, angle_deg)
         missing = self._turned(self.limit @ control_points, angle_deg) - self.limit @ turned
         return turned + self._from_limit(self.limit.T @ missing)
@@ -205,8 +199,7 @@ class MouthSearch:
     def gap(self, control_points: FloatArray) -> float:
         """Return which part of the film between the lips has no scan near; 1 for models without a film.
 
-        Where shut lips were taken for open ones, their skin lies nearer to the film than BEHIND_MM and faces
-        as it does; teeth and tongue lie deeper, and the inner sides of lips face up and down.
+        Skin of shut lips lies nearer than BEHIND_MM and faces as the film does; teeth and tongue lie deeper.
         """
         model, scan = self.deformation.model, self.deformation.scan
         subdivision = model.subdivision(TRIAL_LEVEL)

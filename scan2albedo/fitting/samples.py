@@ -27,9 +27,9 @@ class SurfaceSamples:
     """Limit positions of the vertices of one refinement level.
 
     `matrix` (N, C) gives sample positions from control points; `faces` (F, 3) are triangles between samples,
-    `parent` (F,) the control face of each. `area` (N,) is the mm^2 of skin of each sample, 0 on the film
-    between the lips, which has no forces; `rigidity` (N,) the mean stiffness of the regions around it; `rim`
-    (N,) is 1 up to RIM_MM / 2 from the model's rim, falling to 0 at RIM_MM: where hair and collars are.
+    `parent` (F,) their control faces. `area` (N,) is the mm^2 of skin, 0 on the film between the lips;
+    `rigidity` (N,) the mean stiffness around; `rim` (N,) falls from 1 at RIM_MM / 2 from the model's rim to 0
+    at RIM_MM.
     """
 
     matrix: sparse.csr_matrix
@@ -68,8 +68,7 @@ class SurfaceSamples:
     def relief(self, points: FloatArray) -> FloatArray:
         """Return (N,) how much the surface at positions (N, 3) turns away from that within 15 mm.
 
-        It is 1 - cosine between the normal and the mean normal: that of features, where a motion along the
-        surface shows.
+        It is 1 - cosine between the normal and the mean normal: large where a motion along the surface shows.
         """
         normals = self.normals(points)
         tree = cKDTree(points)

@@ -40,10 +40,9 @@ RESULT_LEVELS = 2
 class Deformation:
     """The inputs that all stages share, in one frame.
 
-    `reference` (C, 3) are control points without displacement: the model at rest, scaled to the scan's size.
-    `landmarks` hold points of the model on points of the scan. Before it bends the jaw was turned down by
-    `jaw_deg`, and the right and the left corner of the mouth drawn back by `corners_mm`. Of the scan
-    `covered_mm2` before the eyes were left out.
+    `reference` (C, 3) are control points without displacement; `landmarks` hold points of the model on the
+    scan. Before it bends the jaw was turned down by `jaw_deg`, and the right and left corner of the mouth
+    drawn back by `corners_mm`; of the scan `covered_mm2` before the eyes were left out.
     """
 
     model: AnnotatedSurface
@@ -106,10 +105,8 @@ class Deformation:
 def run_stages(deformation: Deformation, count: int | None = None) -> tuple[FloatArray, bool]:
     """Return the displacement (C, 3) after all stages, or the first `count`, and whether all of them ran.
 
-    As many run as the budget allows, at least one step. Where the surface has folded over it is made stiffer,
-    in short rounds of the last stage, until no fold is left. A scan as fine as the samples of
-    `FitOptions.finest_level` then gets a few steps with these: more of its vertices count, and their noise
-    averages out.
+    As many run as the budget allows, at least one step. Then folds are made stiffer until none is left, and a
+    scan as fine as the samples of `FitOptions.finest_level` gets a few steps with these.
     """
     options, meter = deformation.options, deformation.meter
     levels, finest = options.levels, options.finest_level
@@ -187,8 +184,7 @@ def _around_folds(deformation: Deformation, q: FloatArray) -> BoolArray:
 def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     """Return how far (mean, weighted by area) the surface would still move if nothing slowed it.
 
-    That is |d| with (K + H) d = f - K q: near 0 where stiffness and forces balance, but as much as at the
-    start where too small a time step, or too great a mass, has held the surface.
+    That is |d| with (K + H) d = f - K q: near 0 where stiffness and forces balance.
     """
     options, none = deformation.options, np.zeros(len(q))
     samples, usual = deformation.sampled(options.levels[-1])

@@ -23,9 +23,8 @@ _MOST_CELLS = 1_500_000
 class Pairs:
     """Where the N points of a source shall go, as seen from where they are.
 
-    `offset` (N, 3) leads to the target; its part along the unit `normal` (N, 3) counts with the `trust` (N,)
-    of the pair, the part `along` (N,) of this in every direction. `noise` is the residuals' standard
-    deviation where the source is right.
+    `offset` (N, 3) leads to the target; its part along the unit `normal` (N, 3) counts with the `trust` (N,),
+    the part `along` (N,) of this in every direction. `noise` is the residuals' standard deviation.
     """
 
     offset: FloatArray
@@ -39,8 +38,7 @@ class Pairs:
 class Alignment:
     """x -> s R (x + B c) + t: `pose` (s, R, t), and `coefficients` c (K,) of the modes B.
 
-    `steps` were taken, the last of which turned the pose by `moved` degrees or moved it by as many units,
-    whichever is more; `converged` is True where it was shorter than asked.
+    The last of the `steps` `moved` the pose by so many degrees or units, whichever is more.
     """
 
     pose: Similarity
@@ -69,11 +67,9 @@ def align(
         sum_i w_i r_i [(1 - a_i) (n_i . e_i)^2 + a_i |e_i|^2] + noise^2 W (log s, c) P (log s, c)^T / 300,
         e_i = s R (x_i + B_i c) + t - y_i,
 
-    with the targets y_i, normals n_i and robust weights r_i that `pairs` finds anew for the points (N, 3)
-    where the present alignment puts them; None ends the search, as does a step shorter than `settled`.
-    `weights` w (N,) have the sum W. `precision` P (K + 1, K + 1) is that of log s and c before the target is
-    seen, 0 by default; `scale_range` bounds s, and fixes it where both ends are the same. One step costs
-    O(N (K + 7)^2).
+    with the targets y_i, normals n_i and weights r_i that `pairs` finds anew at the present alignment; None
+    ends the search, as does a step shorter than `settled`. `weights` w (N,) have the sum W, `precision` P (K
+    + 1, K + 1) is 0 by default; `scale_range` bounds s. One step costs O(N (K + 7)^2).
     """
     count = 0 if modes is None else modes.shape[2]
     known = np.zeros((count + 1, count + 1)) if precision is None else precision
@@ -165,11 +161,9 @@ def align_on_grid(
 ) -> FloatArray:
     """Align the (M,) model samples with a grid from thousands of rigid poses, which change in place.
 
-    Takes the steps of `align`, compiled, with w_i = areas rho_i and a tenth of it in every direction. The
-    target of a sample is the nearest of the grid, n_i the mean of both normals [1]_; rho_i falls with
-    distance (Geman-McClure, scale geometric between the two of `sigma`) and with the normals' angle.
-    `rotations` (N, 3, 3) and `translations` (N, 3) are overwritten. Returns (N,) scores at the final poses
-    with the last scale: the weighted mean of rho_i, 0 (nothing near) ... 1.
+    Takes the steps of `align`, compiled, with a tenth of the weight in every direction, n_i the mean of both
+    normals [1]_ and Geman-McClure weights of scales geometric between the two of `sigma`. `rotations` (N, 3,
+    3) and `translations` (N, 3) are overwritten. Returns (N,) scores: the last weights' mean, 0 ... 1.
 
     .. [1] S. Rusinkiewicz, "A symmetric objective function for ICP", SIGGRAPH 2019 (mean normals).
     """

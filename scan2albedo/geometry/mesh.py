@@ -198,10 +198,10 @@ def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArra
 
 
 def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
-    """Return (V,) True for vertices 3 times farther from the median of the others than 75 % of those are.
+    """Return (V,) True for vertices 3 times farther from the median of those `used` than 75 % of them.
 
-    Only those `used` count. Stereo puts up to a fifth of its vertices far away, which enlarge every box and
-    moment; the farthest of a head with shoulders lies at 2.1 times that distance.
+    Stereo puts up to a fifth of its vertices far away; the farthest of a head with shoulders lies at 2.1
+    times.
     """
     far = ~used
     for _ in range(10):
@@ -215,10 +215,9 @@ def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
 
 
 def far_faces(vertices: FloatArray, faces: IntArray) -> BoolArray:
-    """Return (F,) True for stray faces: those that reach to `far_vertices`.
+    """Return (F,) True for stray faces, which reach to `far_vertices`.
 
-    Where such faces hang together and hold a twentieth of all vertices, they are a thing of their own (a
-    second head, a body that is coarser than the face), and not stray.
+    Where such faces hang together and hold a twentieth of all vertices, they are a thing of their own.
     """
     used = np.zeros(len(vertices), bool)
     used[faces] = True

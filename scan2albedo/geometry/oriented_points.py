@@ -44,10 +44,8 @@ class OrientedPoints:
 def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> OrientedPoints:
     """Sample a mesh at about one point every `spacing`, averaged over cubes of that side.
 
-    Faces larger than a cube are sampled several times, many small faces in one cube are averaged, so neither
-    the tessellation nor vertex noise matters: the normal of a cube is the sum of the area vectors in it.
-    Cubes whose normals cancel (two sides of a thin sheet) are left out. Samples are ordered by cube (x, then
-    y, then z); there are none when the mesh has no area.
+    So neither the tessellation nor vertex noise matters: the normal of a cube is the sum of the area vectors
+    in it. Cubes whose normals cancel are left out; samples are ordered by cube.
     """
     # Of millions of faces every so-manieth stands for its neighbours.
     read_stride = int(np.ceil(len(faces) / _MAX_RAW_SAMPLES)) or 1

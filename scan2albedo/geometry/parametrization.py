@@ -18,11 +18,9 @@ SQUARENESS = 2.5
 def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None) -> FloatArray:
     """Return the (V, 2) flip-free chart of a surface with disc topology, in the unit square.
 
-    The faces (F, 3) are one component with one boundary loop and no handle, counter-clockwise from outside;
-    the chart is turned so that u grows with +x and v with +y. With the mirror image of each vertex (itself on
-    the midline) in `mirror` (V,) the chart is exactly symmetric about u = 0.5. It starts from uniform
-    weights, flip-free on a convex boundary [1]_, and is improved by SLIM [2]_. Raises ModelError when the
-    surface is not a disc, or the chart has flipped faces (faces without area).
+    u grows with +x and v with +y. With the mirror image of each vertex in `mirror` (V,) the chart is
+    symmetric about u = 0.5. It starts from uniform weights [1]_ and is improved by SLIM [2]_. Raises
+    ModelError when the surface is not a disc, or the chart has flipped faces (faces without area).
 
     .. [1] W. T. Tutte, "How to draw a graph", 1963.
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
@@ -66,8 +64,7 @@ def flatten_disc(
 ) -> FloatArray:
     """Return the (V, 2) chart of `parametrize_disc` before packing: about unit area, centred.
 
-    `boundary_weight` keeps the boundary on its curve during SLIM, relative to the surface's area; a small one
-    lets SLIM choose the boundary: the chart is then as isometric as it gets.
+    A small `boundary_weight` lets SLIM choose the boundary: the chart is then as isometric as it gets.
     """
     import igl
 
@@ -124,8 +121,7 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
 def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
     """Return (B, 2) places of the boundary loop on ``|x|^p + |y|^p = r^p`` of unit area.
 
-    Arc length is kept up to scale; the start is turned so that the loop's directions seen from the front
-    (xy-plane, from the boundary's centroid) agree best with those on the curve.
+    Arc length is kept up to scale; the start is turned to agree with the loop's directions from the front.
     """
     points = vertices[loop]
     steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)

@@ -13,11 +13,7 @@ from scan2albedo.geometry.mesh import edges_with_faces
 
 @dataclass(frozen=True)
 class ThinnedSurface:
-    """A triangle mesh whose vertices in one grid cell were joined.
-
-    `vertices` (V, 3) are means of the `count` (V,) vertices joined; `faces` (F, 3) had corners in three
-    cells.
-    """
+    """A mesh of `faces` (F, 3) whose `vertices` (V, 3) are means of the `count` (V,) in one grid cell."""
 
     vertices: FloatArray
     faces: IntArray
@@ -25,10 +21,9 @@ class ThinnedSurface:
 
     @cached_property
     def boundary(self) -> BoolArray:
-        """(V,) at edges of an odd number of faces, which joining neither opens nor moves by more than a cell.
+        """(V,) at edges of an odd number of faces.
 
-        A border is the sum of all faces' borders modulo 2, and joining vertices keeps that sum: faces that
-        then coincide make no border where there was none.
+        Modulo 2 a border is the sum of all faces' borders, which joining vertices keeps.
         """
         edges, uses = edges_with_faces(self.faces)
         mask = np.zeros(len(self.vertices), bool)

@@ -56,8 +56,8 @@ class Damping:
     """How the damping, a factor of the matrix's diagonal, follows the success of the steps.
 
     It starts with `first`, is multiplied by `decrease` after a step that lowered the cost, by `increase`
-    after one that did not, and is at least `least` and `after_failure`. Beyond `largest` no step along the
-    descent direction helps: the state is a minimum.
+    after one that did not, and is at least `least` and `after_failure`; beyond `largest` the state is a
+    minimum.
     """
 
     first: float = 1e-3
@@ -94,25 +94,13 @@ def minimize(
     meter: Meter | None = None,
     on_better: Callable[[Point], None] | None = None,
 ) -> Descent[Point]:
-    """Return where damped Gauss-Newton steps lead, (matrix + damping diag(matrix)) d = -gradient each.
+    """Return where damped Gauss-Newton steps [1]_ lead, (matrix + damping diag(matrix)) d = -gradient each.
 
-    A step is taken when it lowers the cost; else it is tried again with more damping.
-
-    Parameters
-    ----------
-    start : LeastSquaresPoint
-        Returned as it is when its cost is not finite.
-    trials, steps : int, optional
-        Most steps tried, and most of them that lower the cost.
-    tolerance, flat_steps : float, int
-        Converged after so many steps one after the other that each lower the cost by less than this part.
-    step_tolerance : float
-        Converged after a step that is not longer than this.
-    damping : Damping
-    meter : Meter, optional
-        Its budget ends the descent with the best so far.
-    on_better : callable, optional
-        Gets the start and every better point.
+    A step is taken when it lowers the cost; else it is tried again with more damping. At most `trials` steps
+    are tried, and `steps` taken. Converged after `flat_steps` in a row that each lower the cost by a part
+    less than `tolerance`, or a step not longer than `step_tolerance`. The budget of the `meter` ends the
+    descent with the best so far; `on_better` gets the start and every better point. A start of no finite cost
+    is returned.
 
     .. [1] D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11(2),
        1963.

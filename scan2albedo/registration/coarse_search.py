@@ -43,8 +43,7 @@ def coarse_poses(
 ) -> Poses:
     """Return distinct poses that place the model near the scan's surface, the nearest first.
 
-    The best `kept_starts` of the first round go on to the second. The meter counts one evaluation a start and
-    round; when its budget ends, the poses tried so far are ranked.
+    The best `kept_starts` of the first round go on to the second; each start and round is one evaluation.
     """
     poses = anchored_starts(scan.anchors, template.front, _ROTATIONS)
     # In random order a budget that ends early has still seen starts from all over the scan.
@@ -77,9 +76,7 @@ def coarse_poses(
 def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: int) -> Poses:
     """Put the model's `front` (3,) on the scan's anchors, in every rotation facing outward there.
 
-    A face may be anywhere on a scan with shoulders and hair, so centroids are of little use; but the averaged
-    normal at its front is roughly its +z axis. `rotation_count` super-Fibonacci rotations are tried at
-    each anchor.
+    Of `rotation_count` super-Fibonacci rotations those are tried whose +z axis is near the averaged normal.
     """
     rotations = super_fibonacci_rotations(rotation_count)
     facing = anchors.normals @ rotations[:, :, 2].T >= np.cos(_CONE_RAD)

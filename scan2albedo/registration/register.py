@@ -106,13 +106,13 @@ def register(
     plan = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     best = candidates[0]
-    tight = tightened(prepared.samples, template, best.pose, options.settling_iterations, closing)
+    tight, step = tightened(prepared.samples, template, best.pose, options.settling_iterations, closing)
     person = template
-    if best.evidence is not None and not tight.step.ran:
+    if best.evidence is not None and not step.ran:
         person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
-    final = annealed(prepared, person, tight.pose, options, annealing, seed)
-    plan += (tight.step, final.step)
+    final = annealed(prepared, person, tight, options, annealing, seed)
+    plan += (step, final.step)
     low, high = HUMAN_SCALE
     if not low <= final.pose.scale <= high:
         reason = "the face's size is outside people's; check the unit of the scan"

@@ -68,8 +68,7 @@ def depth_image(
 ) -> FloatArray:
     """Return (size, size) greatest z at each pixel centre, -inf where the mesh is not seen.
 
-    Both sides of `faces` (F, 3) are seen, after the affine `view_from_mesh` (4, 4) of the vertices (V, 3).
-    Faces that reach above `z_limit` are ignored.
+    Both sides of `faces` (F, 3) are seen, after `view_from_mesh` (4, 4); those above `z_limit` are ignored.
     """
     points = vertices if view_from_mesh is None else transform_points(view_from_mesh, vertices)
     index, depth = np.asarray(faces), np.ascontiguousarray(points[:, 2])
@@ -85,9 +84,8 @@ class ReliefAgreement:
 
     `coverage` is the part of the model's features with scan within 20 mm. `local` is the correlation of the
     depth derivatives, less their quadratic trend, averaged over windows of about 3 cm, `whole` that over all
-    windows together: the bulge that a head shares with a ball does not count, and nose, orbits and mouth must
-    each be there. `noise_mm` is that of the scan's vertices there, and `signal` the part of the variance of
-    its slopes that it does not explain, 0.5 at least.
+    windows together. `noise_mm` is that of the scan's vertices, `signal` the part of its slopes' variance
+    that is none.
     """
 
     coverage: float
@@ -202,9 +200,8 @@ def normal_relief(
 ) -> float:
     """Return the correlation of model and scan slopes without their quadratic trend, -1 ... 1.
 
-    Slopes come from the normals of the model samples, placed by rotation (3, 3) and translation (3,)
-    `scan_from_model`, and of the scan samples nearest to them; the result is lessened by the square root of
-    the part of the model that has a near scan sample.
+    Slopes come from the normals of the model samples, placed by rotation (3, 3) and translation (3,), and of
+    the scan's nearest; times the square root of the part of the model that has one near.
     """
     placed = model.points @ rotation.T + translation
     index = grid.nearest_samples(placed)

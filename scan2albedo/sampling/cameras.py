@@ -43,10 +43,8 @@ class TextureCameras:
 def texture_cameras(scan: RawScan) -> TextureCameras | None:
     """Find the cameras whose photographs a scan's texture is made of; None where it is not.
 
-    Of a photograph, the texture coordinates of the corners are the projection of the vertices by a pinhole
-    camera. It is fitted to each connected piece of the texture, large ones first; a face belongs to the
-    camera that projects its corners to where they lie in the texture. Textures painted on an unwrapped
-    surface fit no camera.
+    Of a photograph, texture coordinates are the vertices' projection by a pinhole camera. It is fitted to
+    each connected piece of the texture, large ones first; unwrapped surfaces fit none.
     """
     if scan.uv is None or scan.texture_linear is None or len(scan.faces) < _LEAST_FACES:
         return None

@@ -73,11 +73,11 @@ class Samples:
     face: IntArray
 
 
+@dataclass(frozen=True)
 class TextureLookup:
     """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
 
-    def __init__(self, scan: RawScan) -> None:
-        self._scan = scan
+    scan: RawScan
 
     def sample(self, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
         """Return what the scan shows of points.
@@ -86,7 +86,7 @@ class TextureLookup:
         on the surface of one texel to the right and one down: the footprint that the photograph is averaged
         over.
         """
-        scan = self._scan
+        scan = self.scan
         # The faces near the points, all when none is: indexing the whole scan would cost most.
         margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
         low, high = points.min(0) - margin, points.max(0) + margin
@@ -116,11 +116,11 @@ class TextureLookup:
 
     def _dense_enough(self) -> BoolArray:
         """(F,) whether a face has enough photograph pixels for its area."""
-        assert self._scan.uv is not None
-        uv = self._scan.uv
+        assert self.scan.uv is not None
+        uv = self.scan.uv
         e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
         texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-        area = face_areas(self._scan.vertices, self._scan.faces)
+        area = face_areas(self.scan.vertices, self.scan.faces)
         density = texture_area / np.maximum(area, 1e-12)
         used = density[texture_area > 0]
         return density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
@@ -130,10 +130,10 @@ class TextureLookup:
     ) -> tuple[NDArray[np.float32], BoolArray]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
-        Also return whether its centre is in the photograph: texture coordinates wrap around by whole periods
-        for a face, but not within one.
+        Also return whether its centre is in the photograph, which wraps around only by whole periods for a
+        face.
         """
-        scan = self._scan
+        scan = self.scan
         assert scan.uv is not None
         assert scan.texture_linear is not None
         height, width = scan.texture_linear.shape[:2]
@@ -150,7 +150,7 @@ class TextureLookup:
 
     def _uv_gradients(self, near: IntArray) -> FloatArray:
         """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""
-        scan = self._scan
+        scan = self.scan
         assert scan.uv is not None
         faces, uv = scan.faces[near], scan.uv[near]
         corners = scan.vertices[faces]
@@ -181,9 +181,8 @@ def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tu
 def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[no-untyped-def]
     """Return (N, C) float32 means of samples of a photograph (H, W, C) over each texel's footprint.
 
-    Samples are bilinear and evenly spread. `centre` (N, 2) is the middle of each footprint in pixels, (0, 0)
-    the middle of the first pixel; `footprint` (N, 2, 2) has its two sides, as columns; `taps` samples are
-    taken along each side. Beyond its border the photograph is continued by the border's pixels.
+    `centre` (N, 2) is the middle of each footprint in pixels, (0, 0) the middle of the first pixel;
+    `footprint` (N, 2, 2) has its two sides, as columns, with `taps` bilinear samples along each.
     """
     height, width, channels = photograph.shape
     mean = np.empty((len(centre), channels), np.float32)

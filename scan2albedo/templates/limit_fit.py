@@ -27,11 +27,9 @@ class ControlMesh:
 
 
 def decimated(vertices: FloatArray, faces: IntArray, size: int) -> ControlMesh:
-    """Return a mesh of about `size` well-shaped triangles' vertices, denser where the surface bends.
+    """Return a mesh of about `size` vertices, denser where the surface bends; smaller ones stay as they are.
 
-    Edges collapse shortest first, their length measured between (position, NORMAL_WEIGHT_MM times
-    normal) in six dimensions, so that nose, lids and lips keep more vertices than cheeks. A mesh that
-    has no more than 1.2 times `size` vertices stays as it is.
+    Edges collapse shortest first, measured between (position, NORMAL_WEIGHT_MM times normal).
     """
     import igl
 
@@ -48,12 +46,9 @@ def decimated(vertices: FloatArray, faces: IntArray, size: int) -> ControlMesh:
 def fit_limit_surface(start: ControlMesh, vertices: FloatArray, faces: IntArray) -> ControlMesh:
     """Move the control vertices of `start` until the limit surface passes near the dense mesh (K, 3), (F, 3).
 
-    Alternates projection of the dense vertices x_i on the limit surface with the least-squares problem
+    Alternates projection of the dense vertices x_i on the limit surface, A_i P, with
 
-        min_P  sum_i |A_i P - x_i|^2 + s N / C |L (P - P_0)|^2,
-
-    A_i the row that evaluates the limit surface at the projection, L the graph Laplacian, s small, P_0 the
-    start.
+        min_P  sum_i |A_i P - x_i|^2 + s N / C |L (P - P_0)|^2,  L the graph Laplacian, s small.
     """
     count = len(start.vertices)
     subdivision = LoopSubdivision.of(count, start.faces, LEVELS)
