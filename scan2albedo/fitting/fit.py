@@ -25,10 +25,10 @@ from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.painted_features import painted_pull
 from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
-from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
+from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
@@ -109,7 +109,27 @@ def fit(
     surface = near.turned_outward(points, vertex_normals(points, faces), GATE_MM[0])
     placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)
     pull = seen if placed is None else placed.with_more(seen)
-    similarity = _refined(surface, model, chosen, meter, pull, scan.name)
+    samples = SurfaceSamples.of(model, model.control_vertices, 0)
+    similarity = refine_similarity(
+        surface,
+        samples,
+        model.control_vertices,
+        # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
+        samples.area * samples.rigidity * samples.relief(samples.matrix @ model.control_vertices),
+        ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1]),
+        iterations=chosen.rigid_iterations,
+        scale_range=chosen.scale_range,
+        meter=meter,
+        landmarks=pull,
+    )
+    hits = surface.nearest.query(similarity.apply(samples.matrix @ model.control_vertices))
+    reached = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
+    share = float(samples.area[reached].sum() / samples.area.sum())
+    if share < MIN_FIRST_CONTACT:
+        raise FitError(
+            f"{scan.name}: only {100 * share:.1f} % of the model has scan within {GATE_MM[0]:.0f} mm, at "
+            f"least {100 * MIN_FIRST_CONTACT:.0f} % needed; the pose is wrong, or the scan holds no face"
+        )
     # The scan comes to the model, which keeps its frame and its front, and takes the size.
     correction = invert_rigid(similarity.rigid(model.front))
     pose, surface = correction @ pose, surface.moved(correction)
@@ -162,37 +182,3 @@ def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
     if not gap < 1e-3 or not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) < 0:
         raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
     return pose
-
-
-def _refined(
-    surface: ScanSurface,
-    model: AnnotatedSurface,
-    options: FitOptions,
-    meter: Meter,
-    landmarks: LandmarkPull | None,
-    name: str,
-) -> Similarity:
-    """Return the similarity that lays the model on the scan; FitError where hardly any scan is near then."""
-    samples = SurfaceSamples.of(model, model.control_vertices, 0)
-    rest = samples.matrix @ model.control_vertices
-    similarity = refine_similarity(
-        surface,
-        samples,
-        model.control_vertices,
-        # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
-        samples.area * samples.rigidity * samples.relief(rest),
-        ForceGates(GATE_MM[0], options.tangential, MIN_ROBUST_MM[1]),
-        iterations=options.rigid_iterations,
-        scale_range=options.scale_range,
-        meter=meter,
-        landmarks=landmarks,
-    )
-    hits = surface.nearest.query(similarity.apply(rest))
-    near = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
-    share = float(samples.area[near].sum() / samples.area.sum())
-    if share < MIN_FIRST_CONTACT:
-        raise FitError(
-            f"{name}: only {100 * share:.1f} % of the model has scan within {GATE_MM[0]:.0f} mm, at "
-            f"least {100 * MIN_FIRST_CONTACT:.0f} % needed; the pose is wrong, or the scan holds no face"
-        )
-    return similarity

@@ -123,7 +123,13 @@ def run_stages(deformation: Deformation, count: int | None = None) -> tuple[Floa
         if deformation.scan.edge_mm < spacing_mm:
             finer = _run_stage(deformation, finest, 1.0, SHORT, q, stiffening)
             finer, _ = _mended(deformation, finer, stiffening, finest, SHORT)
-            q = _where_unfolded(deformation, finer, q)
+            # Around folds that are left the finest steps are taken back, everywhere where that does not end them.
+            back = np.zeros((len(q), 1), bool)
+            for _ in range(MENDING_ROUNDS):
+                folded = _around_folds(deformation, np.where(back, q, finer))
+                if not folded.any():
+                    return np.where(back, q, finer), not meter.exhausted
+                back |= folded[:, None]
     return q, not meter.exhausted
 
 
@@ -141,17 +147,6 @@ def _coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatAr
     q, _ = run_stages(replace(deformation, reference=reference, options=options, meter=meter), 2)
     deformation.meter.count(meter.evaluations)
     return reference + q
-
-
-def _where_unfolded(deformation: Deformation, q: FloatArray, before: FloatArray) -> FloatArray:
-    """Return `q`, taken back to `before` around its folds; `before` where that does not end them."""
-    back = np.zeros(len(q), bool)
-    for _ in range(MENDING_ROUNDS):
-        folded = _around_folds(deformation, np.where(back[:, None], before, q))
-        if not folded.any():
-            return np.where(back[:, None], before, q)
-        back |= folded
-    return before
 
 
 def _mended(

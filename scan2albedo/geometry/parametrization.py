@@ -8,7 +8,13 @@ from scipy.sparse.linalg import splu
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas, vertex_components
+from scan2albedo.geometry.mesh import (
+    adjacency,
+    boundary_loops,
+    edges_with_faces,
+    face_areas,
+    vertex_components,
+)
 
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
@@ -98,24 +104,18 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
     array([0, 1, 2, 3])
     """
     edges, uses = edges_with_faces(faces)
-    used = np.unique(faces)
+    used, loops = np.unique(faces), boundary_loops(faces)
     components = len(np.unique(vertex_components(vertex_count, faces)[used]))
-    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    _, first, counts = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
-    following = {int(a): int(b) for a, b in directed[first[counts == 1]]}
     euler = len(used) - len(edges) + len(faces)
-    loop = [min(following)] if following else []
-    while loop and following.get(loop[-1], loop[0]) != loop[0] and len(loop) < len(following):
-        loop.append(following[loop[-1]])
-    if components != 1 or uses.max() > 2 or euler != 1 or len(loop) != len(following):
+    if components != 1 or uses.max() > 2 or euler != 1 or len(loops) != 1:
         raise ModelError(
             f"the mesh is not a disc: {components} components, {int((uses > 2).sum())} edges with more than "
-            f"two faces, Euler characteristic {euler}, {len(following)} boundary edges of which one loop has "
-            f"{len(loop)}; expected one component, characteristic 1 and one loop. Fill its holes, or cut it"
+            f"two faces, Euler characteristic {euler}, {len(loops)} boundary loops; expected one component, "
+            "characteristic 1 and one loop. Fill its holes, or cut it"
         )
     if len(used) != vertex_count:
         raise ModelError(f"{vertex_count - len(used)} of {vertex_count} vertices are in no face; remove them")
-    return np.array(loop, np.int64)
+    return np.roll(loops[0], -int(np.argmin(loops[0])))
 
 
 def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:

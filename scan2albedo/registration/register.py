@@ -64,18 +64,14 @@ def register(
 ) -> Registration:
     """Return the rigid pose of a scan's face in the model's frame.
 
-    Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane ICP, then
-    by one that also estimates the face's size; those with most of a face's relief by one that also gives the
-    model a person's shape, with which the scan agrees or not. The pose that is most probably that of a face
-    wins; where the model turns out to be the same person's it is tightened on the rigid regions. `confidence`
-    is that probability (`tools/bench_door.py` compares it with the share that is right). The annealing on
-    depth derivatives of [1]_ runs when forced (`RegistrationOptions.force_annealing`), and counts when the
-    surface is nearer for it.
+    Thousands of starts on a voxel grid, the best refined by Open3D's robust point-to-plane ICP, then by one
+    that also estimates the face's size and a person's shape. The pose that is most probably that of a face
+    wins, with that probability as `confidence`. The annealing of [1]_ runs when forced, and counts when the
+    surface is nearer for it. `plan` doubts a size that no person's face has, and a second face in the scan.
 
-    `plan` doubts a size that no person's face has, and a second face in the scan. Raises RegistrationError,
-    with the figures, when the scan is too small or too large, or holds no face; ValueError when `seed` is no
-    whole number of 0 or more; TypeError for other objects than a scan, a model and options;
-    MissingDependencyError when Open3D cannot be loaded.
+    Raises RegistrationError, with the figures, when the scan is too small or too large, or holds no face;
+    ValueError when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model
+    and options; MissingDependencyError when Open3D cannot be loaded.
 
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.1.1.

@@ -146,7 +146,15 @@ class FaceImage:
             float((weights * (a * b).sum(0)).sum()) + 1e-12
             for a, b in ((scan, model), (scan, scan), (model, model))
         )
-        whole, local = both / float(np.sqrt(of_scan * of_model)), _local_correlation(scan, model, weights)
+        whole = both / float(np.sqrt(of_scan * of_model))
+
+        def window(values: NDArray[Any]) -> FloatArray:
+            return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
+
+        # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
+        floor = _FLAT_SLOPE_SQUARED * (window(weights > 0) + 1e-9)
+        norm = np.sqrt((window((scan * scan).sum(0)) + floor) * (window((model * model).sum(0)) + floor))
+        local = float((weights * window((scan * model).sum(0)) / norm).sum() / max(weights.sum(), 1e-300))
         if noise is None:
             return ReliefAgreement(coverage, local, whole)
         # Noise of the vertices that lie on the surface which the image shows.
@@ -181,18 +189,6 @@ class FaceImage:
             slope = np.clip(slope, -_STEEPEST_SLOPE, _STEEPEST_SLOPE)
             image[used] = without_quadratic_trend(slope, position, np.ones(len(slope)))
         return relief, used
-
-
-def _local_correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
-    """Return the weighted mean over pixels of the correlation of a and b (2, S, S) in Gaussian windows."""
-
-    def window(values: NDArray[Any]) -> FloatArray:
-        return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
-
-    # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
-    floor = _FLAT_SLOPE_SQUARED * (window(weights > 0) + 1e-9)
-    norm = np.sqrt((window((a * a).sum(0)) + floor) * (window((b * b).sum(0)) + floor))
-    return float((weights * window((a * b).sum(0)) / norm).sum() / max(weights.sum(), 1e-300))
 
 
 def normal_relief(

@@ -51,7 +51,12 @@ def texture_cameras(scan: RawScan) -> TextureCameras | None:
     height, width = scan.texture_linear.shape[:2]
     corners, pixels = scan.vertices[scan.faces], scan.uv * np.array([width, height])
     normals = face_normals(scan.vertices, scan.faces)
-    pieces = _pieces(scan)
+    # The connected piece of the texture that each face is part of.
+    corner = split_at_seams(scan.faces, scan.uv).faces
+    edges = np.concatenate([corner[:, :2], corner[:, 1:]])
+    count = int(corner.max()) + 1
+    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (count, count))
+    pieces = connected_components(graph, directed=False)[1][corner[:, 0]]
     camera, positions = np.full(len(scan.faces), -1), list[FloatArray]()
     sizes = np.bincount(pieces)
     least = max(_LEAST_FACES, _LEAST_PART * len(scan.faces))
@@ -68,16 +73,6 @@ def texture_cameras(scan: RawScan) -> TextureCameras | None:
     if np.mean(camera >= 0) < _CAMERAS:
         return None
     return TextureCameras(camera, np.array(positions))
-
-
-def _pieces(scan: RawScan) -> IntArray:
-    """Return (F,) the connected piece of the texture that each face is part of."""
-    assert scan.uv is not None
-    corner = split_at_seams(scan.faces, scan.uv).faces
-    edges = np.concatenate([corner[:, :2], corner[:, 1:]])
-    count = int(corner.max()) + 1
-    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (count, count))
-    return np.asarray(connected_components(graph, directed=False)[1][corner[:, 0]], np.int64)
 
 
 def _fitted(corners: FloatArray, pixels: FloatArray, normals: FloatArray) -> FloatArray | None:

@@ -107,23 +107,18 @@ class TextureLookup:
         valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
         if scan.uv is not None and scan.texture_linear is not None:
             color, inside = self._photograph(near, hits, steps)
-            valid &= self._dense_enough()[face] & inside
+            # Faces need enough photograph pixels for their area.
+            e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
+            texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+            density = texture_area / np.maximum(face_areas(scan.vertices, scan.faces), 1e-12)
+            used = density[texture_area > 0]
+            dense = density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
+            valid &= dense[face] & inside
         else:
             assert scan.vertex_color_linear is not None
             corners = scan.vertex_color_linear[scan.faces[face]]
             color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
         return Samples(color, valid, face)
-
-    def _dense_enough(self) -> BoolArray:
-        """(F,) whether a face has enough photograph pixels for its area."""
-        assert self.scan.uv is not None
-        uv = self.scan.uv
-        e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-        texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-        area = face_areas(self.scan.vertices, self.scan.faces)
-        density = texture_area / np.maximum(area, 1e-12)
-        used = density[texture_area > 0]
-        return density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
 
     def _photograph(
         self, near: IntArray, hits: ClosestHits, steps: FloatArray
@@ -141,27 +136,21 @@ class TextureLookup:
         uv = in_first_period(scan.uv[near], scan.texture_linear.shape)[hits.face]
         center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
         inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
-        footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
-        # So many that no pixel between them is left out.
-        sides = np.linalg.norm(footprint, axis=1).max(1)
-        longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
-        taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
-        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
-
-    def _uv_gradients(self, near: IntArray) -> FloatArray:
-        """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""
-        scan = self.scan
-        assert scan.uv is not None
-        faces, uv = scan.faces[near], scan.uv[near]
-        corners = scan.vertices[faces]
+        # Gradients (F, 2, 3) of u and v over each of the faces, per mm; zero on degenerate ones.
+        faces, corners = scan.faces[near], scan.vertices[scan.faces[near]]
         cross = face_cross_products(scan.vertices, faces)
         squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
         gradient = np.zeros((len(faces), 2, 3))
         for k in range(3):
             opposite = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
             hat = np.cross(cross, opposite) / squared[:, None]
-            gradient += uv[:, k, :, None] * hat[:, None, :]
-        return gradient
+            gradient += scan.uv[near, k, :, None] * hat[:, None, :]
+        footprint = np.einsum("nck,nkd->ncd", gradient[hits.face], steps) * to_pixels[:, None]
+        # So many that no pixel between them is left out.
+        sides = np.linalg.norm(footprint, axis=1).max(1)
+        longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
+        taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
+        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
