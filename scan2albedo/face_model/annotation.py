@@ -213,10 +213,7 @@ class AnnotatedSurface:
         return self.subdivision(LANDMARK_LEVELS).points_matrix(self.landmark_points) @ control_points
 
     def template_of(self, control_points: FloatArray) -> FloatArray | None:
-        """Return the (T, 3) template vertices for deformed control points; None without a template.
-
-        Each vertex is its point on the limit surface plus its rest offset, turned with its control face.
-        """
+        """Return the (T, 3) template vertices for deformed control points; None without a template."""
         if self.template_points is None:
             return None
         moved = self.subdivision(LANDMARK_LEVELS).points_matrix(self.template_points) @ control_points
@@ -226,12 +223,7 @@ class AnnotatedSurface:
         return moved + np.einsum("nij,nj->ni", frames, self.template_offset)
 
     def region_values(self, attribute: str) -> FloatArray:
-        """Return (256,) table from region index to a number of `Region` (0 where unused).
-
-        >>> from scan2albedo import AnnotatedFaceModel
-        >>> AnnotatedFaceModel.default().region_values("stiffness").shape
-        (256,)
-        """
+        """Return (256,) table from region index to a number of `Region` (0 where unused)."""
         table = np.zeros(256)
         for region in self.regions.values():
             table[region.index] = float(getattr(region, attribute))

@@ -138,15 +138,10 @@ def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:
         for m in range(_WAVES):
             wave = np.cos(k * across) * np.cos(m * along)
             modes += [_WAVE_MM * wave[:, None] * normals] if k + m else []
-    return _without_similarities(np.array(modes), rest, weights)
-
-
-def _without_similarities(modes: FloatArray, points: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return displacements (K, C, 3) of points (C, 3) less the motion, turn and growth nearest to each."""
-    offset = points - weights @ points / weights.sum()
-    similarities = [np.broadcast_to(unit, points.shape) for unit in np.eye(3)]
+    # Less the motion, turn and growth nearest to each.
+    offset = rest - weights @ rest / weights.sum()
+    similarities = [np.broadcast_to(unit, rest.shape) for unit in np.eye(3)]
     similarities += [np.cross(unit, offset) for unit in np.eye(3)] + [offset]
-    basis = np.array(similarities).reshape(7, -1)
+    basis, flat = np.array(similarities).reshape(7, -1), np.array(modes).reshape(len(modes), -1)
     weighted = basis * np.repeat(weights, 3)
-    flat = modes.reshape(len(modes), -1)
-    return (flat - flat @ weighted.T @ np.linalg.inv(weighted @ basis.T) @ basis).reshape(modes.shape)
+    return (flat - flat @ weighted.T @ np.linalg.inv(weighted @ basis.T) @ basis).reshape(-1, *rest.shape)

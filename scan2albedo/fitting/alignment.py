@@ -1,8 +1,6 @@
 """Before anything bends: pose and size over the rigid regions, then the face's proportions.
 
-Where a person's eyes, nose and mouth stand at other heights than the model's, closest points alone let the
-sheet slide along the face. So a few numbers that keep the face's symmetry and its features whole are found
-first; the bending starts from there.
+Closest points alone let the sheet slide along a face whose eyes, nose and mouth stand at other heights.
 """
 
 from __future__ import annotations
@@ -22,14 +20,12 @@ from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.rigid import Similarity
 
-AT_REST = Similarity(np.eye(3), np.zeros(3))
 NOISE_MM = 1.5
 """Standard deviation of the distance between the scan and a model in the person's shape."""
 SIZE_SD = 0.012
 """Of the logarithm of the size about the registration's, which the rigid regions alone hardly show."""
 KNOTS = 5
 """Quadratic B-splines over the height of the face."""
-HALF_WIDTH_MM = 60.0
 LEVEL_MM, STEP_MM = 13.0, 1.3
 """Standard deviations of a coefficient, and of the difference between neighbouring ones."""
 LAST_GATE_MM, ROBUST_MM = 6.0, (3.0, 1.5)
@@ -49,8 +45,8 @@ def refine_similarity(
 ) -> Similarity:
     """Return the similarity that moves the model's rigid regions onto the scan, from its present pose.
 
-    `rest` (C, 3) are the control points, `weight` (N,) of each sample its area times how much a motion shows
-    there. Closest points, gated and robust weights are found anew every iteration; `landmarks` pull whole.
+    `rest` (C, 3) are the control points, `weight` (N,) each sample's area times how much a motion shows
+    there.
     """
     forces: ScanForces | None = None
 
@@ -63,16 +59,9 @@ def refine_similarity(
         return with_landmarks(forces, samples, landmarks, points, meter)
 
     matrix, weights = source(samples, weight, landmarks)
-    precision = np.array([[SIZE_SD**-2]])
+    known = np.array([[SIZE_SD**-2]])
     return align(
-        matrix @ rest,
-        weights,
-        pairs,
-        AT_REST,
-        steps=iterations,
-        precision=precision,
-        scale_range=scale_range,
-        growth=np.inf,
+        matrix @ rest, weights, pairs, steps=iterations, precision=known, scale_range=scale_range
     ).pose
 
 
@@ -121,9 +110,8 @@ def proportioned(
 ) -> FloatArray:
     """Return control points (C, 3) whose face has the scan's proportions.
 
-    `proportion_iterations` steps on a rigid motion and three splines of height (`_modes`), with the gates and
-    robust weights of the forces. `reference` (C, 3) are control points at rest, in the scan's frame and about
-    of its size; `landmarks` are drawn to their targets as far as the splines allow.
+    `reference` (C, 3) are control points at rest, in the scan's frame and about of its size; a rigid motion
+    and the `_modes` move them onto the scan and to the `landmarks`.
     """
     modes, precision = _modes(reference)
     steps = options.proportion_iterations
@@ -143,7 +131,6 @@ def proportioned(
         matrix @ reference,
         weights,
         pairs,
-        AT_REST,
         steps=steps,
         modes=np.stack([matrix @ modes[:, axis] for axis in range(3)], axis=1),
         precision=precision,
@@ -155,8 +142,7 @@ def proportioned(
 def _modes(reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return displacements (C, 3, M) of the control points by each mode, and the precision for `align`.
 
-    Per spline of height: shift up, shift forward, and forward with the square of x (how round the face is),
-    all mirror-symmetric.
+    Per spline of height: up, forward, and forward with the square of x in units of 60 mm (roundness).
     """
     centred = reference - reference.mean(0)
     height = (centred[:, 1] - centred[:, 1].min()) / max(np.ptp(centred[:, 1]), 1e-9)
@@ -165,7 +151,7 @@ def _modes(reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     modes = np.zeros((len(reference), 3, 3 * KNOTS))
     modes[:, 1, :KNOTS] = spline
     modes[:, 2, KNOTS : 2 * KNOTS] = spline
-    modes[:, 2, 2 * KNOTS :] = 0.5 * (centred[:, 0, None] / HALF_WIDTH_MM) ** 2 * spline
+    modes[:, 2, 2 * KNOTS :] = 0.5 * (centred[:, 0, None] / 60) ** 2 * spline
     difference = np.diff(np.eye(KNOTS), axis=0)
     one = difference.T @ difference / STEP_MM**2 + np.eye(KNOTS) / LEVEL_MM**2
     return modes, block_diag(1.0, one, one, one)

@@ -16,7 +16,6 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
-from scan2albedo.fitting.alignment import AT_REST
 from scan2albedo.fitting.forces import ForceGates, scan_forces
 from scan2albedo.fitting.openings import EYES
 from scan2albedo.fitting.options import between
@@ -153,7 +152,6 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
         samples.matrix @ reference,
         samples.area * samples.rigidity,
         pairs,
-        AT_REST,
         steps=STEPS,
         modes=np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1),
         precision=np.diag(np.concatenate([[SIZE_SD**-2], np.ones(len(person))])),

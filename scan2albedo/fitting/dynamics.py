@@ -25,20 +25,15 @@ class State:
 
 
 class ImplicitSystem:
-    """One stage of the dynamics: linearly implicit (backward) Euler, factored once for all its steps.
+    """One stage of the dynamics: backward Euler, factored once for all its steps.
 
-    With forces linear in the step, f(q + d) = f - H d (H the springs' own stiffness, positive semi-definite),
-    one step d solves
+    With the springs' own stiffness H, positive semi-definite, one step d solves
 
         (M / dt^2 + D / dt + K + H) d = M v / dt - K q + f
 
-    by conjugate gradients from d = 0, preconditioned by the factored M / dt^2 + D / dt + K + C, the same
-    scalar matrix for x, y and z and for every step of the stage. Each iteration lowers the energy of the
-    linearised system, so that the step is stable for any dt, K and mass wherever it is cut off.
-
-    `mass` > 0 and `damping` >= 0 (C,) are the diagonals of M and D, `stiffness` (C, C) is K,
-    `force_stiffness` (C, C) is C, the usual stiffness of the springs, both symmetric positive semi-definite;
-    `time_step` dt > 0.
+    by conjugate gradients from d = 0, preconditioned by M / dt^2 + D / dt + K + C. Each iteration lowers the
+    energy, so that the step is stable wherever it is cut off. `mass` > 0 and `damping` >= 0 (C,) are the
+    diagonals of M and D, `stiffness` K and `force_stiffness` C, the usual H, (C, C); `time_step` dt > 0.
     """
 
     def __init__(
@@ -63,8 +58,7 @@ class ImplicitSystem:
         """Return the state one time step later.
 
         `force` (C, 3) acts at `state`, `springs` maps x (C, 3) to H x. Conjugate gradients end after
-        `iterations`, or when the residual (in the preconditioner's norm) has fallen to `tolerance` of the
-        first.
+        `iterations`, or when the residual has fallen to `tolerance` of the first.
         """
         right = self._mass * state.velocity / self.time_step - self._stiffness @ state.q + force
         moved = conjugate_gradients(
@@ -100,9 +94,8 @@ def conjugate_gradients(
 def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
     """Return a solver for a symmetric positive definite (C, C) matrix and (C, K) right-hand sides.
 
-    The matrix is scaled to unit diagonal first, so that it factors whatever its units. CHOLMOD's supernodal
-    factorisation through cholespy; SuperLU where the matrix is indefinite by rounding. Raises `FitError` when
-    the matrix holds values that are not finite, or is singular.
+    The matrix is scaled to unit diagonal; SuperLU where it is indefinite by rounding. Raises `FitError` for
+    values that are not finite, or a singular matrix.
     """
     csc = sparse.csc_matrix(matrix)
     diagonal = csc.diagonal()

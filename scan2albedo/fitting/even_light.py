@@ -10,18 +10,14 @@ from scan2albedo.geometry.front_picture import FrontPicture
 
 _SMOOTH_MM = 2.0
 """Depth is smoothed by it before it is derived: scanners' noise tilts normals."""
-_STRIDE, _ROUNDS = 2, 6
-"""Squares in each second row and column are enough to find the light."""
 _DARKEST, _EVEN = 0.15, 0.02
 """Least light, relative to the usual one, and a deviation that nothing has to explain."""
 
 
 def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
-    """Return `brightness` (H, W) of a picture divided by the shading that its normals explain, about 1.
+    """Return brightness (H, W) without what the light did to it.
 
-    The light on a convex body of one colour is nearly a quadratic function of the normal [1]_; its nine
-    numbers are found by least squares, without squares that are darker or brighter than the others by much
-    (hair, lips, shadows, highlights).
+    Of a matt surface it is about an albedo times a quadratic in the normal [1]_, fitted robustly here.
 
     .. [1] R. Ramamoorthi, P. Hanrahan, "An Efficient Representation for Irradiance Environment Maps",
        SIGGRAPH 2001.
@@ -38,11 +34,12 @@ def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
     one = np.ones_like(x)
     basis = np.stack([one, x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=-1)
     used = np.zeros(picture.seen.shape, bool)
-    used[::_STRIDE, ::_STRIDE] = picture.seen[::_STRIDE, ::_STRIDE]
+    # Squares in each second row and column are enough.
+    used[::2, ::2] = picture.seen[::2, ::2]
     rows, values = basis[used], np.minimum(brightness, np.percentile(brightness[used], 99))[used]
     darkest = _DARKEST * max(float(np.median(values)), 1e-12)
     weight = np.ones(len(values))
-    for _ in range(_ROUNDS):
+    for _ in range(6):
         weighted = rows * weight[:, None]
         light = np.linalg.solve(weighted.T @ rows + 1e-4 * len(values) * np.eye(9), weighted.T @ values)
         off = np.abs(values - rows @ light) / np.maximum(rows @ light, darkest)

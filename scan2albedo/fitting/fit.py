@@ -25,16 +25,15 @@ from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.painted_features import painted_pull
 from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
-from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
+from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
-RIGID_LEVEL, MIN_FIRST_CONTACT = 0, 0.03
-"""Samples while pose, size and proportions are found; least part of their area with scan near before it
-bends."""
+MIN_FIRST_CONTACT = 0.03
+"""Least part of the model's area with scan near before it bends."""
 
 
 class Posed(Protocol):
@@ -56,14 +55,11 @@ def fit(
 ) -> FittedFace:
     """Return the model's limit surface deformed onto a scan, with the refined pose.
 
-    The control points P = s P_0 + q follow M q'' + D q' + K q = f, with K the membrane and thin-plate
+    The control points P = s P_0 + q follow M q'' + D q' + K q = f [1]_, with K the membrane and thin-plate
     energy of q weighted by each region's stiffness, and f the forces of the scan on samples of the limit
-    surface, taken to the control points by the transpose of the subdivision matrix. Time is discretised
-    implicitly (`ImplicitSystem`); stages go from few samples and a stiff sheet to many and a soft one.
-    Before that, pose and size s are refined over the stiff regions (`refine_similarity`), lenses before the
-    eyes are left out with a doubt in the plan (`covers`), the mouth is opened and its corners are drawn back
-    as the scan's are, brows, eyes and lips are looked for in its colours (`painted_features`), and the face
-    gets its proportions (`proportioned`).
+    surface [2]_. Before that, pose and size s are refined, lenses before the eyes are left out, the mouth is
+    opened and its corners drawn back, brows, eyes and lips are looked for in the colours, and the face gets
+    its proportions.
 
     Raises FitError when there is next to no scan where the model is; TypeError for other objects than a scan,
     a model and a pose.
@@ -75,19 +71,15 @@ def fit(
     reg : object with `model_from_scan`, or (4, 4) array
         Rigid pose, good to about 15 degrees and 15 mm.
     budget : Budget, float or None
-        Seconds, or evaluations (steps). When it ends, the face reached so far is returned with
-        ``converged=False``.
+        Seconds, or evaluations (steps). When it ends, the face so far is returned with ``converged=False``.
     options : FitOptions, optional
     on_progress : callable, optional
         Called with each trace row.
 
     Notes
     -----
-    The linear finite elements of [1]_ are replaced by the cotangent Laplacian of the control mesh, and
-    its damping by the implicit treatment of the forces' own stiffness: each step is a few preconditioned
-    conjugate gradients on x, y, z together, so that samples slide along the scan as freely as `tangential`
-    lets them. Closest points that are not mutual do not pull; folds left at the end are stiffened away.
-    A step costs O(samples).
+    The linear finite elements of [1]_ are replaced by the cotangent Laplacian of the control mesh, and its
+    damping by the implicit treatment of the forces' stiffness (`ImplicitSystem`). A step costs O(samples).
 
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An Automated Method for Human Face
        Modeling and Relighting with Application to Face Recognition", section 3.1.2.
@@ -98,12 +90,46 @@ def fit(
     require_type(model, AnnotatedSurface, "fit: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, (FitOptions, type(None)), "fit: options", "make them with FitOptions()")
     chosen = options or FitOptions()
-    pose = _pose_of(reg)
+    if not isinstance(reg, np.ndarray) and not hasattr(reg, "model_from_scan"):
+        raise TypeError(
+            f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
+            "returns one"
+        )
+    pose = checked_pose(reg if isinstance(reg, np.ndarray) else reg.model_from_scan)
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
-    surface = _scan_surface(scan, model, pose, chosen)
+    low, high = model.control_vertices.min(0), model.control_vertices.max(0)
+    margin = CROP_MARGIN * float(np.max(high - low))
+    near = scan_near_model(scan.vertices, scan.faces, pose, low - margin, high + margin, chosen.smoothing_mm)
+    if near is None:
+        raise FitError(
+            f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "
+            "register the scan first, and check its unit"
+        )
+    points, faces = model.surface(0)
+    surface = near.turned_outward(points, vertex_normals(points, faces), GATE_MM[0])
     placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)
     pull = seen if placed is None else placed.with_more(seen)
-    similarity = _refined(surface, model, chosen, meter, pull, scan.name)
+    samples = SurfaceSamples.of(model, model.control_vertices, 0)
+    similarity = refine_similarity(
+        surface,
+        samples,
+        model.control_vertices,
+        # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
+        samples.area * samples.rigidity * samples.relief(samples.matrix @ model.control_vertices),
+        ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1]),
+        iterations=chosen.rigid_iterations,
+        scale_range=chosen.scale_range,
+        meter=meter,
+        landmarks=pull,
+    )
+    hits = surface.nearest.query(similarity.apply(samples.matrix @ model.control_vertices))
+    reached = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
+    share = float(samples.area[reached].sum() / samples.area.sum())
+    if share < MIN_FIRST_CONTACT:
+        raise FitError(
+            f"{scan.name}: only {100 * share:.1f} % of the model has scan within {GATE_MM[0]:.0f} mm, at "
+            f"least {100 * MIN_FIRST_CONTACT:.0f} % needed; the pose is wrong, or the scan holds no face"
+        )
     # The scan comes to the model, which keeps its frame and its front, and takes the size.
     correction = invert_rigid(similarity.rigid(model.front))
     pose, surface = correction @ pose, surface.moved(correction)
@@ -124,11 +150,18 @@ def fit(
         shown = scan.without_faces(covered) if covered.any() else scan
         painted = painted_pull(shown, pose, model, deformation.reference)
         pull = painted if pull is None else pull.with_more(painted)
-    samples = SurfaceSamples.of(model, deformation.reference, RIGID_LEVEL)
+    samples = SurfaceSamples.of(model, deformation.reference, 0)
     reference = proportioned(bare.scan, samples, deformation.reference, chosen, meter, pull)
     if pull is not None:
-        pull, left_out = _believed(pull, model, reference)
-        steps += left_out
+        count = int((pull.numbers >= 0).sum())
+        pull, left_out = pull.without_wrong(model, reference)
+        if wrong := [number for number in left_out.tolist() if number >= 0]:
+            reason = (
+                f"{len(wrong)} of {count} landmarks (number {', '.join(map(str, wrong))}) lie more than "
+                f"{WRONG_MM:.0f} mm from where the face and the others put them, and are left out: check "
+                "their numbers, frame and unit"
+            )
+            steps.append(PlanStep.doubt("fit.landmarks", reason))
     if pull is not None:
         reference = pull.followed(model, reference)
         pull = pull.held(reference, bare.scan)
@@ -140,34 +173,6 @@ def fit(
     )
 
 
-def _believed(
-    pull: LandmarkPull, model: AnnotatedSurface, reference: FloatArray
-) -> tuple[LandmarkPull | None, list[PlanStep]]:
-    """Return the landmarks without wrong ones, and a doubt about those that somebody placed."""
-    believed, left_out = pull.without_wrong(model, reference)
-    wrong = [number for number in left_out.tolist() if number >= 0]
-    if not wrong:
-        return believed, []
-    reason = (
-        f"{len(wrong)} of {int((pull.numbers >= 0).sum())} landmarks (number {', '.join(map(str, wrong))}) "
-        f"lie more than {WRONG_MM:.0f} mm from where the face and the others put them, and are left out: "
-        "check their numbers, frame and unit"
-    )
-    return believed, [PlanStep.doubt("fit.landmarks", reason)]
-
-
-def _pose_of(reg: Posed | FloatArray) -> FloatArray:
-    """Return the (4, 4) pose that a caller gave; raises TypeError for what has none."""
-    if isinstance(reg, np.ndarray):
-        return checked_pose(reg)
-    if not hasattr(reg, "model_from_scan"):
-        raise TypeError(
-            f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
-            "returns one"
-        )
-    return checked_pose(reg.model_from_scan)
-
-
 def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
     """Return the pose as an array; raises `ValueError` when it is not a finite rigid (4, 4) transform."""
     pose = np.asarray(model_from_scan, np.float64)
@@ -177,54 +182,3 @@ def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
     if not gap < 1e-3 or not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) < 0:
         raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
     return pose
-
-
-def _scan_surface(
-    scan: RawScan, model: AnnotatedSurface, pose: FloatArray, options: FitOptions
-) -> ScanSurface:
-    low, high = model.control_vertices.min(0), model.control_vertices.max(0)
-    margin = CROP_MARGIN * float(np.max(high - low))
-    surface = scan_near_model(
-        scan.vertices, scan.faces, pose, low - margin, high + margin, options.smoothing_mm
-    )
-    if surface is None:
-        raise FitError(
-            f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "
-            "register the scan first, and check its unit"
-        )
-    points, faces = model.surface(RIGID_LEVEL)
-    return surface.turned_outward(points, vertex_normals(points, faces), GATE_MM[0])
-
-
-def _refined(
-    surface: ScanSurface,
-    model: AnnotatedSurface,
-    options: FitOptions,
-    meter: Meter,
-    landmarks: LandmarkPull | None,
-    name: str,
-) -> Similarity:
-    """Return the similarity that lays the model on the scan; FitError where hardly any scan is near then."""
-    samples = SurfaceSamples.of(model, model.control_vertices, RIGID_LEVEL)
-    rest = samples.matrix @ model.control_vertices
-    similarity = refine_similarity(
-        surface,
-        samples,
-        model.control_vertices,
-        # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
-        samples.area * samples.rigidity * samples.relief(rest),
-        ForceGates(GATE_MM[0], options.tangential, MIN_ROBUST_MM[1]),
-        iterations=options.rigid_iterations,
-        scale_range=options.scale_range,
-        meter=meter,
-        landmarks=landmarks,
-    )
-    hits = surface.nearest.query(similarity.apply(rest))
-    near = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
-    share = float(samples.area[near].sum() / samples.area.sum())
-    if share < MIN_FIRST_CONTACT:
-        raise FitError(
-            f"{name}: only {100 * share:.1f} % of the model has scan within {GATE_MM[0]:.0f} mm, at "
-            f"least {100 * MIN_FIRST_CONTACT:.0f} % needed; the pose is wrong, or the scan holds no face"
-        )
-    return similarity

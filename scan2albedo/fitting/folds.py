@@ -9,7 +9,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.geometry.mesh import neighbouring_faces
 
-MAX_HALVINGS, MIN_STEP_COSINE = 8, 0.2
+MIN_STEP_COSINE = 0.2
 """A triangle whose normal turns further than that in one step counts as turning over."""
 FOLD_COSINE, FOLD_CHANGE_RAD = -0.866, np.pi / 4
 """Neighbours more than 150 degrees apart: lips and nostrils crease by less, a fold-over by 180."""
@@ -24,12 +24,11 @@ def guarded(
 ) -> FloatArray:
     """Return control points (C, 3) between `before` and `after` for which no triangle turns over.
 
-    The step is halved at the control points around each offending triangle and their neighbours, up to
-    MAX_HALVINGS times, then dropped there, then dropped everywhere. `face_normals` (F, 3) are unit normals of
-    the sampled triangles at `before`.
+    The step is halved around each offending triangle up to seven times, then dropped there, then everywhere.
+    `face_normals` (F, 3) are unit normals of the sampled triangles at `before`.
     """
     fraction = np.ones((len(before), 1))
-    for attempt in range(MAX_HALVINGS + 1):
+    for attempt in range(9):
         trial = before + fraction * (after - before)
         bad = turned_faces(face_normals, samples.matrix @ trial, samples.faces, MIN_STEP_COSINE)
         if len(bad) == 0:
@@ -37,16 +36,12 @@ def guarded(
         corners = np.zeros(len(before), bool)
         corners[control_faces[samples.parent[bad]]] = True
         corners[control_faces[corners[control_faces].any(1)]] = True
-        fraction[corners] *= 0.5 if attempt < MAX_HALVINGS - 1 else 0.0
+        fraction[corners] *= 0.5 if attempt < 7 else 0.0
     return before
 
 
 class FoldFinder:
-    """Finds triangles (F, 3) at edges that folded over.
-
-    An edge folded over when its angle is above 150 degrees and 45 degrees more than at `rest` (V, 3): the
-    rims of lips and lids are creases of 130 degrees that may close.
-    """
+    """Finds triangles (F, 3) at edges of over 150 degrees, and 45 degrees more than at `rest` (V, 3)."""
 
     def __init__(self, rest: FloatArray, faces: IntArray) -> None:
         first, second, _ = neighbouring_faces(faces)

@@ -18,7 +18,7 @@ MIN_NORMAL_COSINE = 0.6
 ROBUST_SCALE, MIN_ROBUST_MM, RIM_ROBUST_MM = 3.0, (3.0, 1.0), 0.25
 """Residuals beyond that many robust standard deviations lose their weight; floors of these in the first and
 last stage, and at the rim."""
-MUTUAL_SLOPE, MUTUAL_SPACING = 0.5, 0.1
+MUTUAL_SPACING = 0.1
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class ForceGates:
 class ScanForces:
     """Springs per unit area between N surface samples and the scan.
 
-    `weight` (N,) is the robust weight times the gate, 0 ... 1; `tangential` the stiffness along the surface
-    relative to 1 across it; `offset` (N, 3) the closest scan point minus the sample; `normal` (N, 3) the
-    scan's unit normal there; `near_mm` (N,) the distance cut off at the gate, NaN where the closest point is
-    on the scan's border; `vertex` (N,) scan vertices to start the next search from.
+    `weight` (N,) is the robust weight times the gate, `tangential` the stiffness along the surface relative
+    to that across it; `offset` (N, 3) the closest scan point minus the sample; `normal` (N, 3) the scan's
+    there; `near_mm` (N,) the distance cut off at the gate, NaN on the scan's border; `vertex` (N,) the scan's
+    nearest.
     """
 
     weight: FloatArray
@@ -63,15 +63,14 @@ class ScanForces:
     def mutual(self, samples: FloatArray, area: FloatArray) -> BoolArray:
         """Return (N,) True where the sample nearest to the closest point y of a sample x is near x.
 
-        Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, x lies
-        behind a part of the model that y belongs to, about as far as y is: such pairs must not pull. Kept are
-        those for which the sample nearest to y is within MUTUAL_SLOPE |y - x| of x, plus a part of the
-        samples' spacing, which follows from their `area` (N,).
+        Where the model hides behind itself (inner lips, nostrils) and the scan does not show it, pairs must
+        not pull. Kept are those with the sample nearest to y within |y - x| / 2 of x, plus a part of the
+        samples' spacing.
         """
         used = np.flatnonzero(self.weight > 0)
         _, back = cKDTree(samples, balanced_tree=False).query(samples[used] + self.offset[used])
         gap = np.linalg.norm(samples[back] - samples[used], axis=1)
-        reach = MUTUAL_SLOPE * np.linalg.norm(self.offset[used], axis=1)
+        reach = 0.5 * np.linalg.norm(self.offset[used], axis=1)
         kept = np.zeros(len(samples), bool)
         kept[used] = gap <= reach + MUTUAL_SPACING * np.sqrt(area[used])
         return kept
@@ -94,10 +93,9 @@ def scan_forces(
 ) -> ScanForces:
     """Return the springs w (n n^T + t (I - n n^T)) (y - x) that pull samples x to their closest points y.
 
-    n is the scan's normal at y, t the tangential part, w the product of the gates (distance, angle of
-    normals, border of the scan) and of Geman and McClure's robust weight. `samples` and `sample_normals` (N,
-    3) lie on the model's surface; `start` are the forces of the last call for the same samples, moved a
-    little; at the `rim` (N,) of `SurfaceSamples`, scan in front of the model is likely hair or cloth.
+    n is the scan's normal at y, t the tangential part, w the gates times Geman and McClure's robust weight.
+    `start` are the forces of the last call for the same samples; at the `rim` (N,) of `SurfaceSamples`, scan
+    in front of the model is likely hair or cloth.
     """
     vertex = scan.nearest.nearest_vertices(samples) if start is None else start.vertex.copy()
     offset, normal, distance, border = pulled(
@@ -116,8 +114,7 @@ def robust_weights(
 ) -> FloatArray:
     """Return (N,) Geman-McClure weights 1 / (1 + (r / c)^2)^2, c from the median of the used residuals.
 
-    For scan in front of the model (positive residual) at the `rim`, c has the lower floor RIM_ROBUST_MM: a
-    wide one would draw the rim onto hair and collars, a little further with every stage.
+    For scan in front of the model at the `rim`, c has the lower floor RIM_ROBUST_MM.
     """
     if not used.any():
         return np.zeros(len(residual))
@@ -136,8 +133,8 @@ def robust_weights(
 def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, normals, boundary):  # type: ignore[no-untyped-def]
     """Find the point of the scan's surface closest to each point (N, 3).
 
-    `vertex` (N,), where the search starts, is updated in place. Returned are the offset (N, 3) to the closest
-    point, the unit normal (N, 3) there, the distance (N,), and whether it lies on the border (N,).
+    The search starts at `vertex` (N,), updated in place. Returned are the offset (N, 3) there, the unit
+    normal (N, 3), the distance (N,), and whether the point lies on the border (N,).
     """
     count = len(points)
     offset, normal = np.empty((count, 3)), np.empty((count, 3))

@@ -38,10 +38,9 @@ class LandmarkPull:
     """Points of the model that shall lie on points of the scan.
 
     `numbers` (L,) are those of iBUG-68, below 0 for what the scan itself shows; `matrix` (L, C) gives the
-    model's points from control points, `targets` (L, 3) are the scan's in mm, `sigma_mm` (L,) their standard
-    deviations; `axes` (L, 3) are 1 along those that they are known along, else 0. One `wrong_mm` (L,) from
-    where it is expected is not believed. Those that are `still` (L,) whatever the face expresses count while
-    pose, size and proportions are found.
+    model's points from control points, `targets` (L, 3) are in mm, `sigma_mm` (L,) their standard deviations;
+    `axes` (L, 3) are 1 along those that they are known along. One `wrong_mm` (L,) off is not believed; those
+    `still` (L,) whatever the face expresses count while pose, size and proportions are found.
     """
 
     numbers: IntArray
@@ -105,9 +104,8 @@ class LandmarkPull:
         return self.axes * (self.targets - points)
 
     def person_weight(self, offset: FloatArray) -> FloatArray:
-        """Return (L,) mm2 of surface that each counts for while the model has no person's shape yet.
-
-        One far off, at `offset` (L, 3), loses its weight; those that expressions move have none.
+        """Return (L,) mm2 of surface that each counts for at `offset` (L, 3), before the model has a person's
+        shape.
         """
         variance = _PERSON_MM**2 + self.sigma_mm**2
         far = np.sum(offset**2, axis=1) / self.wrong_mm**2
@@ -119,8 +117,7 @@ class LandmarkPull:
     ) -> tuple[LandmarkPull | None, IntArray]:
         """Return those that agree with each other and the shape, and the numbers of the others.
 
-        One at a time, the worst first, is left out while it is `wrong_mm` from where the others, smoothly
-        followed, put it.
+        The worst is left out while it is `wrong_mm` from where the others, smoothly followed, put it.
         """
         kept, wrong = self, list[int]()
         while True:
@@ -142,10 +139,9 @@ class LandmarkPull:
         return LandmarkPull(*(getattr(self, part.name)[used] for part in fields(self)))
 
     def followed(self, model: AnnotatedSurface, control_points: FloatArray) -> FloatArray:
-        """Return the control points (C, 3), bent smoothly so that the landmarks come near their targets.
+        """Return the control points (C, 3), bent so that the landmarks come near their targets.
 
-        The displacement u of least sum |B u - d|^2 / sigma^2 + int m |u|^2 + D |laplacian u|^2: what is
-        expected where it deviates by _PERSON_MM, over _ALIKE_MM alike.
+        The displacement u has the least sum |B u - d|^2 / sigma^2 + int m |u|^2 + D |laplacian u|^2.
         """
         solve, spread = self._smoother(model, control_points)
         return np.asarray(control_points + solve(spread @ self.offsets(control_points)))

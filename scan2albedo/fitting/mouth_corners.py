@@ -1,8 +1,7 @@
 """Draw the corners of the model's mouth back before it bends, as a smile does, or together, as a pout does.
 
-A smile moves the corners of the mouth over the cheeks and leaves a crease where they were drawn to. Closest
-points slide no corner along a surface; so smiling models are tried, and chosen, each side for itself, by
-whether a coarse fit reaches into the crease.
+Closest points slide no corner along a surface; so smiling models are tried, and chosen, each side for itself,
+by whether a coarse fit reaches into the crease of the cheek.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.fitting.mouth_opening import EARS, REACH_MM
+from scan2albedo.fitting.mouth_opening import REACH_MM
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import TRIAL_LEVEL, Deformation, coarsely_fitted
@@ -70,8 +69,7 @@ class MouthCorners:
         """Return the pulls of an annotated model at `control_points`; None without landmarks.
 
         A corner moves toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles pull
-        it (below 0 mm away from it); the lips stretch evenly between their middle and the corner, the cheek
-        follows less and less.
+        it.
         """
         landmarks = model.landmarks_of(control_points)
         if landmarks is None:
@@ -82,7 +80,7 @@ class MouthCorners:
         beside = np.maximum(np.abs(across) - half_width, 0)
         share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / BESIDE_MM) ** 2)
         share = share * np.exp(-0.5 * (above / ABOVE_MM) ** 2)
-        toward = normalized(landmarks[list(EARS)] - corners)
+        toward = normalized(landmarks[[0, 16]] - corners)
         return cls(
             np.where(across < 0, share, 0.0)[:, None] * toward[0],
             np.where(across > 0, share, 0.0)[:, None] * toward[1],
@@ -121,8 +119,7 @@ class MouthScan:
     def distances(self, control_points: FloatArray) -> tuple[float, float]:
         """Return the mean distance of the scan from the model, mm, on the right and on the left.
 
-        Scan whose normal disagrees with the model's there (inside of the mouth) is left out, distances are
-        cut off at REACH_MM; NaN on a side without any.
+        Scan whose normal disagrees is left out, distances are cut off at REACH_MM; NaN on a side without any.
         """
         surface, faces = self.samples.matrix @ control_points, self.samples.faces
         hits = NearestSurface(surface, faces).query(self.points)

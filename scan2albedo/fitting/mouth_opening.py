@@ -1,8 +1,7 @@
 """Open the model's mouth before it bends: a search over one angle at the jaw's hinge.
 
-Closest points alone let the lips of a closed model slide along the chin of an open mouth; so opened
-models are tried, and chosen by the result of a coarse fit and by what lies behind the film, the part of the
-model's surface that spans from lip to lip. Landmarks that someone placed on the jaw show the angle.
+Closest points alone let closed lips slide along the chin of an open mouth; so opened models are tried, and
+chosen by a coarse fit and by what lies behind the film, the part of the surface from lip to lip.
 """
 
 from __future__ import annotations
@@ -25,9 +24,7 @@ from scan2albedo.geometry.loop_subdivision import limit_matrix
 from scan2albedo.geometry.mesh import face_cross_products, lengths, normalized
 from scan2albedo.geometry.operators import laplacian
 
-EARS = (0, 16)
-BELOW_EARS = (1, 15)
-STILL = (*range(17, 48), *range(49, 54), 61, 62, 63, *EARS)
+STILL = (*range(17, 48), *range(49, 54), 61, 62, 63, 0, 16)
 """iBUG-68 indices of brows, nose, eyes, upper lip and the jaw line's ends, which the jaw leaves in place."""
 MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
 """Chin and lower lip."""
@@ -37,15 +34,15 @@ HINGE_DEPTH, NECK_BELOW_CHIN_MM = 0.18, 35.0
 FILM_WEIGHT, LIMIT_FREEDOM = 1e-3, 0.05
 """Weights of the faces between the lips, which hardly tie them together, and of keeping the control points in
 place against turning the surface exactly."""
-ANGLES_DEG, COARSE_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0), 8.0
-"""The jaw is turned by COARSE_DEG while it comes nearer to the scan, then by the steps of ANGLES_DEG."""
+ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
+"""The jaw is turned by two steps while it comes nearer to the scan, then by one."""
 REACH_MM, FAR_MM = 8.0, 2.0
-"""Distances are cut off at REACH_MM. A jaw that lies FAR_MM from the scan is turned by two steps, too, where
-the first is none nearer: most open ones, and one in twenty of those that are shut."""
+"""Distances are cut off at REACH_MM. A jaw that lies FAR_MM from the scan is turned twice as far, too, where
+that is no nearer: most open ones, and one in twenty of those that are shut."""
 MIN_GAIN, GAP = 0.12, 0.35
 """Least part of the distance that an opening saves, and of the film behind which nothing is near. Open jaws
 save 0.18 and more, with 0.5 and more of the film free; puffed cheeks and rounded lips up to 0.5, 0.2 free."""
-BEHIND_MM, FACING = 6.0, 0.5
+BEHIND_MM = 6.0
 """Scan nearer than this, with normals within 60 degrees of the film's, is skin."""
 WITH_JAW, JAW_WEIGHT, SURE_MM = 0.7, 0.6, 2.0
 """Landmarks that follow the jaw by WITH_JAW and more show how far it is open; the mouth's corners do not, nor
@@ -56,10 +53,9 @@ measure its distance to the scan."""
 def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None) -> Deformation:
     """Return the deformation that starts from the mouth opened as far as the scan's.
 
-    Placed landmarks that the jaw moves show the angle. Without them opened models run through the first,
-    stiffest stages, each angle compared with its neighbours; trials count as evaluations but leave no rows in
-    the trace. An opening is believed where the jaw comes nearer to the scan by MIN_GAIN, and where the scan
-    has a gap, or an inner surface, behind GAP of the film between the lips.
+    Placed landmarks that the jaw moves show the angle. Without them opened models run through the first
+    stages; an opening is believed where the jaw comes nearer by MIN_GAIN, and GAP of the film has no scan
+    behind it.
     """
     hinge = JawHinge.of(deformation.model, deformation.reference)
     if hinge is None or deformation.meter.exhausted:
@@ -80,8 +76,8 @@ def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None
 class JawHinge:
     """How the lower face turns about an axis along x through `center` (3,).
 
-    `weight` (C,), 0 ... 1, is the part of the angle by which the limit surface turns at each control point;
-    `limit` (C, C) gives limit positions from control points.
+    `weight` (C,) is the part of the angle by which the limit surface turns at each control point; `limit` (C,
+    C) gives limit positions from control points.
     """
 
     center: FloatArray
@@ -111,9 +107,9 @@ class JawHinge:
         inner = matrix[free][:, free] + 1e-9 * sparse.identity(len(free))
         weight[free] = factorized(inner)(-(matrix[free] @ weight)[:, None])[:, 0]
         weight = np.clip(weight, 0.0, 1.0)
-        ears = landmarks[list(EARS)]
+        ears = landmarks[[0, 16]]
         center = ears.mean(0) - [0.0, 0.0, HINGE_DEPTH * float(np.linalg.norm(ears[1] - ears[0]))]
-        center[1] = landmarks[list(BELOW_EARS), 1].mean()
+        center[1] = landmarks[[1, 15], 1].mean()
         return cls(center, weight, limit_matrix(len(control_points), model.control_faces))
 
     @cached_property
@@ -122,11 +118,7 @@ class JawHinge:
         return factorized(self.limit.T @ self.limit + LIMIT_FREEDOM * near)
 
     def opened(self, control_points: FloatArray, angle_deg: float) -> FloatArray:
-        """Return the control points (C, 3) whose surface has its jaw turned down by `angle_deg`.
-
-        The surface is turned, not the control points: it averages them, so that turning these would round off
-        the lips' edges.
-        """
+        """Return the control points (C, 3) whose surface has its jaw turned down by `angle_deg`."""
         turned = self._turned(control_points, angle_deg)
         missing = self._turned(self.limit @ control_points, angle_deg) - self.limit @ turned
         return turned + self._from_limit(self.limit.T @ missing)
@@ -181,16 +173,17 @@ class MouthSearch:
                     costs[angle] = self.cost(reached[angle])
             return min(costs, key=lambda angle: costs[angle], default=0.0)
 
-        best = best_of((0.0, COARSE_DEG))
+        fine, coarse = ANGLES_DEG[:2]
+        best = best_of((0.0, coarse))
         if best == 0 and costs[best] > FAR_MM:
-            best = best_of((2 * COARSE_DEG,))
-        while best == max(costs, default=0.0) and 0 < best < ANGLES_DEG[-1] - COARSE_DEG:
+            best = best_of((2 * coarse,))
+        while best == max(costs, default=0.0) and 0 < best < ANGLES_DEG[-1] - coarse:
             if self.deformation.meter.exhausted:
                 break
-            best = best_of((best + COARSE_DEG,))
+            best = best_of((best + coarse,))
         if best == 0 or costs[best] > (1 - MIN_GAIN) * costs[0.0] or self.gap(reached[best]) < GAP:
             return 0.0
-        return best_of((best - ANGLES_DEG[0], best + ANGLES_DEG[0]))
+        return best_of((best - fine, best + fine))
 
     def cost(self, control_points: FloatArray) -> float:
         """Mean distance of the jaw to the scan, cut off at REACH_MM, in full where normals disagree."""
@@ -206,8 +199,7 @@ class MouthSearch:
     def gap(self, control_points: FloatArray) -> float:
         """Return which part of the film between the lips has no scan near; 1 for models without a film.
 
-        Where shut lips were taken for open ones, their skin lies nearer to the film than BEHIND_MM and faces
-        as it does; teeth and tongue lie deeper, and the inner sides of lips face up and down.
+        Skin of shut lips lies nearer than BEHIND_MM and faces as the film does; teeth and tongue lie deeper.
         """
         model, scan = self.deformation.model, self.deformation.scan
         subdivision = model.subdivision(TRIAL_LEVEL)
@@ -218,6 +210,6 @@ class MouthSearch:
         across = face_cross_products(points, faces)
         hits = scan.nearest.query(points[faces].mean(axis=1))
         agreement = np.einsum("ij,ij->i", normalized(scan.normals_at(hits)), normalized(across))
-        missing = (hits.distance > BEHIND_MM) | scan.on_boundary(hits) | (agreement < FACING)
+        missing = (hits.distance > BEHIND_MM) | scan.on_boundary(hits) | (agreement < 0.5)
         area = lengths(across)
         return float(area @ missing / max(area.sum(), 1e-300))

@@ -51,9 +51,8 @@ class _Hole:
 def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     """Return the pull of lids and lips to the holes that they surround; None where the scan has none.
 
-    The scan lies in the model's frame, registered. Two holes are eyes when both have about the size of an
-    opening between lids, lie level, as far apart as people's eyes, and near the model's; one is a mouth when
-    it has the size of one, on the midline and near the model's.
+    The scan lies in the model's frame, registered. Two holes of the size of eyes, level and as far apart as
+    people's, near the model's, are eyes; one of the size of a mouth, on the midline near the model's, is one.
     """
     landmarks = model.landmarks
     if landmarks is None or model.landmark_points is None or not scan.boundary.any():

@@ -1,8 +1,6 @@
 """What a scan of one whole person does not show: parts without scan, unlike halves, strange proportions.
 
-Thresholds lie above what 324 fits to faces gave: 164 synthetic people (raw stereo with hair, beards and
-glasses; smiles and puffed cheeks of one side), five measured heads with twelve expressions of both sides or
-one, and four raw scans.
+Thresholds lie above what 324 fits to faces gave, of 164 synthetic and nine measured people.
 """
 
 from __future__ import annotations
@@ -17,6 +15,7 @@ from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import FILLED_REGION, MOUTH_REGION, REST_REGION
+from scan2albedo.fitting.landmark_pull import STILL
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -46,14 +45,8 @@ UPPER_PATCH_MM, MIDDLE_PATCH_MM = 22.0, 26.0
 """Sides of the patches over which differences are averaged, against noise."""
 LEAST_OF_A_PATCH, LEAST_OF_A_REGION = 0.4, 0.6
 """Part of the area that must be seen on both sides."""
-LEVEL, MIRROR_TOLERANCE_MM = 1, 0.1
-"""Refinements at which halves are compared; farthest a vertex of a mirror-symmetric model is from its
-twin."""
-ITERATIONS, ROBUST_MM = 6, 1.0
-"""Of laying the mirror image on the face: distances above `ROBUST_MM` count less and less."""
-UPPER = np.arange(17, 48)
-"""Brows, nose and eyes (iBUG-68), which jaw and lips do not move."""
-NOSE_TIP, OUTER_EYES = 30, [36, 45]
+MIRROR_TOLERANCE_MM = 0.1
+"""Farthest a vertex of a mirror-symmetric model is from its twin."""
 MEAN = np.array([0.017, -0.031, -0.043])
 COVARIANCE = np.array(
     [[0.00261, 0.00074, -0.00189], [0.00074, 0.00545, 0.00255], [-0.00189, 0.00255, 0.00692]]
@@ -91,11 +84,7 @@ def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
 
 
 def face_coverage(fitted: FittedFace) -> float:
-    """Return the part of the face's area that has scan near it.
-
-    Of a template of a whole head only what is annotated counts: ears, neck and the back of the head are no
-    part of the face.
-    """
+    """Return the part of the face with scan near it; of a whole head only what is annotated counts."""
     model = fitted.model
     rest = [model.regions[name].index for name in (REST_REGION, FILLED_REGION) if name in model.regions]
     counted = ~np.isin(fitted.region, rest)
@@ -127,9 +116,8 @@ def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
 class Asymmetry:
     """How the halves of a face differ, mm: RMS over patches of the mean distance to the mirror image.
 
-    `upper_mm` of the upper face, which expressions hardly move; `middle_mm` from the brows to the chin, which
-    hair hardly covers; `step_mm` beside the midline; 0 where too little is seen. `noise_mm` is the mean
-    distance of the fit to the scan.
+    `upper_mm` of the upper face; `middle_mm` from the brows to the chin; `step_mm` beside the midline; 0
+    where too little is seen. `noise_mm` is the mean distance of the fit to the scan.
     """
 
     upper_mm: float
@@ -153,7 +141,7 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
     distances are measured along the normals. Only models that are their own mirror image are judged.
     """
     model, landmarks = fitted.model, fitted.model.landmarks
-    level, mirror = min(LEVEL, fitted.levels), np.array([-1.0, 1.0, 1.0])
+    level, mirror = min(1, fitted.levels), np.array([-1.0, 1.0, 1.0])
     rest = model.surface(level)[0]
     gap, twin = cKDTree(rest).query(rest * mirror)
     if landmarks is None or gap.max() > MIRROR_TOLERANCE_MM:
@@ -167,13 +155,13 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
     upper = height > UPPER_ABOVE_MM
     if not (area * (seen & upper)).any():
         return None
-    # The mirror image is laid on the face robustly.
+    # The mirror image is laid on the face robustly: distances above 1 mm count less and less.
     image, normals = points[twin] * mirror, vertex_normals(points, faces)
     weight, robust = area * (seen & upper), np.ones(len(points))
-    for _ in range(ITERATIONS):
+    for _ in range(6):
         laid = transform_points(procrustes(image, points, weights=weight * robust), image)
         distance = np.einsum("ij,ij->i", laid - points, normals)
-        robust = 1 / (1 + (distance / ROBUST_MM) ** 2)
+        robust = 1 / (1 + distance**2)
 
     def unlike_mm(where: BoolArray, patch_mm: float) -> float:
         """RMS of the patches' means over the left half, weighted by seen area; 0 where too few are seen."""
@@ -188,18 +176,17 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
             return 0.0
         return float(np.sqrt(known[used] @ mean[used] ** 2 / known[used].sum()))
 
+    def between(values: FloatArray, ends: tuple[float, float]) -> BoolArray:
+        return np.asarray((values > ends[0]) & (values < ends[1]))
+
     nose = _in_regions(model, level, "nose", "left_nostril", "right_nostril")
-    strip = _between(height, MIDLINE_HEIGHT_MM) & _between(side, MIDLINE_MM) & ~nose
+    strip = between(height, MIDLINE_HEIGHT_MM) & between(side, MIDLINE_MM) & ~nose
     return Asymmetry(
         unlike_mm(upper, UPPER_PATCH_MM),
-        unlike_mm(_between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM), MIDDLE_PATCH_MM),
+        unlike_mm(between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM), MIDDLE_PATCH_MM),
         unlike_mm(strip, UPPER_PATCH_MM),
         fitted.metrics["residual_mean_mm"],
     )
-
-
-def _between(values: FloatArray, ends: tuple[float, float]) -> BoolArray:
-    return np.asarray((values > ends[0]) & (values < ends[1]))
 
 
 def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
@@ -213,11 +200,7 @@ def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
 
 @dataclass(frozen=True)
 class Proportions:
-    """Proportions of a face relative to the default model's.
-
-    `logarithms` (3,) are those of width / height and depth / height, and of the nose's depth before the outer
-    corners of the eyes / their distance.
-    """
+    """Proportions of a face relative to the default model's: `logarithms` (3,) of `RATIOS`."""
 
     logarithms: FloatArray
 
@@ -239,22 +222,22 @@ class Proportions:
 def proportions(landmarks: FloatArray) -> Proportions:
     """Return the proportions of a face with landmarks (68, 3) in the axes of a face model, in any unit.
 
-    Width, height and depth are the diagonal of the stretch in the affine map (a rotation after a stretch)
-    that takes the default model's landmarks to these in the least-squares sense.
+    They are the stretch in the affine map that takes the default model's landmarks to these.
     """
     reference = default_model().landmarks
     assert reference is not None
     # The stretch is the symmetric factor S of the affine map R S; the sides of the jaw line show the width.
-    shown = np.concatenate([np.arange(4), np.arange(13, 17), UPPER])
+    shown = [*range(4), *range(13, 17), *STILL]
     source, target = (points[shown] - points[shown].mean(0) for points in (reference, landmarks))
     _, singular, vt = np.linalg.svd(np.linalg.lstsq(source, target, rcond=None)[0].T)
     width, height, depth = np.log(np.maximum(np.diag((vt.T * singular) @ vt), 1e-9))
 
     def nose_depth(points: FloatArray) -> float:
         """How far the nose's tip is before the outer corners of the eyes, relative to their distance."""
-        upright = transform_points(procrustes(points[UPPER], reference[UPPER]), points)
-        right, left = upright[OUTER_EYES]
-        before = upright[NOSE_TIP, 2] - (right[2] + left[2]) / 2
+        still = list(STILL)
+        upright = transform_points(procrustes(points[still], reference[still]), points)
+        right, left = upright[[36, 45]]
+        before = upright[30, 2] - (right[2] + left[2]) / 2
         return max(float(before / np.linalg.norm(left - right)), 1e-3)
 
     nose = np.log(nose_depth(landmarks) / nose_depth(reference))

@@ -182,8 +182,8 @@ def residuals_mm(
 def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:
     """Return (68,) standard deviations along each axis of `landmarks` (68, 3), in mm.
 
-    What is usual for the feature, more where the fitted surface, `vertices` (V, 3), has no scan near it
-    (`residual_mm` (V,) NaN), or lies off it.
+    More than usual where the fitted `vertices` (V, 3) have no scan near, `residual_mm` (V,) NaN, or lie off
+    it.
     """
     usual = np.zeros(len(landmarks))
     for (begin, end), deviation_mm in _FEATURES_MM.items():

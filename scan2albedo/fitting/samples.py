@@ -16,7 +16,7 @@ from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
 
-RIM_MM, _AROUND_MM = 30.0, 15.0
+RIM_MM = 30.0
 _LEAST_RELIEF, _MOST_RELIEF = 0.1, 0.3
 """What a flat sample still counts for, and the turn of the normals (1 - cosine) beyond which none counts
 more: nose, lids, lips and ears reach it."""
@@ -27,9 +27,9 @@ class SurfaceSamples:
     """Limit positions of the vertices of one refinement level.
 
     `matrix` (N, C) gives sample positions from control points; `faces` (F, 3) are triangles between samples,
-    `parent` (F,) the control face of each. `area` (N,) is the mm^2 of skin of each sample, 0 on the film
-    between the lips, which has no forces; `rigidity` (N,) the mean stiffness of the regions around it; `rim`
-    (N,) is 1 up to RIM_MM / 2 from the model's rim, falling to 0 at RIM_MM: where hair and collars are.
+    `parent` (F,) their control faces. `area` (N,) is the mm^2 of skin, 0 on the film between the lips;
+    `rigidity` (N,) the mean stiffness around; `rim` (N,) falls from 1 at RIM_MM / 2 from the model's rim to 0
+    at RIM_MM.
     """
 
     matrix: sparse.csr_matrix
@@ -68,12 +68,11 @@ class SurfaceSamples:
     def relief(self, points: FloatArray) -> FloatArray:
         """Return (N,) how much the surface at positions (N, 3) turns away from that within 15 mm.
 
-        It is 1 - cosine between the normal and the mean normal: that of features, where a motion along the
-        surface shows.
+        It is 1 - cosine between the normal and the mean normal: large where a motion along the surface shows.
         """
         normals = self.normals(points)
         tree = cKDTree(points)
-        near = tree.sparse_distance_matrix(tree, _AROUND_MM, output_type="coo_matrix")
+        near = tree.sparse_distance_matrix(tree, RIM_MM / 2, output_type="coo_matrix")
         shape = (len(points), len(points))
         # The matrix leaves out distances of zero: each sample itself.
         around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()

@@ -21,17 +21,15 @@ Without it a vertex whose neighbours are 8 mm away would be averaged with them a
 """
 SPIKE = 6.0
 """Vertices this many times farther from their neighbours' mean than the median, and than any of them."""
-MAX_PASSES = 40
 _NO_SHARE = 1e-9
 """Sum of the shares below which nothing weighs in a vertex's mean."""
 
 
 @dataclass(frozen=True)
 class SurfaceAverages:
-    """A surface (V, 3), (F, 3) whose points are averaged with their neighbours'.
+    """A surface (V, 3), (F, 3) whose points, but those on the `boundary` (V,), are averaged with neighbours.
 
-    Every vertex is in a face; those on the `boundary` (V,) stay. A vertex that is the mean of `count` (V,)
-    measurements has that weight.
+    Every vertex is in a face; one that is the mean of `count` (V,) measurements has that weight.
     """
 
     vertices: FloatArray
@@ -42,14 +40,12 @@ class SurfaceAverages:
     def smoothed(self, scale_mm: float, *, keep_curvature: bool = False) -> FloatArray:
         """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
 
-        The number of averages over neighbours follows from the length of the edges: none when they are more
-        than twice as long as the scale, MAX_PASSES at most. Borders stay; spikes have no weight, and move to
-        the mean of their neighbours. With `keep_curvature`, the difference that averages made is averaged as
-        well and added back ("twicing", J. W. Tukey, "Exploratory Data Analysis", 1977, section 16): 2 S - S^2
-        in place of S, at about a third more noise, but without flattening.
+        The number of averages follows from the length of the edges, 40 at most. Spikes move to the mean of
+        their neighbours. With `keep_curvature`, the difference that averages made is averaged as well and
+        added back ("twicing", J. W. Tukey, "Exploratory Data Analysis", 1977, section 16).
         """
         edge_mm = usual_edge(self.vertices, self.faces)
-        passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), MAX_PASSES)
+        passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), 40)
         if passes == 0:
             return self.vertices
         reach_mm = REACH * max(scale_mm, edge_mm)

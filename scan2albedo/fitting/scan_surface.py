@@ -86,11 +86,9 @@ def scan_near_model(
 ) -> ScanSurface | None:
     """Return the scan's surface inside the box `low` ... `high` (3,) of the model's frame; None when empty.
 
-    Vertices nearer to each other than the smoothing are joined (`thinned`), which bounds the cost of a dense
-    scan and closes seams; then noise is averaged and floaters are dropped. Faces that reach out of the box
-    stay when one corner is inside, so that the cut itself makes no border near the model, but not when
-    another corner is as far away as only a stray vertex is. A scan torn into shreds has borders everywhere,
-    which mean nothing: it keeps its floaters and gets no border.
+    Vertices nearer to each other than the smoothing are joined; then noise is averaged and floaters are
+    dropped. Faces with one corner inside stay, so that the cut makes no border near the model. A scan torn
+    into shreds keeps its floaters and gets no border.
     """
     xyz = transform_points(model_from_scan, vertices)
     inside = np.all((xyz >= low) & (xyz <= high), axis=1)

@@ -21,21 +21,17 @@ from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import bending, laplacian
 
-TIME_STEP, MASS, DAMPING = 10.0, 1.0, 0.1
-"""dt, and M and D as multiples of the surface's area (a unit force is a unit area)."""
+TIME_STEP, DAMPING = 10.0, 0.1
+"""dt, and D as a multiple of M, which is the surface's area (a unit force is a unit area)."""
 MEMBRANE_MM = (6.0, 0.5)
 """Membrane smoothing length in the first and last stage."""
-GAIN_STEPS, GAIN_TOLERANCE = 5, 0.003
-"""A stage ends when that many steps gained less than this fraction of the error."""
-SEARCH_EVERY, MUTUAL_EVERY = 10, 4
-"""Steps after which closest points are searched from anew, and after which mutual ones are."""
-STIFFENING, MENDING_ROUNDS, SHORT = 3.0, 14, 3
-"""Faces around folds get so much stiffer in up to so many rounds of SHORT steps. The finest samples get SHORT
-steps and rounds: more cost an eighth and end no nearer."""
-TRIAL_LEVEL, TRIAL_STAGES, TRIAL_STEPS = 1, 2, 5
-"""A trial's samples, stages, and steps in each; longer trials choose no better."""
-USUAL_SPRINGS = 0.5
-"""Stiffness of the springs, relative to an open gate's, that the preconditioner assumes."""
+GAIN_TOLERANCE = 0.003
+"""A stage ends when five steps gained less than this fraction of the error."""
+MENDING_ROUNDS, SHORT = 14, 3
+"""Faces around folds get three times as stiff in up to so many rounds of SHORT steps. The finest samples get
+SHORT steps and rounds: more cost an eighth and end no nearer."""
+TRIAL_LEVEL = 1
+"""A trial's samples."""
 RESULT_LEVELS = 2
 """Loop refinements of the surface returned."""
 
@@ -44,10 +40,9 @@ RESULT_LEVELS = 2
 class Deformation:
     """The inputs that all stages share, in one frame.
 
-    `reference` (C, 3) are control points without displacement: the model at rest, scaled to the scan's size.
-    `landmarks` hold points of the model on points of the scan. Before it bends the jaw was turned down by
-    `jaw_deg`, and the right and the left corner of the mouth drawn back by `corners_mm`. Of the scan
-    `covered_mm2` before the eyes were left out.
+    `reference` (C, 3) are control points without displacement; `landmarks` hold points of the model on the
+    scan. Before it bends the jaw was turned down by `jaw_deg`, and the right and left corner of the mouth
+    drawn back by `corners_mm`; of the scan `covered_mm2` before the eyes were left out.
     """
 
     model: AnnotatedSurface
@@ -67,7 +62,8 @@ class Deformation:
         """Return the samples of a level, and the stiffness (C, C) of their usual springs."""
         if level not in self._sampled:
             samples = SurfaceSamples.of(self.model, self.reference, level)
-            weight = sparse.diags(USUAL_SPRINGS * samples.area)
+            # The preconditioner assumes springs half as stiff as an open gate's.
+            weight = sparse.diags(0.5 * samples.area)
             self._sampled[level] = samples, (samples.matrix.T @ weight @ samples.matrix).tocsr()
         return self._sampled[level]
 
@@ -109,10 +105,8 @@ class Deformation:
 def run_stages(deformation: Deformation, count: int | None = None) -> tuple[FloatArray, bool]:
     """Return the displacement (C, 3) after all stages, or the first `count`, and whether all of them ran.
 
-    As many run as the budget allows, at least one step. Where the surface has folded over it is made stiffer,
-    in short rounds of the last stage, until no fold is left. A scan as fine as the samples of
-    `FitOptions.finest_level` then gets a few steps with these: more of its vertices count, and their noise
-    averages out.
+    As many run as the budget allows, at least one step. Then folds are made stiffer until none is left, and a
+    scan as fine as the samples of `FitOptions.finest_level` gets a few steps with these.
     """
     options, meter = deformation.options, deformation.meter
     levels, finest = options.levels, options.finest_level
@@ -129,7 +123,13 @@ def run_stages(deformation: Deformation, count: int | None = None) -> tuple[Floa
         if deformation.scan.edge_mm < spacing_mm:
             finer = _run_stage(deformation, finest, 1.0, SHORT, q, stiffening)
             finer, _ = _mended(deformation, finer, stiffening, finest, SHORT)
-            q = _where_unfolded(deformation, finer, q)
+            # Around folds that are left the finest steps are taken back, everywhere where that does not end them.
+            back = np.zeros((len(q), 1), bool)
+            for _ in range(MENDING_ROUNDS):
+                folded = _around_folds(deformation, np.where(back, q, finer))
+                if not folded.any():
+                    return np.where(back, q, finer), not meter.exhausted
+                back |= folded[:, None]
     return q, not meter.exhausted
 
 
@@ -141,22 +141,12 @@ def coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArr
 
 
 def _coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
-    options = replace(deformation.options, steps=min(deformation.options.steps, TRIAL_STEPS))
+    # Longer trials choose no better.
+    options = replace(deformation.options, steps=min(deformation.options.steps, 5))
     meter = deformation.meter.untraced()
-    q, _ = run_stages(replace(deformation, reference=reference, options=options, meter=meter), TRIAL_STAGES)
+    q, _ = run_stages(replace(deformation, reference=reference, options=options, meter=meter), 2)
     deformation.meter.count(meter.evaluations)
     return reference + q
-
-
-def _where_unfolded(deformation: Deformation, q: FloatArray, before: FloatArray) -> FloatArray:
-    """Return `q`, taken back to `before` around its folds; `before` where that does not end them."""
-    back = np.zeros(len(q), bool)
-    for _ in range(MENDING_ROUNDS):
-        folded = _around_folds(deformation, np.where(back[:, None], before, q))
-        if not folded.any():
-            return np.where(back[:, None], before, q)
-        back |= folded
-    return before
 
 
 def _mended(
@@ -170,7 +160,7 @@ def _mended(
         folded = _around_folds(deformation, q)[faces].any(1)
         if not folded.any():
             break
-        more = np.where(folded, STIFFENING, 1.0)
+        more = np.where(folded, 3.0, 1.0)
         stiffening = more if stiffening is None else stiffening * more
         q = _run_stage(deformation, level, 1.0, SHORT, q, stiffening)
     return q, stiffening
@@ -189,8 +179,7 @@ def _around_folds(deformation: Deformation, q: FloatArray) -> BoolArray:
 def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     """Return how far (mean, weighted by area) the surface would still move if nothing slowed it.
 
-    That is |d| with (K + H) d = f - K q: near 0 where stiffness and forces balance, but as much as at the
-    start where too small a time step, or too great a mass, has held the surface.
+    That is |d| with (K + H) d = f - K q: near 0 where stiffness and forces balance.
     """
     options, none = deformation.options, np.zeros(len(q))
     samples, usual = deformation.sampled(options.levels[-1])
@@ -215,9 +204,8 @@ def _run_stage(
     """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
     meter, reference, pull = deformation.meter, deformation.reference, deformation.landmarks
     samples, usual = deformation.sampled(level)
-    mass, damping = MASS * deformation.control_area, DAMPING * deformation.control_area
-    stiffness = deformation.elasticity(progress, stiffening)
-    system = ImplicitSystem(mass, damping, stiffness, usual, TIME_STEP)
+    mass, stiffness = deformation.control_area, deformation.elasticity(progress, stiffening)
+    system = ImplicitSystem(mass, DAMPING * mass, stiffness, usual, TIME_STEP)
     gates = ForceGates.at(deformation.options, progress)
     state = State(q, np.zeros_like(q))
     errors: list[float] = []
@@ -226,13 +214,13 @@ def _run_stage(
         if meter.exhausted and (step or not meter.out_of_time):
             break
         points = samples.matrix @ (reference + state.q)
-        start = forces if forces is not None and step % SEARCH_EVERY else None
+        start = forces if forces is not None and step % 10 else None
         normals, face_normals = surface_normals(points, samples.faces)
         forces = scan_forces(deformation.scan, points, normals, gates, start, rim=samples.rim)
         meter.count()
         errors.append(forces.mean_distance_mm(samples.area))
         meter.record(errors[-1])
-        if step % MUTUAL_EVERY == 0:
+        if step % 4 == 0:
             mutual = forces.mutual(points, samples.area)
         force, springs = forces.springs(samples.area, mutual)
         push, product = samples.matrix.T @ force, samples.product(springs)
@@ -243,8 +231,6 @@ def _run_stage(
             reference + state.q, reference + moved.q, face_normals, samples, deformation.model.control_faces
         )
         state = State(safe - reference, (safe - reference - state.q) / TIME_STEP)
-        if len(errors) > GAIN_STEPS:
-            before = errors[-1 - GAIN_STEPS]
-            if not before - errors[-1] > GAIN_TOLERANCE * before:
-                break
+        if len(errors) > 5 and not errors[-6] - errors[-1] > GAIN_TOLERANCE * errors[-6]:
+            break
     return state.q

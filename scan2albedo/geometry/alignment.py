@@ -12,26 +12,19 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
-from scan2albedo.optimization.least_squares import NormalEquations, damped_step
+from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
 
-_RIDGE = 1e-9
-"""Part of the normal equations' diagonal that is added to it: what nothing determines stays."""
 _INDEPENDENT = 300
 """Neighbouring pairs err together: all of them count as this many against the prior."""
-_LARGEST_GROWTH = 0.05
-"""Of the logarithm of the size in one step."""
 _MOST_CELLS = 1_500_000
-_LARGEST_TURN_RAD = 0.5
-"""Linearisations about a far pose are trusted no further."""
 
 
 @dataclass(frozen=True)
 class Pairs:
     """Where the N points of a source shall go, as seen from where they are.
 
-    `offset` (N, 3) leads to the target; its part along the unit `normal` (N, 3) counts with the `trust` (N,)
-    of the pair, the part `along` (N,) of this in every direction. `noise` is the residuals' standard
-    deviation where the source is right.
+    `offset` (N, 3) leads to the target; its part along the unit `normal` (N, 3) counts with the `trust` (N,),
+    the part `along` (N,) of this in every direction. `noise` is the residuals' standard deviation.
     """
 
     offset: FloatArray
@@ -45,8 +38,7 @@ class Pairs:
 class Alignment:
     """x -> s R (x + B c) + t: `pose` (s, R, t), and `coefficients` c (K,) of the modes B.
 
-    `steps` were taken, the last of which turned the pose by `moved` degrees or moved it by as many units,
-    whichever is more; `converged` is True where it was shorter than asked.
+    The last of the `steps` `moved` the pose by so many degrees or units, whichever is more.
     """
 
     pose: Similarity
@@ -60,13 +52,12 @@ def align(
     points: FloatArray,
     weights: FloatArray,
     pairs: Callable[[Alignment, FloatArray], Pairs | None],
-    start: Alignment | Similarity,
+    start: Alignment | Similarity = Similarity(np.eye(3), np.zeros(3)),
     *,
     steps: int,
     modes: FloatArray | None = None,
     precision: FloatArray | None = None,
     scale_range: tuple[float, float] = (0.0, np.inf),
-    growth: float = _LARGEST_GROWTH,
     settled: float = 0.0,
 ) -> Alignment:
     """Return where reweighted Gauss-Newton steps take points (N, 3) with modes (N, 3, K) of their shape.
@@ -76,11 +67,9 @@ def align(
         sum_i w_i r_i [(1 - a_i) (n_i . e_i)^2 + a_i |e_i|^2] + noise^2 W (log s, c) P (log s, c)^T / 300,
         e_i = s R (x_i + B_i c) + t - y_i,
 
-    with the targets y_i, normals n_i and robust weights r_i that `pairs` finds anew for the points (N, 3)
-    where the present alignment puts them; None ends the search, as does a step shorter than `settled`.
-    `weights` w (N,) have the sum W. `precision` P (K + 1, K + 1) is that of log s and c before the target is
-    seen, 0 by default; `scale_range` bounds s, and fixes it where both ends are the same; `growth` bounds the
-    change of log s in one step. One step costs O(N (K + 7)^2).
+    with the targets y_i, normals n_i and weights r_i that `pairs` finds anew at the present alignment; None
+    ends the search, as does a step shorter than `settled`. `weights` w (N,) have the sum W, `precision` P (K
+    + 1, K + 1) is 0 by default; `scale_range` bounds s. One step costs O(N (K + 7)^2).
     """
     count = 0 if modes is None else modes.shape[2]
     known = np.zeros((count + 1, count + 1)) if precision is None else precision
@@ -116,8 +105,9 @@ def align(
         gradient[6:] += prior @ np.concatenate([[size], c])
         upper, lower = np.full(7 + count, np.inf), np.full(7 + count, -np.inf)
         low, high = np.log(np.maximum(scale_range, 1e-300)) - size
-        lower[6], upper[6] = max(-growth, min(low, 0.0)), min(growth, max(high, 0.0))
-        change = damped_step(NormalEquations(matrix, gradient, lower, upper), _RIDGE)
+        lower[6], upper[6] = min(low, 0.0), max(high, 0.0)
+        # The damping is that of rounding: what nothing determines stays.
+        change = damped_step(NormalEquations(matrix, gradient, lower, upper), SMALLEST_DIAGONAL)
         pose = Similarity(
             rotation_from_vector(change[:3]) @ pose.rotation,
             pose.translation + change[3:6],
@@ -134,8 +124,8 @@ def align(
 class NearestGrid:
     """A voxel grid over a point cloud.
 
-    `nearest` (X, Y, Z) holds the index of (nearly) the nearest sample to each cell's centre, `origin` (3,) is
-    the corner of cell (0, 0, 0), `cell` the side of a cell.
+    `nearest` (X, Y, Z) holds the (nearly) nearest sample to each cell's centre, `origin` (3,) is the corner
+    of cell (0, 0, 0), `cell` the side of a cell.
     """
 
     samples: OrientedPoints
@@ -171,11 +161,9 @@ def align_on_grid(
 ) -> FloatArray:
     """Align the (M,) model samples with a grid from thousands of rigid poses, which change in place.
 
-    Takes the steps of `align`, compiled, with w_i = areas rho_i and a tenth of it in every direction. The
-    target of a sample is the nearest of the grid, n_i the mean of both normals [1]_; rho_i falls with
-    distance (Geman-McClure, scale geometric between the two of `sigma`) and with the normals' angle.
-    `rotations` (N, 3, 3) and `translations` (N, 3) are overwritten. Returns (N,) scores at the final poses
-    with the last scale: the weighted mean of rho_i, 0 (nothing near) ... 1.
+    Takes the steps of `align`, compiled, with a tenth of the weight in every direction, n_i the mean of both
+    normals [1]_ and Geman-McClure weights of scales geometric between the two of `sigma`. `rotations` (N, 3,
+    3) and `translations` (N, 3) are overwritten. Returns (N,) scores: the last weights' mean, 0 ... 1.
 
     .. [1] S. Rusinkiewicz, "A symmetric objective function for ICP", SIGGRAPH 2019 (mean normals).
     """
@@ -295,7 +283,7 @@ def _move(rotation, translation, step):  # type: ignore[no-untyped-def]
         translation[axis] += step[3 + axis]
     if angle < 1e-12:
         return
-    limited = min(angle, _LARGEST_TURN_RAD)
+    limited = min(angle, 0.5)  # radians: linearisations about a far pose are trusted no further
     a, b, c = step[0] / angle, step[1] / angle, step[2] / angle
     sin, cos = np.sin(limited), np.cos(limited)
     for column in range(3):

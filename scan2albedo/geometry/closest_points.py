@@ -54,10 +54,8 @@ class ClosestPointQuery:
     ) -> ClosestHits:
         """Return the closest surface point whose face looks the way of each point's normal.
 
-        Where surfaces lie against each other (closed lips, lids) the closest point may be on the wrong one.
-        Where the cosine of unit `normals` (N, 3) and the face's normal is below `min_cosine`, the nearest
-        compatible face among those of the `neighbours` nearest face centres is taken; the closest point stays
-        where none is compatible, or the normal is zero.
+        Where the cosine of unit `normals` (N, 3) and the closest face's normal is below `min_cosine` (closed
+        lips), the nearest compatible face of the `neighbours` nearest is taken, if any.
         """
         targets, facing = np.asarray(points, np.float64), np.asarray(normals, np.float64)
         hits, across = self.query(targets), face_normals(self._vertices, self._faces)
@@ -126,10 +124,8 @@ def surface_query(vertices: FloatArray, faces: IntArray) -> ClosestPointQuery | 
 class NearestSurface:
     """Closest points among the faces around the nearest vertex; vertices without a face are never returned.
 
-    The nearest vertex comes from a k-d tree or, given the answer for the points' last places, from a walk
-    downhill over the edges. For meshes whose triangles are not much longer than the query distance the answer
-    is the exact closest point but for rare ties (`ClosestPointQuery` is always exact, but several times
-    slower).
+    For triangles not much longer than the distance the answer is the closest point but for rare ties
+    (`ClosestPointQuery` is exact, but several times slower).
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:

@@ -15,8 +15,6 @@ _LARGEST_FACE_MM = 30.0
 """Triangles larger than this are left out: those of a torn scan hide what they were torn across."""
 _HAIR = 1e-6
 """By so much a coordinate may be off a whole number."""
-_LOOKS = 2
-"""Texels are finer than squares: each is the mean of so many looks along both axes."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,8 @@ def front_picture(
     Triangles that look away are left out, and those that a torn scan has.
     """
     columns, rows = (np.ceil((high - low) / step_mm).astype(int) + 1).tolist()
-    fine = step_mm / _LOOKS
+    # Texels are finer than squares: each square is the mean of two looks along both axes.
+    fine = step_mm / 2
     vertices = transform_points(frame_from_scan, scan.vertices)
     corners = vertices[scan.faces]
     least, most = corners[..., :2].min(1), corners[..., :2].max(1)
@@ -50,14 +49,14 @@ def front_picture(
     used = np.flatnonzero(inside & (across[:, 0] * beside[:, 1] > across[:, 1] * beside[:, 0]))
     # The first look at a square lies half a square beside its centre, and half a look inward.
     first = low - (step_mm - fine) / 2
-    shape = rows * _LOOKS, columns * _LOOKS
+    shape = rows * 2, columns * 2
     raster = rasterize((vertices[:, :2] - first) / fine, vertices[:, 2], scan.faces[used], shape)
     covered = raster.covered
     face, barycentric = used[raster.face[covered]], raster.barycentric[covered]
     looked = np.zeros((*shape, 4))
     looked[covered, :3] = _colors(scan, face, barycentric)
     looked[covered, 3] = np.einsum("nk,nk->n", barycentric, vertices[scan.faces[face], 2])
-    blocks = rows, _LOOKS, columns, _LOOKS
+    blocks = rows, 2, columns, 2
     count = covered.reshape(blocks).sum((1, 3))
     mean = looked.reshape(*blocks, 4).sum((1, 3)) / np.maximum(count, 1)[..., None]
     return FrontPicture(mean[..., :3], mean[..., 3], count > 0, low, step_mm)

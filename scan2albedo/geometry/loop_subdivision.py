@@ -49,11 +49,7 @@ class LoopSubdivision:
         return cls(refined, (limit @ matrix).tocsr(), parent, levels)
 
     def points_matrix(self, points: SurfacePoints) -> sparse.csr_matrix:
-        """Return the (N, C) matrix that evaluates the refined limit mesh at `points`.
-
-        The limit surface is interpolated linearly inside refined faces: exact at refined vertices,
-        O(4^-levels) off in between.
-        """
+        """Return the (N, C) matrix that evaluates the refined limit mesh at `points`, linear inside faces."""
         face, barycentric = np.asarray(points.face, np.int64), np.array(points.barycentric, float)
         for _ in range(self.levels):
             # The child that holds the point: corner child k keeps corner k and its two edges' middles, the

@@ -10,9 +10,6 @@ from scipy.sparse.csgraph import connected_components
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
 FAR_FACTOR, FAR_PERCENT, OBJECT_SHARE = 3.0, 75.0, 0.05
-_FAR_ROUNDS = 10
-_LONG_ROW = 64
-"""Neighbours, each as often as faces name it, from which insertion sorts them slower than `numpy.sort`."""
 
 
 def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -201,13 +198,13 @@ def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArra
 
 
 def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
-    """Return (V,) True for vertices 3 times farther from the median of the others than 75 % of those are.
+    """Return (V,) True for vertices 3 times farther from the median of those `used` than 75 % of them.
 
-    Only those `used` count. Stereo puts up to a fifth of its vertices far away, which enlarge every box and
-    moment; the farthest of a head with shoulders lies at 2.1 times that distance.
+    Stereo puts up to a fifth of its vertices far away; the farthest of a head with shoulders lies at 2.1
+    times.
     """
     far = ~used
-    for _ in range(_FAR_ROUNDS):
+    for _ in range(10):
         near = vertices[~far]
         distance = lengths(vertices - np.median(near, axis=0))
         farther = distance > FAR_FACTOR * np.percentile(distance[~far], FAR_PERCENT)
@@ -218,10 +215,9 @@ def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
 
 
 def far_faces(vertices: FloatArray, faces: IntArray) -> BoolArray:
-    """Return (F,) True for stray faces: those that reach to `far_vertices`.
+    """Return (F,) True for stray faces, which reach to `far_vertices`.
 
-    Where such faces hang together and hold a twentieth of all vertices, they are a thing of their own (a
-    second head, a body that is coarser than the face), and not stray.
+    Where such faces hang together and hold a twentieth of all vertices, they are a thing of their own.
     """
     used = np.zeros(len(vertices), bool)
     used[faces] = True
@@ -245,7 +241,8 @@ def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntAr
     np.cumsum(2 * np.bincount(index.ravel(), minlength=vertex_count), out=ends[1:])
     every = np.empty(ends[-1], np.int64)
     _list_corners(index, ends[:-1].copy(), every)
-    for long in np.flatnonzero(np.diff(ends) > _LONG_ROW):
+    # From about 64 on insertion is slower than `numpy.sort`.
+    for long in np.flatnonzero(np.diff(ends) > 64):
         every[ends[long] : ends[long + 1]].sort()
     begins = np.zeros_like(ends)
     count = _sort_rows_once(ends, every, begins)

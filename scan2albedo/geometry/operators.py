@@ -27,8 +27,7 @@ MAX_COTANGENT = 5.0
 def corner_cotangents(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F, 3) cotangents of the corner angles, clipped to [0, MAX_COTANGENT].
 
-    A clipped cotangent keeps every edge weight non-negative, so the Laplacian is an M-matrix whatever
-    the triangles; a zero-area face gets MAX_COTANGENT or 0.
+    So every edge weight is non-negative, and the Laplacian an M-matrix whatever the triangles.
     """
     corners = vertices[faces]
     u = corners[:, [1, 2, 0]] - corners
@@ -64,9 +63,8 @@ def bending(
 ) -> sparse.csr_matrix:
     """Return the (V, V) bending matrix B = L diag(w / a) L with L the Laplacian and a the vertex areas.
 
-    u^T B u is the integral of w (Laplacian u)^2, the thin-plate energy of a displacement u. A vertex
-    takes the least weight of its faces, so that a face of weight 0 is a cut that may open; rim vertices
-    take 0 (the plate's free edge).
+    u^T B u is the thin-plate energy of a displacement u. A vertex takes the least weight of its faces, rim
+    vertices 0 (the plate's free edge).
     """
     plain = laplacian(vertices, faces)
     area = vertex_areas(vertices, faces)
@@ -191,9 +189,6 @@ def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_
     With N the sum of cross products around vertex v and e_fj the edge of face f opposite to its corner j,
 
         dn_v / dx_j = (I - n n^T) / |N| [sum over faces f of v and j of e_fj]_x.
-
-    There is a block for each vertex and itself, and each pair that shares a face; zeros where a vertex has no
-    area around it.
     """
     count = len(vertices)
     corners = vertices[faces]

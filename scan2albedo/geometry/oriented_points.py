@@ -13,7 +13,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 
 _MAX_RAW_SAMPLES = 400_000
-_MAX_SAMPLES_PER_FACE = 256
 _LEAST_AGREEMENT = 0.3
 
 
@@ -45,10 +44,8 @@ class OrientedPoints:
 def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> OrientedPoints:
     """Sample a mesh at about one point every `spacing`, averaged over cubes of that side.
 
-    Faces larger than a cube are sampled several times, many small faces in one cube are averaged, so neither
-    the tessellation nor vertex noise matters: the normal of a cube is the sum of the area vectors in it.
-    Cubes whose normals cancel (two sides of a thin sheet) are left out. Samples are ordered by cube (x, then
-    y, then z); there are none when the mesh has no area.
+    So neither the tessellation nor vertex noise matters: the normal of a cube is the sum of the area vectors
+    in it. Cubes whose normals cancel are left out; samples are ordered by cube.
     """
     # Of millions of faces every so-manieth stands for its neighbours.
     read_stride = int(np.ceil(len(faces) / _MAX_RAW_SAMPLES)) or 1
@@ -56,7 +53,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     cross = face_cross_products(vertices, faces)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     used = np.flatnonzero(area > 0)
-    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, _MAX_SAMPLES_PER_FACE).astype(np.int64)
+    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(np.int64)
     stride = int(np.ceil(per_face.sum() / _MAX_RAW_SAMPLES)) or 1
     used, per_face = used[::stride], per_face[::stride]
     owner = np.repeat(used, per_face)

@@ -8,24 +8,25 @@ from scipy.sparse.linalg import splu
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas, vertex_components
+from scan2albedo.geometry.mesh import (
+    adjacency,
+    boundary_loops,
+    edges_with_faces,
+    face_areas,
+    vertex_components,
+)
 
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
 3 fills 88 %. The corners take up some angular distortion."""
-SLIM_ITERATIONS = 30
-PADDING_TEXELS, RESOLUTION_TEXELS = 2, 512
-"""Margin that xatlas leaves around the chart, at this resolution."""
 
 
 def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None) -> FloatArray:
     """Return the (V, 2) flip-free chart of a surface with disc topology, in the unit square.
 
-    The faces (F, 3) are one component with one boundary loop and no handle, counter-clockwise from outside;
-    the chart is turned so that u grows with +x and v with +y. With the mirror image of each vertex (itself on
-    the midline) in `mirror` (V,) the chart is exactly symmetric about u = 0.5. It starts from uniform
-    weights, flip-free on a convex boundary [1]_, and is improved by SLIM [2]_. Raises ModelError when the
-    surface is not a disc, or the chart has flipped faces (faces without area).
+    u grows with +x and v with +y. With the mirror image of each vertex in `mirror` (V,) the chart is
+    symmetric about u = 0.5. It starts from uniform weights [1]_ and is improved by SLIM [2]_. Raises
+    ModelError when the surface is not a disc, or the chart has flipped faces (faces without area).
 
     .. [1] W. T. Tutte, "How to draw a graph", 1963.
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
@@ -40,7 +41,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     atlas = xatlas.Atlas()
     atlas.add_uv_mesh(unit.astype(np.float32), index.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.padding, pack.resolution = PADDING_TEXELS, RESOLUTION_TEXELS
+    pack.padding, pack.resolution = 2, 512
     pack.rotate_charts = pack.rotate_charts_to_axis = False
     atlas.generate(pack_options=pack)
     origin, _, packed = atlas.get_mesh(0)
@@ -69,8 +70,7 @@ def flatten_disc(
 ) -> FloatArray:
     """Return the (V, 2) chart of `parametrize_disc` before packing: about unit area, centred.
 
-    `boundary_weight` keeps the boundary on its curve during SLIM, relative to the surface's area; a small one
-    lets SLIM choose the boundary: the chart is then as isometric as it gets.
+    A small `boundary_weight` lets SLIM choose the boundary: the chart is then as isometric as it gets.
     """
     import igl
 
@@ -88,7 +88,7 @@ def flatten_disc(
         np.asfortranarray(target),
         boundary_weight,
     )
-    uv = np.ascontiguousarray(igl.slim_solve(data, SLIM_ITERATIONS)[:, :2])
+    uv = np.ascontiguousarray(igl.slim_solve(data, 30)[:, :2])
     if mirror is None:
         return uv
     offset = uv - [0.5 * (uv[:, 0].min() + uv[:, 0].max()), 0.0]
@@ -104,31 +104,24 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
     array([0, 1, 2, 3])
     """
     edges, uses = edges_with_faces(faces)
-    used = np.unique(faces)
+    used, loops = np.unique(faces), boundary_loops(faces)
     components = len(np.unique(vertex_components(vertex_count, faces)[used]))
-    directed = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    _, first, counts = np.unique(np.sort(directed, axis=1), axis=0, return_index=True, return_counts=True)
-    following = {int(a): int(b) for a, b in directed[first[counts == 1]]}
     euler = len(used) - len(edges) + len(faces)
-    loop = [min(following)] if following else []
-    while loop and following.get(loop[-1], loop[0]) != loop[0] and len(loop) < len(following):
-        loop.append(following[loop[-1]])
-    if components != 1 or uses.max() > 2 or euler != 1 or len(loop) != len(following):
+    if components != 1 or uses.max() > 2 or euler != 1 or len(loops) != 1:
         raise ModelError(
             f"the mesh is not a disc: {components} components, {int((uses > 2).sum())} edges with more than "
-            f"two faces, Euler characteristic {euler}, {len(following)} boundary edges of which one loop has "
-            f"{len(loop)}; expected one component, characteristic 1 and one loop. Fill its holes, or cut it"
+            f"two faces, Euler characteristic {euler}, {len(loops)} boundary loops; expected one component, "
+            "characteristic 1 and one loop. Fill its holes, or cut it"
         )
     if len(used) != vertex_count:
         raise ModelError(f"{vertex_count - len(used)} of {vertex_count} vertices are in no face; remove them")
-    return np.array(loop, np.int64)
+    return np.roll(loops[0], -int(np.argmin(loops[0])))
 
 
 def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
     """Return (B, 2) places of the boundary loop on ``|x|^p + |y|^p = r^p`` of unit area.
 
-    Arc length is kept up to scale; the start is turned so that the loop's directions seen from the front
-    (xy-plane, from the boundary's centroid) agree best with those on the curve.
+    Arc length is kept up to scale; the start is turned to agree with the loop's directions from the front.
     """
     points = vertices[loop]
     steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)

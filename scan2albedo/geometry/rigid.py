@@ -120,9 +120,9 @@ def procrustes(
 ) -> Matrix:
     """Return the least-squares transform `target_from_source` (4, 4) between points (N, 3) [1]_.
 
-    Minimises sum_i w_i |s R x_i + t - y_i|^2 over rotations R, translations t and, when `scale`, s > 0, with
-    `weights` w (N,) >= 0. Raises ValueError when shapes do not agree, points are not finite, all weights are
-    0, or `scale` is wanted of points that coincide.
+    Minimises sum_i w_i |s R x_i + t - y_i|^2 over rotations R, translations t and, when `scale`, s > 0.
+    Raises ValueError for shapes that do not agree, points that are not finite or coincide, and weights of sum
+    0.
 
     .. [1] S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
        IEEE PAMI 13(4), 1991.
@@ -156,9 +156,7 @@ def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matr
     """Return the vertices (V, 3) in the surface's principal axes, and the rigid (4, 4) transform there.
 
     Origin at the surface's centroid, axes along the eigenvectors of its second moments (longest first) and
-    toward the heavier tail of the third moments [1]_; so the same mesh in another pose arrives at the same
-    coordinates, up to rounding. Where a moment is ambiguous (a ball) any of the frames will do: the search
-    covers every rotation from each.
+    toward the heavier tail of the third moments [1]_; so the same mesh in another pose arrives there.
 
     .. [1] M. Elad, A. Tal, S. Ar, "Content based retrieval of VRML objects", 2001 (pose normalisation).
     """

@@ -19,8 +19,8 @@ _NORMAL_MAD = 1.4826
 class SurfaceNoise:
     """What every vertex says of the noise.
 
-    `gap` (V,) is the height along the normal above the mean of the n neighbours, relative to that of noise of
-    1, sqrt(1 + 1 / n); nan where there are few. `area` (V,) is the vertex's part of the surface.
+    `gap` (V,) is the height above the mean of the n neighbours, relative to that of noise of 1, sqrt(1 + 1 /
+    n); nan where there are few. `area` (V,) is the vertex's part of the surface.
     """
 
     gap: FloatArray

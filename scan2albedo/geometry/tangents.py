@@ -64,9 +64,9 @@ class TangentMesh:
 def tangent_mesh(vertices: FloatArray, faces: IntArray, uv: FloatArray, normals: FloatArray) -> TangentMesh:
     """Return faces (F, 3) of a mesh (V, 3) with frames; `normals` (V, 3) are its vertices'.
 
-    `uv` (F, 3, 2) are the places of corners, v = 0 at the bottom. A vertex's tangent is the mean of the
-    directions in which u grows on its faces, each turned into the vertex's own plane and weighted by the
-    angle of its corner there, which is what MikkTSpace [1]_ does and most programs expect.
+    `uv` (F, 3, 2) are the places of corners. A vertex's tangent is the mean of the directions in which u
+    grows on its faces, each turned into its plane and weighted by the angle of its corner, as MikkTSpace [1]_
+    does.
 
     .. [1] M. Mikkelsen, "Simulation of Wrinkled Surfaces Revisited", 2008, and glTF 2.0, section 3.7.2.1.
     """

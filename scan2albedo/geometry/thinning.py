@@ -10,17 +10,10 @@ import numpy as np
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import edges_with_faces
 
-_MOST_CELLS = 2**20
-"""Along a side of the grid."""
-
 
 @dataclass(frozen=True)
 class ThinnedSurface:
-    """A triangle mesh whose vertices in one grid cell were joined.
-
-    `vertices` (V, 3) are means of the `count` (V,) vertices joined; `faces` (F, 3) had corners in three
-    cells.
-    """
+    """A mesh of `faces` (F, 3) whose `vertices` (V, 3) are means of the `count` (V,) in one grid cell."""
 
     vertices: FloatArray
     faces: IntArray
@@ -28,10 +21,9 @@ class ThinnedSurface:
 
     @cached_property
     def boundary(self) -> BoolArray:
-        """(V,) at edges of an odd number of faces, which joining neither opens nor moves by more than a cell.
+        """(V,) at edges of an odd number of faces.
 
-        A border is the sum of all faces' borders modulo 2, and joining vertices keeps that sum: faces that
-        then coincide make no border where there was none.
+        Modulo 2 a border is the sum of all faces' borders, which joining vertices keeps.
         """
         edges, uses = edges_with_faces(self.faces)
         mask = np.zeros(len(self.vertices), bool)
@@ -44,8 +36,8 @@ def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurfac
 
     `cell` is the side of the grid's cells in the mesh's unit, at least a millionth of the mesh's size.
     """
-    # Beyond that cells could not be numbered in 64 bits.
-    cell = max(cell, float(np.ptp(vertices, axis=0).max()) / _MOST_CELLS)
+    # With more along a side cells could not be numbered in 64 bits.
+    cell = max(cell, float(np.ptp(vertices, axis=0).max()) / 2**20)
     place = np.floor((vertices - vertices.min(0)) / cell + 0.5).astype(np.int64)
     span = place.max(0) + 1
     key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]

@@ -11,10 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.budget import Meter
 
 _FINAL_TEMPERATURE = 1e-4
-"""In units of the spread of the first `_SCALE_MOVES` costs."""
-_SCALE_MOVES = 20
-_SWEEP = 10
-"""Moves of each coordinate between two adaptations of its step length."""
+"""In units of the spread of the first costs."""
 _ACCEPTANCE = 0.44
 """Acceptance rate that the step lengths are steered to (one coordinate moves at a time)."""
 
@@ -40,36 +37,27 @@ def simulated_annealing(
     *,
     seed: int | np.random.Generator = 0,
     evaluations: int = 2000,
-    initial_temperature: float = 0.3,
     initial_step: ArrayLike | None = None,
     meter: Meter | None = None,
 ) -> AnnealingResult:
-    """Return the minimum of `objective` over a box, by Corana-type simulated annealing.
+    """Return the minimum of `objective` over a box, by Corana-type simulated annealing [1]_.
 
-    One coordinate moves at a time; a worse cost is accepted with probability exp(-(c' - c) / T).
-    Step lengths follow the acceptance rate; T falls geometrically with the evaluations spent.
+    One coordinate moves at a time; a worse cost is accepted with probability exp(-(c' - c) / T). Step lengths
+    follow the acceptance rate; T falls geometrically with the evaluations spent.
 
     Parameters
     ----------
     objective : callable
         Maps (n,) float64 to a cost; a cost that is not finite is never accepted.
     start, lower, upper : (n,) array_like
-        Start point and box; proposals outside the box are reflected into it.
+        Start point and box; proposals outside are reflected. ValueError when they do not agree.
     seed : int or numpy.random.Generator
-        Source of randomness; the same seed gives the same bits.
     evaluations : int
         After which it stops (the meter's budget may stop it earlier).
-    initial_temperature : float
-        As a fraction of the spread of the first costs.
     initial_step : (n,) array_like, optional
         First step lengths; a quarter of the box when omitted.
     meter : Meter, optional
         Counts evaluations, records every improvement and ends the run with its budget.
-
-    Raises
-    ------
-    ValueError
-        When start and box do not agree.
 
     .. [1] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
        'simulated annealing' algorithm", ACM TOMS 13(3), 1987.
@@ -95,8 +83,10 @@ def simulated_annealing(
 
     cost = evaluate(x)
     best_x, best_cost, used = x.copy(), cost, 1
-    seen, scale = [cost], 0.0
-    accepted = np.zeros(x.size)
+    # The first temperature, as a part of the spread of the first costs.
+    seen, scale, hot = [cost], 0.0, 0.3
+    # Of each coordinate, before its step length is adapted.
+    accepted, moves = np.zeros(x.size), 10
     while used < evaluations and not meter.exhausted:
         k = (used - 1) % x.size
         trial = x.copy()
@@ -105,12 +95,11 @@ def simulated_annealing(
         trial[k] = np.clip(proposed if low[k] <= proposed <= high[k] else mirrored, low[k], high[k])
         trial_cost = evaluate(trial)
         used += 1
-        if len(seen) < _SCALE_MOVES:
+        if len(seen) < 20:
             seen.append(trial_cost)
             finite = [c for c in seen if np.isfinite(c)]
             scale = float(np.std(finite)) if len(finite) > 1 else 0.0
-        cooled = (_FINAL_TEMPERATURE / initial_temperature) ** (used / evaluations)
-        temperature = scale * initial_temperature * cooled
+        temperature = scale * hot * (_FINAL_TEMPERATURE / hot) ** (used / evaluations)
         worse = trial_cost - cost
         if worse <= 0 or (temperature > 0 and rng.random() < np.exp(-worse / temperature)):
             x, cost = trial, trial_cost
@@ -118,7 +107,7 @@ def simulated_annealing(
             if cost < best_cost:
                 best_x, best_cost = x.copy(), cost
                 meter.record(best_cost)
-        if (used - 1) % (_SWEEP * x.size) == 0:
-            step = np.clip(step * np.exp(accepted / _SWEEP - _ACCEPTANCE), 1e-9, high - low)
+        if (used - 1) % (moves * x.size) == 0:
+            step = np.clip(step * np.exp(accepted / moves - _ACCEPTANCE), 1e-9, high - low)
             accepted[:] = 0
     return AnnealingResult(best_x, best_cost, used, converged=used >= evaluations)

@@ -12,7 +12,7 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 
-_SMALLEST_DIAGONAL = 1e-9
+SMALLEST_DIAGONAL = 1e-9
 """As a part of the largest: damps parameters that the cost does not depend on, so that they stay."""
 
 
@@ -33,9 +33,8 @@ class NormalEquations:
 class LeastSquaresPoint(Protocol):
     """A state with its cost: what `minimize` walks over.
 
-    The point counts its own evaluation in the meter. Where the weights of a robust loss are held fixed
-    during a step, `cost` of a point and of what `moved` makes of it must be under the same weights;
-    `minimize` reads `cost` only after `normal_equations`, which may settle new ones.
+    The point counts its own evaluation in the meter. A robust loss may settle new weights in
+    `normal_equations`, after which `cost` is read; what `moved` returns is under the same weights.
     """
 
     @property
@@ -57,8 +56,8 @@ class Damping:
     """How the damping, a factor of the matrix's diagonal, follows the success of the steps.
 
     It starts with `first`, is multiplied by `decrease` after a step that lowered the cost, by `increase`
-    after one that did not, and is at least `least` and `after_failure`. Beyond `largest` no step along the
-    descent direction helps: the state is a minimum.
+    after one that did not, and is at least `least` and `after_failure`; beyond `largest` the state is a
+    minimum.
     """
 
     first: float = 1e-3
@@ -95,25 +94,13 @@ def minimize(
     meter: Meter | None = None,
     on_better: Callable[[Point], None] | None = None,
 ) -> Descent[Point]:
-    """Return where damped Gauss-Newton steps lead, (matrix + damping diag(matrix)) d = -gradient each.
+    """Return where damped Gauss-Newton steps [1]_ lead, (matrix + damping diag(matrix)) d = -gradient each.
 
-    A step is taken when it lowers the cost; else it is tried again with more damping.
-
-    Parameters
-    ----------
-    start : LeastSquaresPoint
-        Returned as it is when its cost is not finite.
-    trials, steps : int, optional
-        Most steps tried, and most of them that lower the cost.
-    tolerance, flat_steps : float, int
-        Converged after so many steps one after the other that each lower the cost by less than this part.
-    step_tolerance : float
-        Converged after a step that is not longer than this.
-    damping : Damping
-    meter : Meter, optional
-        Its budget ends the descent with the best so far.
-    on_better : callable, optional
-        Gets the start and every better point.
+    A step is taken when it lowers the cost; else it is tried again with more damping. At most `trials` steps
+    are tried, and `steps` taken. Converged after `flat_steps` in a row that each lower the cost by a part
+    less than `tolerance`, or a step not longer than `step_tolerance`. The budget of the `meter` ends the
+    descent with the best so far; `on_better` gets the start and every better point. A start of no finite cost
+    is returned.
 
     .. [1] D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11(2),
        1963.
@@ -148,13 +135,9 @@ def minimize(
 
 
 def damped_step(model: NormalEquations, damping: float) -> FloatArray:
-    """Return the damped step (P,) within its bounds; parameters that would leave them at once stay.
+    """Return the step (P,) with `damping` times the matrix's diagonal added to it, within its bounds.
 
-    Parameters
-    ----------
-    model : NormalEquations
-    damping : float
-        Factor of the matrix's diagonal that is added to it.
+    Parameters that would leave these at once stay.
     """
     free = np.ones(len(model.gradient), bool)
     if model.lower is not None:
@@ -166,7 +149,7 @@ def damped_step(model: NormalEquations, damping: float) -> FloatArray:
         return step
     matrix = model.matrix[np.ix_(free, free)]
     diagonal = np.diag(matrix)
-    diagonal = np.maximum(diagonal, _SMALLEST_DIAGONAL * max(float(diagonal.max()), 1e-30))
+    diagonal = np.maximum(diagonal, SMALLEST_DIAGONAL * max(float(diagonal.max()), 1e-30))
     damped = matrix + damping * np.diag(diagonal)
     try:
         step[free] = -np.linalg.solve(damped, model.gradient[free])

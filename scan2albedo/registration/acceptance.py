@@ -40,9 +40,8 @@ def accepted(
 ) -> Plan:
     """Accept the first candidate, of those of `pose_count` poses that were refined, or refuse the scan.
 
-    Where the budget has ended the scores are not complete, so that they refuse nothing. Returns the search's
-    row of the plan, and a doubt when there is a second face. Raises `RegistrationError` when there is no
-    face, or it is inside out.
+    Where the budget has ended nothing is refused. Returns the search's row of the plan, and a doubt when
+    there is a second face. Raises `RegistrationError` when there is no face, or it is inside out.
     """
     best, name, chance = candidates[0], scan.raw.name, probability(candidates)
     figures = _cues_text(best)
@@ -91,9 +90,8 @@ def _refuse_inside_out(
 ) -> None:
     """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
 
-    Seen from behind, its relief may be enough to be accepted; with the triangles reversed it is far greater.
-    So the reversed scan is searched where the best pose is in doubt and the surface does not bulge outward:
-    sum a n.(p - c) / sum a |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
+    The reversed scan is searched where the best pose is in doubt and the surface does not bulge outward: sum
+    a n.(p - c) / sum a |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
     """
     samples = scan.samples
     offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
@@ -134,8 +132,7 @@ def _distance_mm(candidate: Candidate, other: Candidate) -> float:
 def probability(candidates: Candidates) -> float:
     """Return the probability that the best candidate is the pose of a person's face, 0 ... 1.
 
-    Against it stand that there is no face, every other pose of it, and proportions that no person has; a face
-    elsewhere does not.
+    Against it stand that there is no face, every other pose of it, and strange proportions.
     """
     best = candidates[0]
     rivals = [

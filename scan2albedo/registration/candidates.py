@@ -192,9 +192,8 @@ def _batches(
 ) -> Iterator[Poses]:
     """Yield `candidates` poses in two batches, then `more_candidates` in a third.
 
-    First those whose surface is nearest, then those with most relief among the nearer ones, at last those
-    with most relief among all: distance alone prefers the whole back of a head to half a face, and relief
-    alone is expensive.
+    First those whose surface is nearest, then those with most relief among the nearer ones, at last among
+    all: distance alone prefers the back of a head to half a face.
     """
     model = template.first(FEW).samples
 
@@ -223,10 +222,9 @@ def _with_refined(
     meter: Meter,
     known: Candidates,
 ) -> Candidates:
-    """Refine every start by Open3D's ICP, then with scale, and rank them with the `known`, best first.
+    """Refine every start by Open3D's ICP (where there is a `target`), then with scale, and rank all.
 
-    Without a `target` Open3D's part is left out. A start that ends at a known candidate is dropped.
-    At least one is refined however small the budget is.
+    A start that ends at a known candidate is dropped; one is refined however small the budget is.
     """
     few = template.first(FEW)
     refined = [candidate.pose for candidate in known]
@@ -268,9 +266,8 @@ class ScanTarget:
     def refine(self, model: OrientedPoints, scan_from_model: FloatArray) -> FloatArray:
         """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model with Tukey's loss.
 
-        Pairs are at most 20 mm apart; beyond 8 mm along the normal (Tukey's constant) they have no weight.
-        Runs on one thread: Open3D adds up its normal equations in the order the threads finish, so more
-        threads would give other bits each time.
+        On one thread: Open3D adds up its normal equations in the order the threads finish, which would give
+        other bits each time.
         """
         registration = self._open3d.pipelines.registration
         loss = registration.TukeyLoss(k=_OPEN3D_TUKEY_MM)

@@ -19,7 +19,6 @@ _ROTATIONS, _CONE_RAD = 200, np.deg2rad(35.0)
 """Rotations tried at an anchor, and greatest angle of the model's +z axis to the averaged normal there."""
 _ROUNDS = ((60, 4, (20.0, 10.0)), (200, 8, (12.0, 5.0)))
 """Samples, steps, and first and last scale in mm: of the search from every start, and from the best."""
-_BLOCK = 128
 _DISTINCT_POSES = 160
 _SAME_ROTATION_RAD, _SAME_POSITION_MM = np.deg2rad(8), 10.0
 
@@ -44,8 +43,7 @@ def coarse_poses(
 ) -> Poses:
     """Return distinct poses that place the model near the scan's surface, the nearest first.
 
-    The best `kept_starts` of the first round go on to the second. The meter counts one evaluation a start and
-    round; when its budget ends, the poses tried so far are ranked.
+    The best `kept_starts` of the first round go on to the second; each start and round is one evaluation.
     """
     poses = anchored_starts(scan.anchors, template.front, _ROTATIONS)
     # In random order a budget that ends early has still seen starts from all over the scan.
@@ -53,10 +51,10 @@ def coarse_poses(
     for count, steps, sigma_mm in _ROUNDS:
         model, scores = template.first(count).samples, list[FloatArray]()
         rotations, translations = poses.rotations.copy(), poses.translations.copy()
-        for begin in range(0, len(poses), _BLOCK):
+        for begin in range(0, len(poses), 128):
             if begin and meter.exhausted:
                 break
-            block = slice(begin, begin + _BLOCK)
+            block = slice(begin, begin + 128)
             moving = rotations[block], translations[block]
             scores.append(align_on_grid(scan.grid, model, *moving, steps=steps, sigma=sigma_mm))
             meter.count(len(scores[-1]))
@@ -78,9 +76,7 @@ def coarse_poses(
 def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: int) -> Poses:
     """Put the model's `front` (3,) on the scan's anchors, in every rotation facing outward there.
 
-    A face may be anywhere on a scan with shoulders and hair, so centroids are of little use; but the averaged
-    normal at its front is roughly its +z axis. `rotation_count` super-Fibonacci rotations are tried at
-    each anchor.
+    Of `rotation_count` super-Fibonacci rotations those are tried whose +z axis is near the averaged normal.
     """
     rotations = super_fibonacci_rotations(rotation_count)
     facing = anchors.normals @ rotations[:, :, 2].T >= np.cos(_CONE_RAD)

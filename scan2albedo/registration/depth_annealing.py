@@ -17,10 +17,8 @@ from scan2albedo.registration.relief import LOOK_THROUGH_MM, DepthFrame, depth_i
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 
-_TRUNCATION = 0.5
 _REACH = np.array([np.deg2rad(8.0)] * 3 + [8.0] * 2)
 """Half widths of the box: turns in radians, and mm."""
-_CHECK_SIGMAS_MM = (0.5, 2.0)
 
 
 @dataclass(frozen=True)
@@ -37,10 +35,8 @@ class DepthDerivativeObjective:
     """Truncated weighted L1 difference between the depth derivatives of model and scan.
 
     cost = sum_p w_p (min(|dx_p - dx'_p|, tau) + min(|dy_p - dy'_p|, tau)) / (2 tau sum_p w_p), 0 ... 1, over
-    the pixels where the scan has derivatives; a pixel the model does not reach counts as tau. The scan,
-    vertices (V, 3) mm and faces (F, 3), is drawn once in the `start` pose, the model at every evaluation,
-    both with `size` pixels a side. Derivatives do not see a shift along the viewing axis, so there are five
-    parameters (rotation vector in radians and x, y in mm, about the model's origin) and z is solved apart.
+    the pixels where the scan has derivatives; one the model does not reach counts as tau. Of five parameters
+    (rotation vector in radians, x, y in mm, about the model's origin); derivatives do not see z.
     """
 
     def __init__(
@@ -78,7 +74,7 @@ class DepthDerivativeObjective:
         total = float(self._pixel_weights.sum())
         if total == 0:
             return 1.0
-        limit = _TRUNCATION * self._frame.pixel
+        limit = 0.5 * self._frame.pixel
         with np.errstate(invalid="ignore"):
             off = np.minimum(np.abs(self._slopes_of(self._draw(parameters)) - self._slopes), limit).sum(0)
         counted = self._pixel_weights > 0
@@ -111,8 +107,7 @@ def anneal_depth_derivatives(
 ) -> AnnealedPose:
     """Anneal the pose within 8 degrees and 8 mm of the start, then more finely near the result.
 
-    Half of the `evaluations` see images of half the `size` (pixels a side). The scale of `start` is kept; the
-    meter records the objective's improvements.
+    Half of the `evaluations` see images of half the `size` (pixels a side). The scale of `start` is kept.
     """
     coarse, fine = (
         DepthDerivativeObjective(scan_vertices, scan_faces, template, start, pixels)
@@ -173,10 +168,8 @@ def annealed(
 ) -> Annealed:
     """Anneal on depth derivatives when forced, tighten, and keep the answer if the surface is nearer for it.
 
-    Left out by default: ICP mostly returns from the annealed pose to where it was; else annealing's optimum
-    is biased by the differences between the face's relief and the template's, as often nearer to the truth as
-    not (`tools/bench_registration.py`). Its answer counts only when the robust distance of the rigid regions
-    falls at two scales.
+    Left out by default: ICP mostly returns to where it was, and annealing's optimum is as often nearer to the
+    truth as not (`tools/bench_registration.py`). The robust distance must fall at two scales.
     """
     stage, reason = "register.depth_annealing", ""
     if not options.force_annealing:
@@ -200,11 +193,10 @@ def annealed(
     # ICP measures another distance than the annealing, so its rows stay out of the trace.
     unseen = meter.untraced()
     near = shaped_icp(scan.samples, template, found.pose, unseen).pose
-    polished = tightened(scan.samples, template, near, options.settling_iterations, unseen).pose
+    polished, _ = tightened(scan.samples, template, near, options.settling_iterations, unseen)
     meter.count(unseen.evaluations)
     before_mm, after_mm = (
-        [rigid_distance_mm(scan.samples, template, p, sigma) for sigma in _CHECK_SIGMAS_MM]
-        for p in (start, polished)
+        [rigid_distance_mm(scan.samples, template, p, sigma) for sigma in (0.5, 2)] for p in (start, polished)
     )
     better = all(a < b for a, b in zip(after_mm, before_mm, strict=True))
     angle_deg = np.rad2deg(rotation_angle_rad(polished.rotation @ start.rotation.T))

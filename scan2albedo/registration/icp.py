@@ -18,14 +18,13 @@ from scan2albedo.registration.template import Template
 
 _SCALE_SD = 0.1
 _FARTHEST_MM, _INLIER_MM = 30.0, 10.0
-_LEAST_AGREEMENT = 0.5
 _SHAPED_MM, _NARROWING_MM, TIGHT_MM = (4.0, 3.0), (3.0, 1.0), 0.35
 """First and last scale of the weights of `shaped_icp` (with noise as in raw stereo, 2 mm scatters more than
 3) and of the tight ICP, and the scale at which that settles."""
 FEW, _FEW_STEPS, _MOST_STEPS = 500, 8, 16
 """Samples and steps with few samples; most steps with all of them."""
-_SETTLED, _TIGHTLY_SETTLED = 0.02, 1e-3
-"""Step, in degrees or mm, below which nothing more is gained."""
+_SETTLED = 0.02
+"""Step, in degrees or mm, below which nothing more is gained; of the tight ICP a twentieth."""
 _LOOSE = 6.0
 """Standard deviations that another width, height or depth may have where proportions are judged."""
 _STAGE = "shaped_icp"
@@ -38,11 +37,9 @@ _RIGID_PART, _NOISE_MM = 0.3, 0.25
 class Residuals:
     """Model samples against the scan samples nearest to them.
 
-    `offset` (M, 3) from these, the mean `normal` (M, 3) of both [1]_, the part `plane_mm` (M,) of the offset
-    along it, the `distance_mm` (M,), infinite beyond 30 mm, and the cosine `agreement` (M,) of the normals.
-
-    .. [1] S. Rusinkiewicz, "A symmetric objective function for ICP", SIGGRAPH 2019: with the scan's normals
-       alone the model creeps along the face, and ends where it began.
+    `offset` (M, 3) from these, the mean `normal` (M, 3) of both (S. Rusinkiewicz, "A symmetric objective
+    function for ICP", SIGGRAPH 2019), the part `plane_mm` (M,) of the offset along it, the `distance_mm`
+    (M,), infinite beyond 30 mm, and the cosine `agreement` (M,) of the normals.
     """
 
     offset: FloatArray
@@ -58,8 +55,8 @@ class Residuals:
 
     @property
     def inlier(self) -> BoolArray:
-        """(M,): it is near and faces the same way."""
-        return self.near & (self.agreement > _LEAST_AGREEMENT)
+        """(M,): it is near and faces the same way, within 60 degrees."""
+        return self.near & (self.agreement > 0.5)
 
     def trust(self) -> FloatArray:
         """Return (M,) the squared agreement of the normals, 0 where there is no scan."""
@@ -124,9 +121,8 @@ def icp(
         rho_i = (sigma^2 / (sigma^2 + r_i^2))^2 (n_i . m_i)^2
 
     of the residual r_i along the mean of the normals n_i, m_i (Geman-McClure). The scale takes up that people
-    differ in size, which would otherwise push the pose along the viewing axis; when `shaped`, the template's
-    modes take up how they differ in shape, its stretches with `stretch_sd` standard deviations. The `meter`
-    counts steps, ends them with its budget, and records the loss at the last scale where it is lower than
+    differ in size; when `shaped`, the template's modes how they differ in shape, its stretches with
+    `stretch_sd` standard deviations. The `meter` records the loss at the last scale where it is lower than
     before.
     """
     samples, weights = template.samples, template.rigidity
@@ -174,9 +170,8 @@ def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, mete
 def proportions(scan: OrientedPoints, template: Template, shaped: Alignment) -> FloatArray:
     """Return the logarithms of the face's height to width, depth to width and depth to height (3,).
 
-    They are relative to the template's. The template is fitted further for it, with little against another
-    width, height and depth: they would else be taken for those of people. This judges a pose, before there is
-    a fit; `face_model.proportions` judges the landmarks of one.
+    Relative to the template's, which is fitted further for it, its stretches hardly held. This judges a pose;
+    `fitting.plausibility.proportions` judges the landmarks of a fit.
     """
     rest, sigmas_mm = template.first(FEW), _FEW_STEPS * [_SHAPED_MM[1]]
     found = icp(scan, rest, shaped, sigmas_mm, shaped=True, stretch_sd=_LOOSE)
@@ -187,26 +182,17 @@ def proportions(scan: OrientedPoints, template: Template, shaped: Alignment) -> 
     return np.array([height - width, depth - width, depth - height])
 
 
-@dataclass(frozen=True)
-class Tightened:
-    """The pose of the tight ICP, or where it was left out the pose as it was, and the step of the plan."""
-
-    pose: Similarity
-    step: PlanStep
-
-
 def tightened(
     scan: OrientedPoints, template: Template, start: Similarity, settling_steps: int, meter: Meter
-) -> Tightened:
-    """Refine a pose on the rigid regions, where the template is the same person's.
+) -> tuple[Similarity, PlanStep]:
+    """Refine a pose on the rigid regions, where the template is the same person's; also return the row.
 
-    Then nearly a third of the rigid face is within the noise once it lies on the scan; the rest is expression
-    and must not pull. Where nothing fits that closely, a narrow scale has many optima, and the pose stays, as
-    it does without budget. Records the loss at the last scale.
+    Then nearly a third of the rigid face is within the noise, and the rest, which is expression, must not
+    pull. Else a narrow scale has many optima, and the pose stays, as it does without budget.
     """
     stage = "register.tight_icp"
     if meter.exhausted:
-        return Tightened(start, PlanStep(stage, False, "the budget had ended"))
+        return start, PlanStep(stage, False, "the budget had ended")
 
     def record(pose: Similarity) -> None:
         meter.record(residuals(scan, template.samples, pose).icp_loss_mm(template.rigidity, TIGHT_MM))
@@ -217,12 +203,12 @@ def tightened(
     near_mm = residuals(scan, template.samples, pose).quantile_mm(template.rigidity, _RIGID_PART)
     evidence = f"{100 * _RIGID_PART:.0f} % of the rigid face within {near_mm:.2f} mm (limit {_NOISE_MM} mm)"
     if near_mm > _NOISE_MM:
-        return Tightened(start, PlanStep(stage, False, "the model is not of the same person", evidence))
+        return start, PlanStep(stage, False, "the model is not of the same person", evidence)
     record(pose)
-    tight = icp(scan, template, pose, settling_steps * [TIGHT_MM], settled=_TIGHTLY_SETTLED)
+    tight = icp(scan, template, pose, settling_steps * [TIGHT_MM], settled=_SETTLED / 20)
     meter.count(tight.steps)
     record(tight.pose)
-    return Tightened(tight.pose, PlanStep(stage, True, "the model is of the same person", evidence))
+    return tight.pose, PlanStep(stage, True, "the model is of the same person", evidence)
 
 
 def rigid_distance_mm(

@@ -13,7 +13,6 @@ from scan2albedo.geometry.rigid import Similarity, procrustes, transform_points
 from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.scan_preparation import PreparedScan
 
-_TRIPLES, _REFITS = 200, 4
 _LEAST_AREA_MM2 = 300.0
 """Of a triangle of landmarks that shows a pose: nearly straight ones leave a turn open."""
 _PERSON_MM, _ELSEWHERE_MM = 6.0, 40.0
@@ -21,8 +20,6 @@ _PERSON_MM, _ELSEWHERE_MM = 6.0, 40.0
 and of a point that has nothing to do with the landmark, but lies on the face."""
 _WRONG = 0.1
 """Part of landmarks that are taken to be wrong."""
-_FREEDOM = 7
-"""Numbers of a pose with its size: as many coordinates agree with any landmarks."""
 _MOST_AGAINST = -2.0
 _SCALES = (0.6, 1.6)
 
@@ -52,8 +49,8 @@ class PlacedPose:
         corners = np.stack([self.of_model, self.of_scan])[:, every]
         across = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
         wide = np.flatnonzero(0.5 * np.linalg.norm(across, axis=2).min(0) > _LEAST_AREA_MM2)
-        if len(wide) > _TRIPLES:
-            wide = wide[np.random.default_rng(0).choice(len(wide), _TRIPLES, replace=False)]
+        if len(wide) > 200:
+            wide = wide[np.random.default_rng(0).choice(len(wide), 200, replace=False)]
         return [every[i] for i in wide]
 
     def start(self) -> Poses:
@@ -71,7 +68,7 @@ class PlacedPose:
 
         corners = np.eye(len(self.of_model))
         best = min((fitted(corners[list(triple)].sum(0)) for triple in self.triples()), key=loss)
-        for _ in range(_REFITS):
+        for _ in range(4):
             refitted = fitted(1 / (1 + self._squared(best)))
             if loss(refitted) >= loss(best):
                 break
@@ -86,8 +83,9 @@ class PlacedPose:
         """
         ratio = (_ELSEWHERE_MM / _PERSON_MM) ** 3 * np.exp(-0.5 * self._squared(scan_from_model))
         odds = float(np.log(_WRONG + (1 - _WRONG) * ratio).sum())
+        # A pose with its size has seven numbers: as many coordinates agree with any landmarks.
         coordinates = self.of_model.size
-        return max(odds * max(coordinates - _FREEDOM, 0) / coordinates, _MOST_AGAINST)
+        return max(odds * max(coordinates - 7, 0) / coordinates, _MOST_AGAINST)
 
     def _squared(self, pose: Similarity) -> FloatArray:
         return np.sum((pose.apply(self.of_model) - self.of_scan) ** 2, axis=1) / _PERSON_MM**2

@@ -64,18 +64,14 @@ def register(
 ) -> Registration:
     """Return the rigid pose of a scan's face in the model's frame.
 
-    Thousands of starts on a voxel grid, the best of them refined by Open3D's robust point-to-plane ICP, then
-    by one that also estimates the face's size; those with most of a face's relief by one that also gives the
-    model a person's shape, with which the scan agrees or not. The pose that is most probably that of a face
-    wins; where the model turns out to be the same person's it is tightened on the rigid regions. `confidence`
-    is that probability (`tools/bench_door.py` compares it with the share that is right). The annealing on
-    depth derivatives of [1]_ runs when forced (`RegistrationOptions.force_annealing`), and counts when the
-    surface is nearer for it.
+    Thousands of starts on a voxel grid, the best refined by Open3D's robust point-to-plane ICP, then by one
+    that also estimates the face's size and a person's shape. The pose that is most probably that of a face
+    wins, with that probability as `confidence`. The annealing of [1]_ runs when forced, and counts when the
+    surface is nearer for it. `plan` doubts a size that no person's face has, and a second face in the scan.
 
-    `plan` doubts a size that no person's face has, and a second face in the scan. Raises RegistrationError,
-    with the figures, when the scan is too small or too large, or holds no face; ValueError when `seed` is no
-    whole number of 0 or more; TypeError for other objects than a scan, a model and options;
-    MissingDependencyError when Open3D cannot be loaded.
+    Raises RegistrationError, with the figures, when the scan is too small or too large, or holds no face;
+    ValueError when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model
+    and options; MissingDependencyError when Open3D cannot be loaded.
 
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.1.1.
@@ -106,13 +102,13 @@ def register(
     plan = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     best = candidates[0]
-    tight = tightened(prepared.samples, template, best.pose, options.settling_iterations, closing)
+    tight, step = tightened(prepared.samples, template, best.pose, options.settling_iterations, closing)
     person = template
-    if best.evidence is not None and not tight.step.ran:
+    if best.evidence is not None and not step.ran:
         person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
-    final = annealed(prepared, person, tight.pose, options, annealing, seed)
-    plan += (tight.step, final.step)
+    final = annealed(prepared, person, tight, options, annealing, seed)
+    plan += (step, final.step)
     low, high = HUMAN_SCALE
     if not low <= final.pose.scale <= high:
         reason = "the face's size is outside people's; check the unit of the scan"

@@ -33,8 +33,6 @@ as without, as the two numbers below with the first 140 scans of tools/bench_doo
 its others (--offset)."""
 _LEAST_VARIANCE = 0.1
 """Of slopes that noise is compared with: a third of a face's, so that a flat scrap is not excused."""
-_LEAST_SIGNAL = 0.5
-"""Noise excuses no more than this: most of what it hides is not known to be there."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +68,7 @@ def depth_image(
 ) -> FloatArray:
     """Return (size, size) greatest z at each pixel centre, -inf where the mesh is not seen.
 
-    Both sides of `faces` (F, 3) are seen, after the affine `view_from_mesh` (4, 4) of the vertices (V, 3).
-    Faces that reach above `z_limit` are ignored.
+    Both sides of `faces` (F, 3) are seen, after `view_from_mesh` (4, 4); those above `z_limit` are ignored.
     """
     points = vertices if view_from_mesh is None else transform_points(view_from_mesh, vertices)
     index, depth = np.asarray(faces), np.ascontiguousarray(points[:, 2])
@@ -87,9 +84,8 @@ class ReliefAgreement:
 
     `coverage` is the part of the model's features with scan within 20 mm. `local` is the correlation of the
     depth derivatives, less their quadratic trend, averaged over windows of about 3 cm, `whole` that over all
-    windows together: the bulge that a head shares with a ball does not count, and nose, orbits and mouth must
-    each be there. `noise_mm` is that of the scan's vertices there, and `signal` the part of the variance of
-    its slopes that it does not explain, 0.5 at least.
+    windows together. `noise_mm` is that of the scan's vertices, `signal` the part of its slopes' variance
+    that is none.
     """
 
     coverage: float
@@ -150,7 +146,15 @@ class FaceImage:
             float((weights * (a * b).sum(0)).sum()) + 1e-12
             for a, b in ((scan, model), (scan, scan), (model, model))
         )
-        whole, local = both / float(np.sqrt(of_scan * of_model)), _local_correlation(scan, model, weights)
+        whole = both / float(np.sqrt(of_scan * of_model))
+
+        def window(values: NDArray[Any]) -> FloatArray:
+            return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
+
+        # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
+        floor = _FLAT_SLOPE_SQUARED * (window(weights > 0) + 1e-9)
+        norm = np.sqrt((window((scan * scan).sum(0)) + floor) * (window((model * model).sum(0)) + floor))
+        local = float((weights * window((scan * model).sum(0)) / norm).sum() / max(weights.sum(), 1e-300))
         if noise is None:
             return ReliefAgreement(coverage, local, whole)
         # Noise of the vertices that lie on the surface which the image shows.
@@ -167,7 +171,8 @@ class FaceImage:
         blur_mm = _SMOOTHING_PIXELS * self.frame.pixel / scale
         of_noise = _NOISE_LEFT * noise_mm**2 * area_mm2 / (4 * np.pi * blur_mm**4)
         variance = max(of_scan / float(weights.sum()), _LEAST_VARIANCE)
-        return ReliefAgreement(coverage, local, whole, noise_mm, max(1 - of_noise / variance, _LEAST_SIGNAL))
+        # Noise excuses no more than half: most of what it hides is not known to be there.
+        return ReliefAgreement(coverage, local, whole, noise_mm, max(1 - of_noise / variance, 0.5))
 
     def _relief(self, depth: FloatArray, mask: BoolArray, smoothing: float) -> tuple[FloatArray, BoolArray]:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
@@ -186,26 +191,13 @@ class FaceImage:
         return relief, used
 
 
-def _local_correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
-    """Return the weighted mean over pixels of the correlation of a and b (2, S, S) in Gaussian windows."""
-
-    def window(values: NDArray[Any]) -> FloatArray:
-        return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
-
-    # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
-    floor = _FLAT_SLOPE_SQUARED * (window(weights > 0) + 1e-9)
-    norm = np.sqrt((window((a * a).sum(0)) + floor) * (window((b * b).sum(0)) + floor))
-    return float((weights * window((a * b).sum(0)) / norm).sum() / max(weights.sum(), 1e-300))
-
-
 def normal_relief(
     grid: NearestGrid, model: OrientedPoints, rotation: FloatArray, translation: FloatArray
 ) -> float:
     """Return the correlation of model and scan slopes without their quadratic trend, -1 ... 1.
 
-    Slopes come from the normals of the model samples, placed by rotation (3, 3) and translation (3,)
-    `scan_from_model`, and of the scan samples nearest to them; the result is lessened by the square root of
-    the part of the model that has a near scan sample.
+    Slopes come from the normals of the model samples, placed by rotation (3, 3) and translation (3,), and of
+    the scan's nearest; times the square root of the part of the model that has one near.
     """
     placed = model.points @ rotation.T + translation
     index = grid.nearest_samples(placed)

@@ -26,12 +26,10 @@ _WEIGHT_RANGE = (0.2, 3.0)
 class Template:
     """Samples of the face model, in its frame, mm, in random order (a prefix is a fair sample).
 
-    `rigidity` (M,) is area times stiffness relative to the mean: large on forehead and nose, small on lips
-    and jaw. `modes` (M, 3, K) are how people differ there, `control_modes` (K, C, 3) at the control points,
-    which `surface_from_control` (V, C) takes to the vertices of `image`; that scores posed scans. `front`
-    (3,) is the model's. `coarse_vertices` (C, 3) and `coarse_faces` (F, 3) are the limit surface at the
-    control vertices, small enough to be drawn thousands of times, `coarse_stiffness` (C,) the relative
-    stiffness there, clipped.
+    `rigidity` (M,) is area times stiffness relative to the mean. `modes` (M, 3, K) are how people differ
+    there, `control_modes` (K, C, 3) at the control points, which `surface_from_control` (V, C) takes to the
+    vertices of `image`. `front` (3,) is the model's. `coarse_vertices` (C, 3) and `coarse_faces` (F, 3) are
+    the limit surface at the control vertices, `coarse_stiffness` (C,) the clipped relative stiffness there.
     """
 
     samples: OrientedPoints

@@ -16,20 +16,17 @@ from scan2albedo.geometry.tangents import split_at_seams
 
 _LEAST_PART, _LEAST_FACES = 0.02, 100
 """Faces of a piece of the texture from which a camera is fitted: as a part of all, and their number."""
-_MOST_FACES = 4000
-"""Of so many faces of a piece a camera is fitted."""
 _OFF = 0.003
 """Median distance, as a part of a piece's span in the texture, by which a camera may miss it. Photographs of
 a stereo scanner have 0.0005, unwrapped surfaces 0.01 and more."""
-_PASSES, _OUTLIER = 4, 4.0
-"""Fits of a camera, each to the corners that the last one missed by less than so many median distances."""
+_OUTLIER = 4.0
+"""Each fit of a camera is to the corners that the last one missed by less than so many median distances."""
 _RELIEF = 0.02
 """Least thickness of a piece as a part of its length: nothing shows where the camera of a plane stood."""
 _FACING = 0.9
 """Part of a piece's faces that has to face its camera."""
 _CAMERAS = 0.8
 """Part of the faces that cameras have to explain: the texture is photographs or it is not."""
-_MOST_CAMERAS = 100
 
 
 @dataclass(frozen=True)
@@ -46,23 +43,26 @@ class TextureCameras:
 def texture_cameras(scan: RawScan) -> TextureCameras | None:
     """Find the cameras whose photographs a scan's texture is made of; None where it is not.
 
-    Of a photograph, the texture coordinates of the corners are the projection of the vertices by a pinhole
-    camera. It is fitted to each connected piece of the texture, large ones first; a face belongs to the
-    camera that projects its corners to where they lie in the texture. Textures painted on an unwrapped
-    surface fit no camera.
+    Of a photograph, texture coordinates are the vertices' projection by a pinhole camera. It is fitted to
+    each connected piece of the texture, large ones first; unwrapped surfaces fit none.
     """
     if scan.uv is None or scan.texture_linear is None or len(scan.faces) < _LEAST_FACES:
         return None
     height, width = scan.texture_linear.shape[:2]
     corners, pixels = scan.vertices[scan.faces], scan.uv * np.array([width, height])
     normals = face_normals(scan.vertices, scan.faces)
-    pieces = _pieces(scan)
+    # The connected piece of the texture that each face is part of.
+    corner = split_at_seams(scan.faces, scan.uv).faces
+    edges = np.concatenate([corner[:, :2], corner[:, 1:]])
+    count = int(corner.max()) + 1
+    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (count, count))
+    pieces = connected_components(graph, directed=False)[1][corner[:, 0]]
     camera, positions = np.full(len(scan.faces), -1), list[FloatArray]()
     sizes = np.bincount(pieces)
     least = max(_LEAST_FACES, _LEAST_PART * len(scan.faces))
     for piece in np.flatnonzero(sizes >= least)[np.argsort(-sizes[sizes >= least], kind="stable")]:
         inside = pieces == piece
-        if np.mean(camera[inside] >= 0) > 0.5 or len(positions) == _MOST_CAMERAS:
+        if np.mean(camera[inside] >= 0) > 0.5 or len(positions) == 100:
             continue
         fitted = _fitted(corners[inside], pixels[inside], normals[inside])
         if fitted is None:
@@ -75,25 +75,15 @@ def texture_cameras(scan: RawScan) -> TextureCameras | None:
     return TextureCameras(camera, np.array(positions))
 
 
-def _pieces(scan: RawScan) -> IntArray:
-    """Return (F,) the connected piece of the texture that each face is part of."""
-    assert scan.uv is not None
-    corner = split_at_seams(scan.faces, scan.uv).faces
-    edges = np.concatenate([corner[:, :2], corner[:, 1:]])
-    count = int(corner.max()) + 1
-    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (count, count))
-    return np.asarray(connected_components(graph, directed=False)[1][corner[:, 0]], np.int64)
-
-
 def _fitted(corners: FloatArray, pixels: FloatArray, normals: FloatArray) -> FloatArray | None:
     """Return the camera (3, 4) of a piece with corners (F, 3, 3), pixels (F, 3, 2), normals (F, 3)."""
-    some = np.linspace(0, len(corners) - 1, min(len(corners), _MOST_FACES)).astype(np.int64)
+    some = np.linspace(0, len(corners) - 1, min(len(corners), 4000)).astype(np.int64)
     points, places = corners[some].reshape(-1, 3), pixels[some].reshape(-1, 2)
     extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
     if extents[2] < _RELIEF * extents[0]:
         return None
     kept: BoolArray = np.ones(len(points), bool)
-    for _ in range(_PASSES):
+    for _ in range(4):
         camera = fit_camera(points[kept], places[kept])
         off = _distances(camera, points, places)
         kept = off <= _OUTLIER * np.median(off)

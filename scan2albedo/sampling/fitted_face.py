@@ -64,11 +64,11 @@ class Fitted(Protocol):
 
 
 def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> GeometryImage:
-    """Sample a fitted face on a regular grid over its chart.
+    """Sample a fitted face on a regular grid over its chart [1]_.
 
-    Position and normal come from the fitted limit surface, the texture from the closest point of the
-    raw scan, low-pass filtered over each texel's footprint in the photograph. `skin` comes from the
-    annotation, the texture and the fit's residual (`geometry_image.skin`).
+    Position and normal come from the fitted limit surface, the texture from the closest point of the raw
+    scan, low-pass filtered over each texel's footprint; `skin` from the annotation, the texture and the fit's
+    residual. O(size^2 log F) for F scan faces.
 
     Parameters
     ----------
@@ -92,12 +92,6 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
     TypeError
         For other objects than a fitted face and a scan.
 
-    Notes
-    -----
-    O(size^2 log F) for F scan faces: one closest-point query a texel.
-
-    References
-    ----------
     .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
     """
     if not (hasattr(fitted, "vertices") and hasattr(fitted, "model_from_scan")):
@@ -138,6 +132,12 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
     cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)
     region[inside] = fitted.region[raster.face[inside]]
+    # Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
+    sigma, shiny = SOFTENING * size, _annotation(fitted, region, "specular_scale")
+    weight, blurred = (
+        gaussian_filter(field, sigma, mode="mirror", radius=math.ceil(4 * sigma))
+        for field in (inside.astype(np.float32), np.where(inside, shiny, np.float32(0)))
+    )
     # Embree would ignore collapsed triangles anyway.
     solid = fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]
     return GeometryImage(
@@ -148,7 +148,7 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         region=region,
         occluder=(fitted.vertices, solid),
         texture_valid=texture.seen,
-        specular_scale=_softened(_annotation(fitted, region, "specular_scale"), raster.covered),
+        specular_scale=np.where(inside, blurred / np.maximum(weight, 1e-6), np.float32(0)),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
         skin=skin_weight(
             position,
@@ -174,16 +174,3 @@ def without_covers(fitted: Fitted, scan: RawScan) -> RawScan:
 
 def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
     return fitted.model.region_values(attribute)[region].astype(np.float32)
-
-
-def _softened(values: NDArray[np.float32], mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Blur over about a region border's width, inside the mask only.
-
-    Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
-    """
-    sigma = SOFTENING * mask.shape[0]
-    weight, blurred = (
-        gaussian_filter(field, sigma, mode="mirror", radius=math.ceil(4 * sigma))
-        for field in (mask.astype(np.float32), np.where(mask, values, np.float32(0)))
-    )
-    return np.where(mask, blurred / np.maximum(weight, 1e-6), np.float32(0))

@@ -18,11 +18,6 @@ from scan2albedo.geometry.mesh import (
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
-_PADDING = 2
-"""Texels between charts."""
-_CHARTED_SIZE = 200.0
-
-
 MOST_FACES = 15_000
 """Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly."""
 
@@ -30,22 +25,9 @@ MOST_FACES = 15_000
 def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     """Sample any scanned surface on a grid over charts that xatlas cuts and packs.
 
-    Parameters
-    ----------
-    scan : RawScan
-        Any object; its own frame, mm.
-    size : int
-        Height and width in texels, at least 8.
-
-    Returns
-    -------
-    GeometryImage
-        In the scan's frame with its centroid moved to the origin; no regions.
-
-    Raises
-    ------
-    GeometryImageError
-        When `size` is below 8, or no chart can be made (for example, only zero-area faces).
+    The image, of `size` (8 or more) texels a side, is in the scan's frame with its centroid moved to the
+    origin; it has no regions. Raises GeometryImageError for a smaller size, or when no chart can be made (for
+    example, only zero-area faces).
     """
     require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
     check_size(size)
@@ -78,7 +60,9 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
 
 
 def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Welded, each face once and with area, wound alike; about `max_faces` where faces hang together."""
+    """Weld a scan, each face once, with area and wound alike, and collapse its edges down to `max_faces`."""
+    import igl
+
     vertices, inverse = np.unique(scan.vertices, axis=0, return_inverse=True)
     faces = inverse.reshape(-1)[scan.faces]
     faces = faces[face_areas(vertices, faces) > 0]
@@ -87,27 +71,16 @@ def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDAr
     _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
     faces = faces[np.sort(first)]
     faces = np.where(turned_against_neighbours(faces)[:, None], faces[:, ::-1], faces)
-    if len(faces) > max_faces:
-        vertices, faces = _simplified(vertices, faces, max_faces, scan.name)
-    return vertices, faces
-
-
-def _simplified(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], max_faces: int, name: str
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Collapse edges down to `max_faces`.
-
-    qslim returns nothing for a mesh that is not manifold, as where parts of a scan meet in one vertex beside
-    a scanner's holes, so such vertices are split first.
-    """
-    import igl
-
+    if len(faces) <= max_faces:
+        return vertices, faces
+    # qslim returns nothing for a mesh that is not manifold, as where parts of a scan meet in one vertex, so
+    # such vertices are split first.
     split, source = igl.split_nonmanifold(faces)[:2]
     fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), max_faces, False)
     if len(index) == 0:
         raise GeometryImageError(
-            f"{name}: its {len(split)} faces cannot be simplified to the {max_faces} that charts are cut "
-            "from; give a mesh of fewer faces"
+            f"{scan.name}: its {len(split)} faces cannot be simplified to the {max_faces} that charts are "
+            "cut from; give a mesh of fewer faces"
         )
     return np.asarray(fewer, np.float64), np.asarray(index, np.int64)
 
@@ -123,11 +96,11 @@ def _xatlas_charts(
 
     used = vertices[np.unique(faces)]
     low, high = used.min(0), used.max(0)
-    placed = (vertices - (low + high) / 2) * (_CHARTED_SIZE / float(np.max(high - low)))
+    placed = (vertices - (low + high) / 2) * (200 / float(np.max(high - low)))
     atlas = xatlas.Atlas()
     atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.resolution, pack.padding, pack.create_image = size, _PADDING, False
+    pack.resolution, pack.padding, pack.create_image = size, 2, False
     atlas.generate(xatlas.ChartOptions(), pack)
     chart_vertex, chart_faces, uv = atlas[0]
     # xatlas may need more than the resolution asked for; scale all charts into one square.

@@ -18,16 +18,12 @@ from scan2albedo.sampling.cameras import texture_cameras
 
 MAX_DISTANCE_MM = 4.0
 """Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
-MIN_NORMAL_COSINE = 0.5
-"""The raw surface must face the way the fitted one does; 0.5 is 60 degrees."""
 MIN_DENSITY = 0.1
 """Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
 CROP_MARGIN = 0.1
 """Faces are searched in the queried points' box, enlarged by this part of its size."""
 FEWEST_TAPS, MOST_TAPS, TAPS_PERCENTILE = 3, 64, 95
 """Bilinear samples along each side of a texel's footprint: one a pixel, for this part of the texels."""
-SIDEWAYS_MM = 0.5
-"""A point farther sideways of the scan's edge than this lies in a hole, not above the edge."""
 
 
 @dataclass(frozen=True)
@@ -77,11 +73,11 @@ class Samples:
     face: IntArray
 
 
+@dataclass(frozen=True)
 class TextureLookup:
     """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
 
-    def __init__(self, scan: RawScan) -> None:
-        self._scan = scan
+    scan: RawScan
 
     def sample(self, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
         """Return what the scan shows of points.
@@ -90,7 +86,7 @@ class TextureLookup:
         on the surface of one texel to the right and one down: the footprint that the photograph is averaged
         over.
         """
-        scan = self._scan
+        scan = self.scan
         # The faces near the points, all when none is: indexing the whole scan would cost most.
         margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
         low, high = points.min(0) - margin, points.max(0) + margin
@@ -101,42 +97,38 @@ class TextureLookup:
         face = near[hits.face]
         valid = hits.distance <= MAX_DISTANCE_MM
         facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
-        valid &= np.einsum("ij,ij->i", normals, facing) >= MIN_NORMAL_COSINE
+        # The raw surface must face the way the fitted one does, within 60 degrees.
+        valid &= np.einsum("ij,ij->i", normals, facing) >= 0.5
         on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
-        # In a hole the closest point is on the scan's edge, and the point sideways of it.
+        # In a hole the closest point is on the scan's edge, and the point 0.5 mm or more sideways of it.
         at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
         offset = points - hits.points
         sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-        valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > SIDEWAYS_MM))
+        valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
         if scan.uv is not None and scan.texture_linear is not None:
             color, inside = self._photograph(near, hits, steps)
-            valid &= self._dense_enough()[face] & inside
+            # Faces need enough photograph pixels for their area.
+            e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
+            texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+            density = texture_area / np.maximum(face_areas(scan.vertices, scan.faces), 1e-12)
+            used = density[texture_area > 0]
+            dense = density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
+            valid &= dense[face] & inside
         else:
             assert scan.vertex_color_linear is not None
             corners = scan.vertex_color_linear[scan.faces[face]]
             color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
         return Samples(color, valid, face)
 
-    def _dense_enough(self) -> BoolArray:
-        """(F,) whether a face has enough photograph pixels for its area."""
-        assert self._scan.uv is not None
-        uv = self._scan.uv
-        e1, e2 = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-        texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-        area = face_areas(self._scan.vertices, self._scan.faces)
-        density = texture_area / np.maximum(area, 1e-12)
-        used = density[texture_area > 0]
-        return density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
-
     def _photograph(
         self, near: IntArray, hits: ClosestHits, steps: FloatArray
     ) -> tuple[NDArray[np.float32], BoolArray]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
-        Also return whether its centre is in the photograph: texture coordinates wrap around by whole periods
-        for a face, but not within one.
+        Also return whether its centre is in the photograph, which wraps around only by whole periods for a
+        face.
         """
-        scan = self._scan
+        scan = self.scan
         assert scan.uv is not None
         assert scan.texture_linear is not None
         height, width = scan.texture_linear.shape[:2]
@@ -144,27 +136,21 @@ class TextureLookup:
         uv = in_first_period(scan.uv[near], scan.texture_linear.shape)[hits.face]
         center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
         inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
-        footprint = np.einsum("nck,nkd->ncd", self._uv_gradients(near)[hits.face], steps) * to_pixels[:, None]
-        # So many that no pixel between them is left out.
-        sides = np.linalg.norm(footprint, axis=1).max(1)
-        longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
-        taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
-        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
-
-    def _uv_gradients(self, near: IntArray) -> FloatArray:
-        """(N, 2, 3) gradient of u and v over each of the faces, per mm; zero on degenerate ones."""
-        scan = self._scan
-        assert scan.uv is not None
-        faces, uv = scan.faces[near], scan.uv[near]
-        corners = scan.vertices[faces]
+        # Gradients (F, 2, 3) of u and v over each of the faces, per mm; zero on degenerate ones.
+        faces, corners = scan.faces[near], scan.vertices[scan.faces[near]]
         cross = face_cross_products(scan.vertices, faces)
         squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
         gradient = np.zeros((len(faces), 2, 3))
         for k in range(3):
             opposite = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
             hat = np.cross(cross, opposite) / squared[:, None]
-            gradient += uv[:, k, :, None] * hat[:, None, :]
-        return gradient
+            gradient += scan.uv[near, k, :, None] * hat[:, None, :]
+        footprint = np.einsum("nck,nkd->ncd", gradient[hits.face], steps) * to_pixels[:, None]
+        # So many that no pixel between them is left out.
+        sides = np.linalg.norm(footprint, axis=1).max(1)
+        longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
+        taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
+        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
@@ -184,9 +170,8 @@ def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tu
 def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[no-untyped-def]
     """Return (N, C) float32 means of samples of a photograph (H, W, C) over each texel's footprint.
 
-    Samples are bilinear and evenly spread. `centre` (N, 2) is the middle of each footprint in pixels, (0, 0)
-    the middle of the first pixel; `footprint` (N, 2, 2) has its two sides, as columns; `taps` samples are
-    taken along each side. Beyond its border the photograph is continued by the border's pixels.
+    `centre` (N, 2) is the middle of each footprint in pixels, (0, 0) the middle of the first pixel;
+    `footprint` (N, 2, 2) has its two sides, as columns, with `taps` bilinear samples along each.
     """
     height, width, channels = photograph.shape
     mean = np.empty((len(centre), channels), np.float32)

@@ -23,15 +23,13 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, without_unreferenced
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
-from scan2albedo.templates.from_mesh import DenseTemplate, model_from_surface
-from scan2albedo.templates.limit_fit import project
+from scan2albedo.templates.from_mesh import DenseTemplate, model_from_surface, project
 from scan2albedo.templates.surface import TemplateSurface, template_surface
 
 _SAME_AXES_DEG = 25.0
 """Templates look up or down by some degrees; only templates turned further get other axes."""
 _REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""
-_INNER = slice(17, 68)
 _LIPS = ("upper_lip", "lower_lip")
 
 
@@ -60,16 +58,15 @@ class AnnotatedFaceModel(AnnotatedSurface):
     ) -> Self:
         """Return an `AnnotatedFaceModel` made from a dense face template of 100 to 100,000 vertices.
 
-        The template is mended (unit, seams, loose parts, a few faces that spoil the surface, holes for eyes
-        and mouth) and turned into the model's axes, its edges are collapsed to about `control_size` vertices,
-        and these are moved until the Loop limit surface passes near the template. Every template vertex is
-        placed on that surface, so that a fit returns the face in the template's own topology. Regions and
-        landmarks that are not given are carried over from the default model, registered and fitted to the
-        template.
+        The template is mended and turned into the model's axes, its edges are collapsed to about
+        `control_size` vertices, and these are moved until the Loop limit surface passes near the template.
+        Every template vertex is placed on that surface, so that a fit returns the face in the template's own
+        topology. Regions and landmarks that are not given are carried over from the default model, registered
+        and fitted to the template.
 
-        The model is in millimetres, its origin at the centroid of the template's vertices in faces; the
-        template's own axes stay where they are within 25 degrees of the convention's. Raises ModelError when
-        the template, the regions or the landmarks cannot be used; the message says why.
+        The model is in millimetres, its origin at the centroid of the template's vertices in faces; axes
+        within 25 degrees of the convention's stay. Raises ModelError when the template, the regions or the
+        landmarks cannot be used.
 
         Parameters
         ----------
@@ -77,21 +74,17 @@ class AnnotatedFaceModel(AnnotatedSurface):
             Micrometres, millimetres, centimetres or metres (decided by the size of a head); any axes when
             `annotate`, else +x the subject's left, +y up, +z out of the face.
         faces : (F, 3) array of int
-            Triangles. Vertices without a face, or on loose parts (eyeballs), are carried along by the
-            nearest surface.
+            Triangles. Vertices without a face, or on loose parts (eyeballs), follow the nearest surface.
         uv : (T, 2) or (F, 3, 2) array of float, optional
             Texture coordinates of vertices, or of faces' corners: what `template_texture` paints. Where each
-            vertex has one place they are the chart too; a new one is drawn when there are seams, when it
-            folds over, or when uv is omitted.
+            vertex has one place they are the chart too, unless it folds over; else a new one is drawn.
         regions : mapping of str to array, optional
-            Vertex indices, or a bool mask of T vertices or F faces, by name. The rest is region "face",
-            faces that close a hole are region "filled"; these two names are reserved. Scans exert no force on
-            a region named "between_lips", to which `annotate` assigns the faces that close the mouth.
+            Vertex indices, or a bool mask of T vertices or F faces, by name; "face" (the rest) and "filled"
+            (faces that close a hole) are reserved. Scans exert no force on a region named "between_lips".
         landmarks : (68, 3) array of float or (68,) array of int, optional
             Points in the template's frame and unit, or vertex indices, iBUG-68 order.
         control_size : int
-            Control vertices aimed at; a template not much larger keeps its own vertices. A template of the
-            whole head spends most of them beside the face: 2500 correspond to 1000 for a face.
+            Control vertices aimed at; of a whole head 2500 correspond to 1000 for a face.
         annotate : bool
             Find the template's axes, and what annotation is not given, with the default model. Where no
             face is recognised in the template, its axes are taken as they are and `notes` says so.
@@ -104,11 +97,9 @@ class AnnotatedFaceModel(AnnotatedSurface):
 
     @classmethod
     def from_file(cls, path: str | Path, *, control_size: int = 1000) -> Self:
-        """Make a model out of a template in an OBJ, PLY, GLB, glTF, STL or OFF file.
+        """Make a model of about `control_size` out of a template in an OBJ, PLY, GLB, glTF, STL or OFF file.
 
-        `control_size` is that of `from_mesh`. The vertices keep the file's order. The chart is the file's
-        where every vertex has one texture coordinate, else a new one. Raises `ModelError` when the file
-        cannot be read, or `from_mesh` cannot use the template.
+        The vertices keep the file's order. Raises `ModelError` when the file or the template cannot be used.
         """
         file = Path(path)
         try:
@@ -127,15 +118,8 @@ class AnnotatedFaceModel(AnnotatedSurface):
 def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFaceModel | None:
     """Return the model of a user's choice; None for "none".
 
-    Parameters
-    ----------
-    model : AnnotatedFaceModel, str, Path or None
-        A model, the file of a model or of a template, "default" (also None) or "none".
-
-    Raises
-    ------
-    ModelError
-        When there is no such file, or it holds neither.
+    That is a model, the file of a model or of a template, "default" (also None) or "none". Raises ModelError
+    when there is no such file, or it holds neither.
     """
     if isinstance(model, AnnotatedFaceModel):
         return model
@@ -212,7 +196,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
         subdivision = model.subdivision(LANDMARK_LEVELS)
         points = project(subdivision, model.control_vertices, landmarks, normals)
         apart = subdivision.points_matrix(points) @ model.control_vertices - landmarks
-        farthest = float(np.linalg.norm(apart, axis=1)[_INNER].max())
+        farthest = float(np.linalg.norm(apart, axis=1)[17:].max())
         if farthest > _REACH_MM:
             notes.append(f"no landmarks: one would lie {farthest:.1f} mm beside the template")
         else:

@@ -19,9 +19,9 @@ MAX_FILLED_LOOP, BACK_OF_HEAD = 600, 0.35
 class CleanTemplate:
     """A template ready for decimation: one disc, holes filled, counter-clockwise from outside.
 
-    `vertices` (K, 3) in mm, origin at the centroid of `all_vertices` (T, 3), which are the template's own in
-    the same frame and unit; `source` (K,) is the template vertex of each. `filled` (F,) marks faces that
-    close one of the template's `holes`.
+    `vertices` (K, 3) in mm, origin at the centroid of `all_vertices` (T, 3), the template's own in the same
+    frame; `source` (K,) is the template vertex of each. `filled` (F,) marks faces that close one of the
+    `holes`.
     """
 
     vertices: FloatArray
@@ -65,10 +65,8 @@ def clean_template(surface: TemplateSurface, name: str) -> CleanTemplate:
 def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray:
     """Return the (n - 2, 3) faces of least total area that close a loop (n,) of `boundary_loops`.
 
-    The new faces run against the loop, so that the mesh stays consistently oriented; the mesh's own edges are
-    not used again as chords, which would join three faces. Dynamic programming over polygon chords (Barequet
-    and Sharir, "Filling gaps in the boundary of a polyhedron", 1995), O(n^3): 74 vertices take a millisecond,
-    500 a second.
+    The new faces run against the loop; the mesh's own edges are no chords. Dynamic programming (Barequet and
+    Sharir, "Filling gaps in the boundary of a polyhedron", 1995), O(n^3): 500 vertices take a second.
     """
     ring = np.ascontiguousarray(loop[::-1])
     # Where the mesh has an edge between two vertices of the loop.

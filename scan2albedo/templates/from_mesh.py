@@ -21,20 +21,21 @@ from scan2albedo.face_model.annotation import (
     Region,
     surface_frames,
 )
+from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
-from scan2albedo.geometry.mesh import face_cross_products, vertex_normals
+from scan2albedo.geometry.mesh import adjacency, face_cross_products, vertex_normals
 from scan2albedo.templates.cleaning import CleanTemplate, clean_template
-from scan2albedo.templates.limit_fit import ControlMesh, decimated, fit_limit_surface, project
 from scan2albedo.templates.surface import TemplateSurface
 
-FILLED_STIFFNESS = 0.5
-"""Faces over the template's own holes (eyes, mouth) are softer, so that a mouth may open."""
-LANDMARK_COUNT, LANDMARK_REACH_MM = 68, 30.0
+LANDMARK_REACH_MM = 30.0
 MAX_REGIONS, MIN_CONTROL_SIZE = 253, 20
 WIDE_OFFSET_MM = 1.0
-SAME_UV, UDIM_TILES, UV_SLACK = 1e-6, 10, 1e-3
-"""Corners of a vertex whose texture coordinates differ by less have one place. Tiles along a side, and how
-far beyond them coordinates may lie."""
+NORMAL_WEIGHT_MM = 12.0
+"""Length equivalent to a turn of the normal by one radian when edges are collapsed."""
+SMOOTHNESS, MAX_TARGETS = 0.005, 30_000
+SAME_UV, UV_SLACK = 1e-6, 1e-3
+"""Corners of a vertex whose texture coordinates differ by less have one place; how far beyond the ten
+tiles of UDIM coordinates may lie."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,8 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         corners = template.vertices[template.faces[template.filled]]
         over_holes = project(subdivision, control.vertices, corners.mean(1), np.zeros((1, 3)))
         region[over_holes.face] = index
-        table[FILLED_REGION] = Region(FILLED_REGION, index, FILLED_STIFFNESS, 0.0, False)
+        # These faces are softer, so that a mouth may open.
+        table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
     chart, chart_note = _chart(vertex_uv(given), template, control, matrix, name)
     corners_uv, uv_note = corner_uv(given)
     cut = len(surface.faces) - int((~template.filled).sum())
@@ -146,8 +148,8 @@ def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
     why = ""
     if not np.isfinite(corners).all():
         why = f"{int((~np.isfinite(corners)).any((1, 2)).sum())} faces have no texture coordinates"
-    elif (corners < -UV_SLACK).any() or (corners > UDIM_TILES + UV_SLACK).any():
-        why = f"texture coordinates lie beyond the tiles of UDIM (u and v from 0 to {UDIM_TILES})"
+    elif (corners < -UV_SLACK).any() or (corners > 10 + UV_SLACK).any():
+        why = "texture coordinates lie beyond the tiles of UDIM (u and v from 0 to 10)"
     elif not np.ptp(corners, axis=1).any():
         why = "all corners have the same texture coordinates"
     return (None, f"no texture will be painted: {why}") if why else (corners, "")
@@ -225,12 +227,12 @@ def _landmarks(
     if landmarks is None:
         return None
     given = np.asarray(landmarks)
-    if given.shape == (LANDMARK_COUNT,) and given.dtype.kind in "iu":
+    if given.shape == (68,) and given.dtype.kind in "iu":
         if given.min() < 0 or given.max() >= len(vertices):
             wrong = given.min() if given.min() < 0 else given.max()
             raise ModelError(f"{name}: landmark vertex {wrong} out of range 0 ... {len(vertices) - 1}")
         chosen = given.astype(np.int64)
-    elif given.shape == (LANDMARK_COUNT, 3):
+    elif given.shape == (68, 3):
         # Points in the template's own unit and frame: the nearest cleaned vertices.
         points, cleaned = given.astype(float), vertices[template.source]
         if not np.isfinite(points).all():
@@ -250,3 +252,61 @@ def _landmarks(
             f"{name}: landmarks have shape {given.shape}, expected (68, 3) points or (68,) vertex indices"
         )
     return SurfacePoints(placed.face[chosen], placed.barycentric[chosen])
+
+
+@dataclass(frozen=True)
+class ControlMesh:
+    """`vertices` (C, 3) and `faces` (F, 3) of a Loop control mesh."""
+
+    vertices: FloatArray
+    faces: IntArray
+
+
+def decimated(vertices: FloatArray, faces: IntArray, size: int) -> ControlMesh:
+    """Return a mesh of about `size` vertices, denser where the surface bends; smaller ones stay as they are.
+
+    Edges collapse shortest first, measured between (position, NORMAL_WEIGHT_MM times normal).
+    """
+    import igl
+
+    if len(vertices) <= 1.2 * size:
+        return ControlMesh(vertices, faces)
+    lifted = np.hstack([vertices, NORMAL_WEIGHT_MM * vertex_normals(vertices, faces)])
+    target = int(len(faces) * size / len(vertices))
+    collapsed, index, _, _ = igl.decimate(
+        np.asfortranarray(lifted), np.asfortranarray(faces.astype(np.int32)), target
+    )
+    return ControlMesh(np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, np.int64))
+
+
+def fit_limit_surface(start: ControlMesh, vertices: FloatArray, faces: IntArray) -> ControlMesh:
+    """Move the control vertices of `start` until the limit surface passes near the dense mesh (K, 3), (F, 3).
+
+    Alternates projection of the dense vertices x_i on the limit surface, A_i P, with
+
+        min_P  sum_i |A_i P - x_i|^2 + s N / C |L (P - P_0)|^2,  L the graph Laplacian, s small.
+    """
+    count = len(start.vertices)
+    subdivision = LoopSubdivision.of(count, start.faces, 2)
+    chosen = np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), MAX_TARGETS)).astype(int))
+    targets, normals = vertices[chosen], vertex_normals(vertices, faces)[chosen]
+    ring = adjacency(count, start.faces)
+    valence = np.maximum(np.asarray(ring.sum(1)).ravel(), 1)
+    smooth = sparse.identity(count) - sparse.diags(1 / valence) @ ring
+    stiff = SMOOTHNESS * len(chosen) / count * (smooth.T @ smooth)
+    control = start.vertices
+    for _ in range(4):
+        points = project(subdivision, control, targets, normals)
+        rows = subdivision.points_matrix(points)
+        system = (rows.T @ rows + stiff).tocsc()
+        control = splu(system).solve(rows.T @ targets + stiff @ start.vertices)
+    return ControlMesh(control, start.faces)
+
+
+def project(
+    subdivision: LoopSubdivision, control: FloatArray, points: FloatArray, normals: FloatArray
+) -> SurfacePoints:
+    """Return where on the control faces the limit surface comes closest to points (N, 3) with normals."""
+    surface = subdivision.matrix @ control
+    hits = ClosestPointQuery(surface, subdivision.faces).query_facing(points, normals)
+    return subdivision.control_points(SurfacePoints(hits.face, hits.barycentric))

@@ -29,8 +29,7 @@ class TemplateSurface:
     """The largest part of a template, welded and oriented; still with its holes, and in any pose.
 
     `vertices` (T, 3) are all the template's, in mm, origin at the centroid of those in the manifold `faces`
-    (F, 3), counter-clockwise from outside. `unit` is the input's; `template_from_surface` (4, 4) the
-    similarity back to its unit, origin and axes; `notes` has a sentence for each thing decided and mended.
+    (F, 3). `template_from_surface` (4, 4) leads back to the input's `unit`; `notes` say what was mended.
     """
 
     vertices: FloatArray
@@ -48,9 +47,8 @@ class TemplateSurface:
 def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> TemplateSurface:
     """Decide the unit, join seams, keep the largest part and turn its faces outward.
 
-    Takes vertices (T, 3) of a head in micrometres, millimetres, centimetres or metres, in any pose. Raises
-    `ModelError` for wrong shapes, NaN, too few vertices, no faces, bad indices, a size that no head has, or a
-    surface that is not manifold even when a few faces are dropped or cannot be oriented.
+    Raises `ModelError` for vertices (T, 3) that are no head in any unit, are not finite or too few, bad
+    indices, or a surface that is not manifold even when a few faces are dropped, or cannot be oriented.
     """
     given, index = _checked(vertices, faces, name)
     used = np.unique(index)
@@ -151,8 +149,7 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
 def _spoilt(faces: IntArray) -> IntArray:
     """Return the faces that keep the mesh from being a surface.
 
-    At an edge of more than two faces these are the faces with a free edge, or all when none has one; where
-    surfaces touch at a single point, the faces around it.
+    At an edge of more than two faces those with a free edge, or all; else those around pinched points.
     """
     import igl
 
