@@ -2,7 +2,7 @@
 
 from scan2albedo.batch.catalogue import load_albedos, load_catalogue
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan, read_manifest
-from scan2albedo.batch.report import BatchProgress, BatchReport
+from scan2albedo.batch.records import BatchProgress, BatchReport
 from scan2albedo.batch.run import run_batch
 from scan2albedo.pipeline.options import ProcessOptions
 

@@ -21,8 +21,14 @@ from scan2albedo.batch.execution import run_in_processes, run_on_cluster
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit
-from scan2albedo.batch.records import FIXED, BatchRecord, BatchScanRecord, BatchStatus
-from scan2albedo.batch.report import BatchProgress, BatchReport
+from scan2albedo.batch.records import (
+    FIXED,
+    BatchProgress,
+    BatchRecord,
+    BatchReport,
+    BatchScanRecord,
+    BatchStatus,
+)
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.version import VERSION

@@ -5,8 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
-from scan2albedo import process
+from scan2albedo import RawScan, process
 from scan2albedo.batch import run_batch
 from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.rigid import transform_points
@@ -151,8 +152,9 @@ def test_auto_is_a_word_in_any_case_and_nothing_is_no_folder():
         ProcessOptions(landmarks=" ")
 
 
-def test_without_a_model_landmarks_are_told_to_be_unused(monkeypatch, coarse_scan):
-    scan, _ = coarse_scan
+def test_without_a_model_landmarks_are_told_to_be_unused(monkeypatch):
+    ball = trimesh.creation.icosphere(2, 60.0)
+    scan = RawScan(ball.vertices, ball.faces, name="ball")
     monkeypatch.setattr(detected, "find_spec", lambda name: None)  # and the network is not asked for
     result = process(scan, landmarks="Auto", model="none", size=32, skip=["albedo"])
     assert "landmarks are not used: without a model nothing is fitted to them" in result.notes
