@@ -118,17 +118,14 @@ def _octaves(level: Level, logs: FloatArray, widest: float) -> tuple[list[_Octav
     octaves, smoothed, sigma = [], 0.0, 1.0
     while sigma <= max(widest, 1.0):
         smooth, wider = local_mean(level, logs, sigma), math.hypot(smoothed, sigma)
-        band = logs - smooth
-        octaves.append(_Octave(band[:, 1:-1] - band[:, :1], band[:, -1], _noise_passed(smoothed, wider)))
+        band, inner, outer = logs - smooth, smoothed**2, wider**2
+        # The part of white noise's variance between two Gaussians.
+        passed = 1 - 3 / (4 * math.pi * outer)
+        if inner > 0:
+            passed = (1 / inner + 1 / outer - 4 / (inner + outer)) / (4 * math.pi)
+        octaves.append(_Octave(band[:, 1:-1] - band[:, :1], band[:, -1], passed))
         logs, smoothed, sigma = smooth, wider, 2 * sigma
     return octaves, logs
-
-
-def _noise_passed(inner: float, outer: float) -> float:
-    """Return the part of white noise's variance between Gaussians of two standard deviations [cells]."""
-    if inner == 0:
-        return 1 - 3 / (4 * math.pi * outer**2)
-    return (1 / inner**2 + 1 / outer**2 - 4 / (inner**2 + outer**2)) / (4 * math.pi)
 
 
 def _noise_variance(level: Level, color: FloatArray) -> float:
@@ -141,16 +138,16 @@ def _noise_variance(level: Level, color: FloatArray) -> float:
     least = np.linalg.eigh(grain.T @ grain)[1][:, 0]
     field = np.full(level.cell.max(0) + 1, np.nan)
     field[tuple(level.cell.T)] = color @ least
-    near, far = (_mean_difference(field, lag) ** 2 for lag in (1, 2))
+    squares = []
+    for lag in (1, 2):
+        differences = np.concatenate(
+            [(field[:, lag:] - field[:, :-lag]).ravel(), (field[lag:] - field[:-lag]).ravel()]
+        )
+        known = np.abs(differences[np.isfinite(differences)])
+        squares.append(float(known.mean()) ** 2 if len(known) else 0.0)
+    near, far = squares
     # The mean of a Gaussian |difference|, squared, is 4 / pi of the variance of either side.
     return max(2 * near - far, 0.0) * math.pi / 4
-
-
-def _mean_difference(field: FloatArray, lag: int) -> float:
-    """Return the mean of |difference| of known cells `lag` cells apart."""
-    across, along = field[:, lag:] - field[:, :-lag], field[lag:] - field[:-lag]
-    known = np.concatenate([np.abs(d[np.isfinite(d)]) for d in (across, along)])
-    return float(known.mean()) if len(known) else 0.0
 
 
 def _robust_slope(

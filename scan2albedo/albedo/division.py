@@ -109,12 +109,14 @@ def divide_light(
         if noise.beside[..., c].any():
             beside = _filtered(beside, weight, noise.beside[..., c]).field
         filtered[..., c] = (leading.field + beside) * around[..., c]
-    grain_window = _grain_window(side or max(mask.shape))
+    grain_window = max(3, 2 * round(_GRAIN * (side or max(mask.shape)) / 2 - 0.5) + 1)  # odd
     lead_light = light[..., noise.lead]
     if usual is None:
         typical = float(np.median(lead_light[usable])) if usable.any() else 1.0
         rough = _roughness(filtered[..., noise.lead], known, grain_window)
-        usual = Usual(noise.lead, noise.ratio, typical, _usual_rough(rough, lead_light, typical, usable))
+        lit, dim = usable & (lead_light > _DIM * typical), usable & (lead_light < _DIM * typical)
+        limit = max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2) if lit.any() and dim.any() else None
+        usual = Usual(noise.lead, noise.ratio, typical, limit)
     grain = _kept_grain(filtered[..., noise.lead], lead_light, usable, skin, grain_window, usual)
     own = np.where(usable, leading.own * grain, 0.0)
     if (grain < 1).any():
@@ -156,19 +158,6 @@ def _roughness(value: FloatArray, known: FloatArray, window: int) -> FloatArray:
     return window_mean((relative - window_mean(relative, known, window)) ** 2, known, WINDOW)
 
 
-def _usual_rough(rough: FloatArray, light: FloatArray, typical: float, usable: BoolArray) -> float | None:
-    """Return how rough an albedo may be, by where it is lit; None where nothing is dim or nothing is lit."""
-    lit = usable & (light > _DIM * typical)
-    if not lit.any() or not (usable & (light < _DIM * typical)).any():
-        return None
-    return max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2)
-
-
-def _grain_window(side: int) -> int:
-    """Return the odd side, in texels, of the means that grain differs from."""
-    return max(3, 2 * round(_GRAIN * side / 2 - 0.5) + 1)
-
-
 @dataclass(frozen=True)
 class _Filtered:
     """A field (H, W), how much of each texel is its own, and the variance of the noise that is left."""
@@ -191,7 +180,10 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
         return _Filtered(field, np.ones(field.shape), np.zeros(field.shape))
     # Running sums may end below 0 by a rounding error.
     noise_here = np.maximum(window_mean(noise, weight, WINDOW), 0.0)
-    guide, reach = _without_spikes(field, weight), _EDGE**2 * (noise_here + _LEAST_NOISE**2)
+    known = weight > 0
+    whole = np.where(known, field, window_mean(field, known.astype(np.float64), 3))
+    guide = _medians(np.pad(whole.astype(np.float32), 1, mode="edge")).astype(np.float64)
+    reach = _EDGE**2 * (noise_here + _LEAST_NOISE**2)
     finer, finer_share = field, np.ones(field.shape)
     result, own, variance = np.zeros(field.shape), np.zeros(field.shape), np.zeros(field.shape)
     for window in _SCALES:
@@ -206,14 +198,6 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
         variance += kept * part
         finer, finer_share = coarser, share
     return _Filtered(result + finer, own + finer_share, variance + finer_share * noise_here)
-
-
-def _without_spikes(field: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return the median over 3 x 3 texels: edges stay, single texels go."""
-    known = weight > 0
-    whole = np.where(known, field, window_mean(field, known.astype(np.float64), 3))
-    medians: FloatArray = _medians(np.pad(whole.astype(np.float32), 1, mode="edge")).astype(np.float64)
-    return medians
 
 
 @njit(cache=True, nogil=True)

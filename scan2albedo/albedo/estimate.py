@@ -29,7 +29,6 @@ from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
-from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment_light import environment_of_shading
 from scan2albedo.lighting.shading import Reflectance
 
@@ -121,12 +120,24 @@ def estimate_albedo(
     """
     advice = "geometry_image(fitted, scan) and read_geometry_image(path) return one"
     require_type(image, GeometryImage, "estimate_albedo: image", advice)
-    count = _light_count(lights, brdf)
-    view = _unit_view(view_direction)
+    if brdf not in BRDFS:
+        raise ValueError(f"brdf is {brdf!r}, expected one of {BRDFS}")
+    if lights != "auto" and (
+        isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4
+    ):
+        raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
+    toward = np.asarray(view_direction, np.float64)
+    length = float(np.linalg.norm(toward)) if toward.shape == (3,) else 0.0
+    if not (np.isfinite(length) and length > 0):
+        raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
+    x, y, z = (toward / length).tolist()
+    view = x, y, z
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image)
-    image = _with_cameras(with_every_normal(image), options)
+    image, paper = with_every_normal(image), options.objective == "albedo-deviation"
+    if paper or options.choice(_CAMERAS) is False:
+        image = replace(image, camera=None, camera_positions=None)
     facing, plan = toward_viewer(image, usable, view), Plan()
     if facing < _LEAST_FACING:
         reason = (
@@ -142,30 +153,10 @@ def estimate_albedo(
         if brdf == "spherical-harmonics":
             estimate = _divide_harmonics(scene)
         else:
-            paper = options.objective == "albedo-deviation"
+            count = None if lights == "auto" else int(lights)
             found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
             estimate = _divide(scene, found, seed)
     return replace(estimate, plan=plan + estimate.plan)
-
-
-def _light_count(lights: str | int, brdf: str) -> int | None:
-    """Return the number of lights asked for, None for "auto"; check it and the reflectance's name."""
-    if brdf not in BRDFS:
-        raise ValueError(f"brdf is {brdf!r}, expected one of {BRDFS}")
-    if lights == "auto":
-        return None
-    if isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4:
-        raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
-    return int(lights)
-
-
-def _unit_view(view_direction: Sequence[float]) -> tuple[float, float, float]:
-    view = np.asarray(view_direction, np.float64)
-    length = float(np.linalg.norm(view)) if view.shape == (3,) else 0.0
-    if not (np.isfinite(length) and length > 0):
-        raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
-    x, y, z = (view / length).tolist()
-    return x, y, z
 
 
 def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
@@ -175,8 +166,11 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     mask, deviation = image.mask, found.albedo_deviation
     lit = light_on_texels(scene, found)
     light, specular, shadow, cast, shading = (
-        _on_grid(mask, field) for field in (lit.light, lit.specular, lit.visible, lit.cast, lit.light_linear)
+        np.zeros((*mask.shape, *field.shape[1:]))
+        for field in (lit.light, lit.specular, lit.visible, lit.cast, lit.light_linear)
     )
+    light[mask], specular[mask], shadow[mask] = lit.light, lit.specular, lit.visible
+    cast[mask], shading[mask] = lit.cast, lit.light_linear
     outlines = _left_out("albedo.outlines", options, late=False)
     if options.objective == "albedo-deviation":
         outlines = PlanStep("albedo.outlines", False, "no part of the paper's method")
@@ -208,10 +202,20 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     if inpainting is None:
         color, inpainting = inpainted(color, image, usable, options, seed)
     cameras = _cameras_step(scene, lit.reflectance)
+    rough = "minnaert_exponent" if lit.reflectance.brdf == "minnaert" else "sigma_rad"
+    distance = lit.lights[0].distance_mm if lit.lights else math.inf
+    parameters: dict[str, object] = {
+        "ambient": 1.0,
+        "brdf": lit.reflectance.brdf,
+        rough: lit.reflectance.roughness,
+        "specular_strength": lit.reflectance.specular_strength,
+        "specular_exponent": lit.reflectance.exponent,
+        "light_distance_mm": distance if math.isfinite(distance) else None,
+    }
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lit.lights,
-        parameters=_parameters(lit.reflectance, lit.lights),
+        parameters=parameters,
         shading=shading.astype(np.float32),
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
@@ -231,14 +235,6 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         expected_error=expected_error(division.deviation, deviation, light, mask, image.skin),
         environment=lit.environment,
     )
-
-
-def _with_cameras(image: GeometryImage, options: EstimateOptions) -> GeometryImage:
-    """Return the image, without its cameras where the caller or the paper's method leaves them out."""
-    paper = options.objective == "albedo-deviation"
-    if image.camera is None or not (paper or options.choice(_CAMERAS) is False):
-        return image
-    return replace(image, camera=None, camera_positions=None)
 
 
 def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
@@ -275,27 +271,6 @@ def recolor(texture_linear: NDArray, value: NDArray, wanted: NDArray) -> NDArray
     black = value <= 1e-9
     color[black] = wanted[black, None]
     return color
-
-
-def _on_grid(mask: NDArray[np.bool_], values: NDArray) -> NDArray[np.float64]:
-    grid = np.zeros((*mask.shape, *values.shape[1:]))
-    grid[mask] = values
-    return grid
-
-
-def _parameters(reflectance: Reflectance, lights: Sequence[PointLight]) -> dict[str, object]:
-    """Return the estimated parameters under their public names."""
-    rough = "minnaert_exponent" if reflectance.brdf == "minnaert" else "sigma_rad"
-    return {
-        "ambient": 1.0,
-        "brdf": reflectance.brdf,
-        rough: reflectance.roughness,
-        "specular_strength": reflectance.specular_strength,
-        "specular_exponent": reflectance.exponent,
-        "light_distance_mm": lights[0].distance_mm
-        if lights and math.isfinite(lights[0].distance_mm)
-        else None,
-    }
 
 
 def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:

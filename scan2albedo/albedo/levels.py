@@ -171,13 +171,17 @@ def build_level(
     middle[filled] = position
     anchor = image.position[tuple(_closest_texels(image.position, middle, usable, factor)[filled].T)]
     unit = max(float(np.median(field[usable])), 1e-12)
+    # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
+    part = np.ones(image.shape)
+    if image.skin is not None and image.skin[usable].mean() >= _LEAST_SKIN:
+        part = np.maximum(image.skin, _NOT_SKIN)
     return Level(
         position,
         normalized(mean(image.normal)),
         normalized(mean(toward)),
         anchor,
         value / unit,
-        count[filled] / factor**2 * mean(_skin(image, usable))[:, 0],
+        count[filled] / factor**2 * mean(part)[:, 0],
         scale,
         unit,
         mean(image.texture_linear) / unit,
@@ -186,16 +190,6 @@ def build_level(
         int(image.mask.sum()),
         factor,
     )
-
-
-def _skin(image: GeometryImage, usable: BoolArray) -> NDArray[np.floating]:
-    """Return (H, W) the part that each texel takes in the search: hair, eyes and cloth a quarter.
-
-    Of a surface without skin every texel takes part alike.
-    """
-    if image.skin is None or image.skin[usable].mean() < _LEAST_SKIN:
-        return np.ones(image.shape)
-    return np.maximum(image.skin, _NOT_SKIN)
 
 
 @njit(cache=True, nogil=True)

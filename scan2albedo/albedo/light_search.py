@@ -117,13 +117,21 @@ class LightSearch:
         alone = self._without_lamps(middle, model) if lights is None else both
         tried = [both] if choice else [lamps, both]
         if lights is None:
-            tried += self._with_fewer_lamps(both)
+            # Optima with the weakest lamp left out, one after the other.
+            while tried[-1].model.lights and not self.scene.meter.exhausted:
+                tried.append(self._descend(middle, *_without_weakest(tried[-1])))
         if choice is None and gain < ENVIRONMENT_GAIN and min(map(_price, [alone, *tried])) >= _price(lamps):
             return lamps, [decision, PlanStep(stage, False, "a large environment does not pay", evidence)]
         if lights is None:
             # Where soft light alone leaves much, the lamps found without it are better starts.
             near = _price(alone) < _NEARLY * min(map(_price, tried))
-            tried += self._with_more_lamps(alone) if near else [alone]
+            tried.append(alone)
+            accepted = near
+            while accepted and alone.model.lights < self.scene.options.maximal_lights:
+                if self.scene.meter.exhausted:
+                    break
+                alone, _, accepted = self._one_more(alone, forced=False)
+                tried += [alone] if accepted else []
         best = min(tried, key=_price)
         self._record(best)
         count = best.model.lights
@@ -134,25 +142,6 @@ class LightSearch:
         if best.model.environment:
             return best, [decision]
         return best, [decision, PlanStep(stage, False, "lamps explain as much", evidence)]
-
-    def _with_more_lamps(self, solution: Solution) -> list[Solution]:
-        """Return the solution, and optima with a lamp more each, as long as they pay."""
-        found = [solution]
-        while solution.model.lights < self.scene.options.maximal_lights and not self.scene.meter.exhausted:
-            solution, _, accepted = self._one_more(solution, forced=False)
-            if not accepted:
-                break
-            found.append(solution)
-        return found
-
-    def _with_fewer_lamps(self, solution: Solution) -> list[Solution]:
-        """Return optima with the weakest lamp left out, one after the other."""
-        found = []
-        while solution.model.lights and not self.scene.meter.exhausted:
-            model, x = _without_weakest(solution)
-            solution = self._descend(self._middle, model, x)
-            found.append(solution)
-        return found
 
     def _found(self, solution: Solution, steps: list[PlanStep]) -> LightFound:
         unit = self.scene.level(self.scene.options.sizes[0]).unit
@@ -256,7 +245,12 @@ class LightSearch:
         # Builds the smallest image, which a small budget does not outlive.
         start = model.from_lights(self.scene.directions[:1], np.array([_FIRST_STRENGTH]))
         if meter.exhausted:
-            return self._least(start, model)
+            # Where a few steps lead on the smallest image, with its cost there.
+            found = one_step(self._coarse, model, start)
+            for _ in range(_LEAST_EVALUATIONS - 1):
+                found = one_step(self._coarse, model, found.x)
+            meter.record(found.cost)
+            return found
         tried = self._first_tries
         if meter.exhausted:
             return tried[0]
@@ -272,14 +266,6 @@ class LightSearch:
                 best = self._descend(self._middle, freed, best.model.extend(best.x, freed))
         self._record(best)
         return best
-
-    def _least(self, x: FloatArray, model: LightModel) -> Solution:
-        """Return where a few steps lead on the smallest image, and record its cost there."""
-        found = one_step(self._coarse, model, x)
-        for _ in range(_LEAST_EVALUATIONS - 1):
-            found = one_step(self._coarse, model, found.x)
-        self.scene.meter.record(found.cost)
-        return found
 
     def _polished(
         self,

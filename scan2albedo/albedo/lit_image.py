@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import shadowed_transfer, sky_table
-from scan2albedo.lighting.interreflection import Bounce, Patches
+from scan2albedo.lighting.interreflection import Patches
 from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
 
 CONE_RAD = 1.92
@@ -59,6 +59,9 @@ class LitImage:
     view: tuple[float, float, float]
     options: EstimateOptions
     meter: Meter
+    _levels: dict[int, Level] = field(default_factory=dict, init=False, repr=False)
+    _soft: dict[int, SoftTerms] = field(default_factory=dict, init=False, repr=False)
+    _horizons: dict[int, Horizon] = field(default_factory=dict, init=False, repr=False)
 
     def model(self, lights: int) -> LightModel:
         """Return the plain model of so many lights."""
@@ -79,15 +82,14 @@ class LitImage:
 
     def soft(self, level: Level) -> SoftTerms:
         """Return what soft light needs to know of a level; known ones are kept."""
-        if level.factor not in self._soft:
-            self._soft[level.factor] = self._soft_of(level)
-        return self._soft[level.factor]
-
-    def _soft_of(self, level: Level) -> SoftTerms:
-        caster, bounce = self.shadows[0], self._bounce(level.anchor, level.normal)
+        if level.factor in self._soft:
+            return self._soft[level.factor]
+        caster, patches = self.shadows[0], self._patches
+        bounce = None if patches is None else patches.seen_from(level.anchor, level.normal)
         surface = level.anchor, level.normal, SHADOW_OFFSET_MM
         if caster is None:
-            return SoftTerms(shadowed_transfer(ShadowMap(caster, *surface)), bounce)
+            self._soft[level.factor] = SoftTerms(shadowed_transfer(ShadowMap(caster, *surface)), bounce)
+            return self._soft[level.factor]
         above, middle = None, self.level(self.options.sizes[1])
         if level.factor < middle.factor:
             self.soft(middle)
@@ -95,24 +97,14 @@ class LitImage:
         shadows = ShadowMap(caster, *surface, above)
         sky = sky_table(shadows)
         self._horizons[level.factor] = Horizon(level, sky)
-        return SoftTerms(shadowed_transfer(shadows, sky), bounce)
+        self._soft[level.factor] = SoftTerms(shadowed_transfer(shadows, sky), bounce)
+        return self._soft[level.factor]
 
     def open_above(self) -> FloatArray | None:
         """Return (P,) the cosine above which nothing hides a light from each masked texel, where known."""
         if not self._horizons:
             return None
         return self._horizons[min(self._horizons)].at(np.argwhere(self.image.mask))
-
-    def _bounce(self, position: FloatArray, normal: FloatArray) -> Bounce | None:
-        return None if self._patches is None else self._patches.seen_from(position, normal)
-
-    @cached_property
-    def _soft(self) -> dict[int, SoftTerms]:
-        return {}
-
-    @cached_property
-    def _horizons(self) -> dict[int, Horizon]:
-        return {}
 
     @cached_property
     def _patches(self) -> Patches | None:
@@ -136,10 +128,6 @@ class LitImage:
     @property
     def _smallest(self) -> Level:
         return self.level(self.options.sizes[0])
-
-    @cached_property
-    def _levels(self) -> dict[int, Level]:
-        return {}
 
     @cached_property
     def _value(self) -> FloatArray:

@@ -81,7 +81,10 @@ def channel_noise(
     if lead is None:
         lead = int(np.argmax(around[usable].mean(0))) if usable.any() else 0
     beside = np.zeros(texture.shape)
-    rounding = _rounding_variance(texture) / (light * around) ** 2
+    # What rounding of sRGB to 8 bits leaves in linear values.
+    code = linear_to_srgb(np.clip(texture, 0.0, 1.0))
+    rounding = (srgb_to_linear(code + 0.5 / 255) - srgb_to_linear(code - 0.5 / 255)) ** 2 / 12
+    rounding /= (light * around) ** 2
     spread = np.ptp(texture[usable], axis=-1) if usable.any() else np.zeros(1)
     if texture.shape[-1] < 3 or spread.max(initial=0.0) < _GREY:
         deviation = additive_deviation(texture[..., lead], light[..., lead], usable)
@@ -95,7 +98,10 @@ def channel_noise(
     one, two = (c for c in range(3) if c != lead)
     least = np.minimum(np.minimum(differences[lead, one], differences[lead, two]), differences[one, two])
     white = white_variance(relative[..., lead], usable)
-    ratio = _ratio(white, least, usable) if ratio is None else ratio
+    if ratio is None:
+        known = usable & (least > 0)
+        usual = float(np.median(white[known] / least[known])) if known.any() else 0.0
+        ratio = float(np.clip(_ABOVE * usual, *_RATIO))
     shared = np.minimum(white - _WHITE_TEXTURE**2, ratio * least)
     own = (differences[lead, one] + differences[lead, two] - differences[one, two]) / 2
     leading = np.maximum(_UNDERRATED * shared, np.minimum(own, _OWN * least))
@@ -103,13 +109,6 @@ def channel_noise(
         # White texture may colour a channel beside the others: it leaves one difference without any.
         beside[..., c] = np.minimum(differences[lead, c], 4 * least)
     return ChannelNoise(lead, np.maximum(leading, 0.0), beside, rounding[..., lead], ratio)
-
-
-def _ratio(white: FloatArray, least: FloatArray, usable: BoolArray) -> float:
-    """Return the largest multiple of `least` (H, W) that the leading channel's noise has."""
-    known = usable & (least > 0)
-    usual = float(np.median(white[known] / least[known])) if known.any() else 0.0
-    return float(np.clip(_ABOVE * usual, *_RATIO))
 
 
 def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
@@ -160,12 +159,6 @@ def _steps(field, usable, down, across):  # type: ignore[no-untyped-def]
                 squares[i, j] = half
                 roots[i, j] = np.sqrt(np.sqrt(half))
     return pairs, squares, roots
-
-
-def _rounding_variance(linear: FloatArray) -> FloatArray:
-    """Return the variance that rounding of sRGB to 8 bits has in linear values."""
-    code = linear_to_srgb(np.clip(linear, 0.0, 1.0))
-    return (srgb_to_linear(code + 0.5 / 255) - srgb_to_linear(code - 0.5 / 255)) ** 2 / 12
 
 
 @njit(cache=True, nogil=True)

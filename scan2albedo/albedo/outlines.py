@@ -37,12 +37,13 @@ def seen_outlines(light: FloatArray, value: FloatArray, usable: BoolArray) -> tu
     log_light, log_value = (np.log(np.maximum(field, _DARK)) for field in (light, value))
     sharp, clear = (step * _SIDE / max(light.shape) for step in (_SHARP, _CLEAR))
     steps = forward_differences(log_light)
-    both = [_pairs(usable, axis) for axis in (1, 0)]
+    ends = [_ends(axis) for axis in (1, 0)]
+    both = [usable[first] & usable[second] for first, second in ends]
     edges = [pair & (np.abs(step) > clear) for pair, step in zip(both, steps, strict=True)]
     if not any(edge.any() for edge in edges):
         return light, PlanStep(stage, False, "the light has no sharp outline", "0 texels")
     seen = _seen_share(steps, forward_differences(log_value), edges, light.shape)
-    shares = [_of_pairs(seen, axis) for axis in (1, 0)]
+    shares = [0.5 * (seen[first] + seen[second]) for first, second in ends]
     unseen = [
         edge & (share < np.where(np.abs(step) > sharp, _SEEN, _HINTED))
         for share, step, edge in zip(shares, steps, edges, strict=True)
@@ -55,9 +56,8 @@ def seen_outlines(light: FloatArray, value: FloatArray, usable: BoolArray) -> tu
     if part < _CHANCE * length or not any(edge.any() for edge in unseen):
         return light, PlanStep(stage, False, "the texture has the outlines of the light", evidence)
     wrong, wanted = np.zeros(light.shape, bool), []
-    for axis, step, share, edge in zip((1, 0), steps, shares, unseen, strict=True):
+    for (first, second), step, share, edge in zip(ends, steps, shares, unseen, strict=True):
         wanted.append(np.where(edge, share * step, step))
-        first, second = _ends(axis)
         wrong[first] |= edge
         wrong[second] |= edge
     band = binary_dilation(wrong, iterations=max(1, round(_BAND * max(light.shape)))) & usable
@@ -90,13 +90,3 @@ def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     if axis == 1:
         return (slice(None), slice(None, -1)), (slice(None), slice(1, None))
     return (slice(None, -1), slice(None)), (slice(1, None), slice(None))
-
-
-def _pairs(chosen: BoolArray, axis: int) -> BoolArray:
-    first, second = _ends(axis)
-    return np.asarray(chosen[first] & chosen[second])
-
-
-def _of_pairs(field: FloatArray, axis: int) -> FloatArray:
-    first, second = _ends(axis)
-    return np.asarray(0.5 * (field[first] + field[second]))

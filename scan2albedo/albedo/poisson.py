@@ -40,14 +40,17 @@ def integrate_gradients(
     diagonal, right = np.full(count, _ANCHOR), _ANCHOR * field[region].reshape(count, -1)
     links = []
     for axis, wanted in ((1, across), (0, down)):
-        ends = [tuple(_side(a == axis, end) for a in (0, 1)) for end in (0, 1)]
+        # The first and the second texels of the pairs along the axis.
+        ends = [
+            tuple(side if a == axis else slice(None) for a in (0, 1))
+            for side in (slice(None, -1), slice(1, None))
+        ]
         joined = usable[ends[0]] & usable[ends[1]]
         for sign, (here, there) in ((-1, ends), (1, ends[::-1])):
             chosen = joined & region[here]
             row = index[here][chosen]
-            pull = sign * wanted[chosen] + np.where(
-                _like(region[there][chosen], field), 0.0, field[there][chosen]
-            )
+            free = region[there][chosen].reshape(-1, *[1] * (field.ndim - 2))
+            pull = sign * wanted[chosen] + np.where(free, 0.0, field[there][chosen])
             # A texel has one neighbour on each side, so no row comes twice.
             diagonal[row] += 1
             right[row] += pull.reshape(len(row), right.shape[1])
@@ -61,13 +64,3 @@ def integrate_gradients(
     result = field.copy()
     result[region] = splu(system).solve(right).reshape(result[region].shape)
     return result
-
-
-def _side(along: bool, end: int) -> slice:
-    """Return the slice of all first (0) or second (1) texels of the pairs along an axis."""
-    return (slice(1, None) if end else slice(None, -1)) if along else slice(None)
-
-
-def _like(chosen: BoolArray, field: FloatArray) -> BoolArray:
-    """Return `chosen` (N,) ready to broadcast with values (N, ...) of `field`."""
-    return chosen.reshape(-1, *[1] * (field.ndim - 2))

@@ -15,7 +15,7 @@ from scan2albedo.albedo.normal_equations import block_albedos, cluster_scores, n
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import SoftTerms, ridge
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.lighting.kernels import shade_with_derivatives
 from scan2albedo.optimization import Damping, NormalEquations, damped_step, minimize
 
@@ -205,7 +205,10 @@ class Residual:
         # Weights are w^2 / s with s = sqrt((w r)^2 + e^2), the loss's curvature w^2 e^2 / s^3.
         spread = self.problem.weight / np.maximum(self._robust, 1e-30)
         matrix *= float(np.sum(_SOFTNESS**2 / spread**3) / np.sum(1 / spread))
-        clusters = _clusters(self.problem.level)
+        level = self.problem.level
+        side = max(2.0, math.sqrt(_CLUSTER_AREA * len(level.value)))
+        row, column = (level.cell // side).astype(np.int64).T
+        clusters = np.unique(row * 100_000 + column, return_inverse=True)[1].astype(np.int64)
         scores = np.empty((int(clusters.max()) + 1, self.model.size))
         cluster_scores(*self._arguments(), clusters, scores)
         scaling = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-30))
@@ -220,14 +223,6 @@ class Residual:
         slopes = -light_slope / self.light - specular_slope / below
         result: FloatArray = slopes - np.average(slopes, axis=1, weights=self.problem.level.weight)[:, None]
         return result
-
-
-def _clusters(level: Level) -> IntArray:
-    """Return (N,) the patch of the surface that each cell belongs to."""
-    side = max(2.0, math.sqrt(_CLUSTER_AREA * len(level.value)))
-    row, column = (level.cell // side).astype(np.int64).T
-    _, index = np.unique(row * 100_000 + column, return_inverse=True)
-    return np.asarray(index, np.int64)
 
 
 def descend(problem: ResidualProblem, model: LightModel, x: FloatArray, evaluations: int) -> Solution:

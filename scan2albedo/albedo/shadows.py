@@ -14,7 +14,7 @@ from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.core.geometry_image import GeometryImage, Occluder
+from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
@@ -50,46 +50,32 @@ def shadow_caster(
     choice = options.choice(stage)
     if choice is False:
         return None, PlanStep(stage, False, "left out by the caller")
-    coarse = _coarse_occluder(image) if choice is None else None
+    # A coarse mesh is good enough to see whether there are shadows, which a dense chart would delay.
+    coarse, step = None, -(-max(image.shape) // _COARSE)
+    if choice is None and image.occluder is None and step > 1:
+        part = slice(None, None, step)
+        mesh = GeometryImage(
+            image.position[part, part], image.normal[part, part], image.mask[part, part]
+        ).triangulated()
+        coarse = mesh if len(mesh[1]) else None
     vertices, faces = image.occluder_mesh() if coarse is None else coarse
     if not len(faces):
         return None, PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")
     caster = RayCaster(vertices, faces)
     if choice is None and meter.exhausted:
         return caster, PlanStep(stage, True, "the budget ended before it was judged", "not judged")
-    largest = _largest_shadow(ShadowMap(caster, level.anchor, level.normal, SHADOW_OFFSET_MM), directions)
+    shadows, largest = ShadowMap(caster, level.anchor, level.normal, SHADOW_OFFSET_MM), 0.0
+    for direction in directions:
+        # At the terminator facets shade texels whose smooth normal still faces the light.
+        facing = shadows.normal @ direction > 0.2
+        if facing.mean() >= _FEWEST:
+            largest = max(largest, float(np.mean(shadows.visible(direction)[facing] == 0)))
     evidence = f"at most {100 * largest:.1f} % of the texels facing a light lie in cast shadow"
     if choice is None and largest < LEAST_SHADOW:
         return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)
     if coarse is not None:
         caster = RayCaster(*image.occluder_mesh())
     return caster, PlanStep(stage, True, "asked for" if choice else "the surface shades itself", evidence)
-
-
-def _coarse_occluder(image: GeometryImage) -> Occluder | None:
-    """Return a mesh good enough to see whether there are shadows, which a dense chart would delay.
-
-    None where the occluder itself is at hand.
-    """
-    step = -(-max(image.shape) // _COARSE)
-    if image.occluder is not None or step == 1:
-        return None
-    part = slice(None, None, step)
-    mesh = GeometryImage(
-        image.position[part, part], image.normal[part, part], image.mask[part, part]
-    ).triangulated()
-    return mesh if len(mesh[1]) else None
-
-
-def _largest_shadow(shadows: ShadowMap, directions: FloatArray) -> float:
-    """Return the largest part of the points facing one of `directions` (D, 3) that lies in cast shadow."""
-    largest = 0.0
-    for direction in directions:
-        # At the terminator facets shade texels whose smooth normal still faces the light.
-        facing = shadows.normal @ direction > 0.2
-        if facing.mean() >= _FEWEST:
-            largest = max(largest, float(np.mean(shadows.visible(direction)[facing] == 0)))
-    return largest
 
 
 class Horizon:

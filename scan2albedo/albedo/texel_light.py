@@ -50,7 +50,10 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     toward = scene.image.toward_camera(scene.view)
     where = scene.image, lamps, reflectance, toward, found.caster, offset
     lit = shade_image(*where, open_above=scene.open_above())
-    colors = _strongest_first(found)
+    count = found.solution.model.lights
+    colors = np.ones((count + HARMONICS + 2, 3)) if found.colors is None else found.colors.copy()
+    # In the order of the public lights, strongest first.
+    colors[:count] = colors[np.argsort(-found.solution.hypothesis.rows[:, 4], kind="stable")]
     environment, light = _with_soft_light(scene, found, lit, colors)
     return TexelLight(
         light.mean(-1),
@@ -62,14 +65,6 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
         environment,
         reflectance,
     )
-
-
-def _strongest_first(found: LightFound) -> FloatArray:
-    """Return (K, 3) the colours of the light's parts, lamps in the order of the public lights."""
-    count = found.solution.model.lights
-    colors = np.ones((count + HARMONICS + 2, 3)) if found.colors is None else found.colors.copy()
-    colors[:count] = colors[np.argsort(-found.solution.hypothesis.rows[:, 4], kind="stable")]
-    return colors
 
 
 def _with_soft_light(
