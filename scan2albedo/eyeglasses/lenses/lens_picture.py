@@ -121,8 +121,11 @@ def insert_lenses(
     environment_linear : (H, W, 3) array_like of float, optional
         Radiance as in `environment_radiance`. Lights a drawn scene unless `lights` are given, stands behind
         it, and is what lenses mirror; without it they mirror surfaces only, and black.
+    lights : DistantLights, optional
+        Only with `shape`.
     lens_centers : (2, 3) array_like of float, optional
         Optical centres, left and right, moved into the lens planes; otherwise the outlines' centroids.
+    options : LensPictureOptions
 
     Raises
     ------

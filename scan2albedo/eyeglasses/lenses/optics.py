@@ -50,11 +50,22 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     S12 of Li et al., with f = 1 / P) times 1 + u P: it holds for P = 0, where it is the ray itself, for
     1 + u P = 0, where all rays become parallel, and beyond, where the image lies in front.
 
-    `camera` is the centre of projection (3,), or one origin a ray (N, 3), in mm. `points` (N, 3) mm are where
-    rays are heading: any point on each but its origin, such as a hit on a lens mesh, which need not be flat.
+    Parameters
+    ----------
+    lens : ThinLens
+    camera : (3,) or (N, 3) array_like of float
+        Centre of projection, or one origin a ray; mm.
+    points : (N, 3) array_like of float
+        Where each ray is heading, mm: any point on it but its origin, such as a hit on a lens mesh, which
+        need not be flat.
 
-    Raises EyeglassesError when numbers are not finite, the normal is zero, a camera lies in the lens plane,
-    or a ray runs along the plane or away from it; ValueError for a wrong shape.
+    Raises
+    ------
+    EyeglassesError
+        When numbers are not finite, the normal is zero, a camera lies in the lens plane, or a ray runs
+        along the plane or away from it.
+    ValueError
+        When an array has the wrong shape.
 
     Examples
     --------

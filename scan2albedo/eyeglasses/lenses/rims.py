@@ -187,14 +187,29 @@ def find_lens_rim(
     ends; wider ones, such as the open side of a half-rimless frame, take their shape from the rim's key
     points, shifted so that it joins what was measured. Lenses that are parts of their own are looked through.
 
-    The frame's `vertices` (V, 3) and `faces` (F, 3) are in any unit, of any number of parts and any winding.
-    `center` (3,) is inside the rim, about in the lens plane, `rim_points` (K, 3) are three or more key points
-    on or at the rim, in any order. `normal` (3,) is that of the lens plane to some degrees, towards the
-    viewer; otherwise it is that of the plane nearest to the rim points, away from the temples.
+    Parameters
+    ----------
+    vertices : (V, 3) array_like of float
+        The frame; any unit, any number of parts, any winding.
+    faces : (F, 3) array_like of int
+    center : (3,) array_like of float
+        Inside the rim, about in the lens plane.
+    rim_points : (K, 3) array_like of float, optional
+        Three or more key points on or at the rim, in any order.
+    normal : (3,) array_like of float, optional
+        Of the lens plane to some degrees, towards the viewer. Otherwise of the plane nearest to the rim
+        points, away from the temples.
 
-    Raises EyeglassesError when the mesh is empty or not finite, neither rim points nor a normal are given, or
-    too little of a rim lies around the centre to do without rim points; ValueError for a wrong shape.
+    Raises
+    ------
+    EyeglassesError
+        When the mesh is empty or not finite, neither rim points nor a normal are given, or too little of
+        a rim lies around the centre to do without rim points.
+    ValueError
+        When an array has the wrong shape.
 
+    Notes
+    -----
     MEGANE's supplement subdivides from the key points throughout, which stops a tube's radius off the inner
     edge; here that is the fallback. Cost: some 130 rays a point.
 
