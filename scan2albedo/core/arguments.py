@@ -35,9 +35,9 @@ def described(value: object) -> str:
         return f"the path {str(value)[:100]!r}"
     if isinstance(value, np.ndarray):
         return f"an array of shape {value.shape} and {value.dtype}"
-    return (
-        f"the class {value.__name__}" if isinstance(value, type) else f"an object of {type(value).__name__}"
-    )
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    return f"an object of {type(value).__name__}"
 
 
 def require_linear(name: str, values: ArrayLike) -> None:
@@ -54,9 +54,7 @@ def require_linear(name: str, values: ArrayLike) -> None:
 
 def linear_doubt(name: str, values: NDArray[np.float32]) -> str:
     """Return a sentence on colours that are hardly linear light, "" when there is no doubt."""
-    if values.size == 0 or values.max() <= _FAR_ABOVE_WHITE:
-        return ""
-    if (median := float(np.median(values))) <= _FAR_ABOVE_WHITE:
+    if values.max(initial=0) <= _FAR_ABOVE_WHITE or (median := float(np.median(values))) <= _FAR_ABOVE_WHITE:
         return ""
     return (
         f"{name} has a median of {median:.3g} and reaches {values.max():.3g}, though 1 is display white: are "

@@ -177,16 +177,14 @@ class GeometryImage:
         """Return what part of the square is surface, what part of that was seen, or is skin; texel areas."""
         areas = self.texel_areas_mm2()
         low, median, high = np.percentile(areas, (5, 50, 95)) if len(areas) else (np.nan,) * 3
-        skin = {} if self.skin is None else {"skin": float(self.skin[self.mask].mean())}
-        cameras = {} if self.camera_positions is None else {"cameras": float(len(self.camera_positions))}
-        return {
-            "coverage": float(self.mask.mean()),
-            "seen": float(self.seen.sum() / max(int(self.mask.sum()), 1)),
-            **skin,
-            **cameras,
-            "texel_area_mm2": float(median),
-            "texel_area_p95_to_p5": float(high / low) if low > 0 else float("nan"),
-        }
+        seen = float(self.seen.sum() / max(int(self.mask.sum()), 1))
+        figures = {"coverage": float(self.mask.mean()), "seen": seen}
+        if self.skin is not None:
+            figures["skin"] = float(self.skin[self.mask].mean())
+        if self.camera_positions is not None:
+            figures["cameras"] = float(len(self.camera_positions))
+        ratio = float(high / low) if low > 0 else float("nan")
+        return figures | {"texel_area_mm2": float(median), "texel_area_p95_to_p5": ratio}
 
     def occluder_mesh(self) -> Occluder:
         """Return the mesh that casts shadows: `occluder`, or the texel grid triangulated."""

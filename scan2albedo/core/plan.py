@@ -40,12 +40,22 @@ class PlanStep:
 
     @classmethod
     def doubt(cls, stage: str, reason: str, evidence: str = "") -> PlanStep:
-        """Return a row about something in the stage's result that a person should check."""
+        """Return a row about something in the stage's result that a person should check.
+
+        Parameters
+        ----------
+        stage, reason, evidence : str
+        """
         return cls(stage, False, reason, evidence, "doubt")
 
     @classmethod
     def wrong(cls, stage: str, reason: str, evidence: str = "") -> PlanStep:
-        """Return a row about a fault of the stage's input or result."""
+        """Return a row about a fault of the stage's input or result; see `doubt`.
+
+        Parameters
+        ----------
+        stage, reason, evidence : str
+        """
         return cls(stage, False, reason, evidence, "wrong")
 
     @property

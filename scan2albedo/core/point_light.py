@@ -55,11 +55,6 @@ class PointLight:
     @property
     def direction(self) -> NDArray[np.float64]:
         """(3,) unit vector from the origin toward the light."""
-        horizontal = math.cos(self.elevation_rad)
-        return np.array(
-            [
-                horizontal * math.sin(self.azimuth_rad),
-                math.sin(self.elevation_rad),
-                horizontal * math.cos(self.azimuth_rad),
-            ]
-        )
+        horizontal, up = math.cos(self.elevation_rad), math.sin(self.elevation_rad)
+        right, forward = horizontal * math.sin(self.azimuth_rad), horizontal * math.cos(self.azimuth_rad)
+        return np.array([right, up, forward])

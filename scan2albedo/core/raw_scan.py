@@ -168,9 +168,7 @@ class RawScan:
             wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
             raise ScanError(f"{self.name}: {field} has shape {array.shape}, expected {wanted}")
         array = array.astype(dtype, copy=False)
-        finite = np.isfinite(array)
-        if not finite.all():
-            bad = ~finite
+        if (bad := ~np.isfinite(array)).any():
             first = tuple(int(i) for i in np.argwhere(bad)[0])
             raise ScanError(
                 f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, "
@@ -197,6 +195,5 @@ class RawScan:
     @property
     def has_color(self) -> bool:
         """Whether there is a texture with coordinates, or vertex colours."""
-        return (
-            self.uv is not None and self.texture_linear is not None
-        ) or self.vertex_color_linear is not None
+        textured = self.uv is not None and self.texture_linear is not None
+        return textured or self.vertex_color_linear is not None

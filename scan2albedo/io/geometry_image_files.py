@@ -70,8 +70,8 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 def read_geometry_image(path: str | Path) -> GeometryImage:
     """Return the geometry image that `write_geometry_image` or `write_geometry_image_exr` wrote.
 
-    Raises GeometryImageError, naming the file, when it is missing, damaged, of another extension than .npz
-    and .exr, or lacks position, normal or mask.
+    Raises GeometryImageError, naming the file `path`, when it is missing, damaged, of another extension than
+    .npz and .exr, or lacks position, normal or mask.
     """
     file = Path(path)
     extension = file.suffix.lower()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import struct
-import sys
 import warnings
 import zlib
 from io import BytesIO
@@ -48,7 +48,7 @@ def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16
     """
     file = Path(path)
     try:
-        limits.require_file(file, sys.maxsize)
+        limits.require_file(file, math.inf)
         with file.open("rb") as opened:
             is_exr = opened.read(len(_EXR_MAGIC)) == _EXR_MAGIC
         if is_exr:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,7 +32,7 @@ def input_sha256(source: str | Path | RawScan, textures: str | Path | None = Non
                 digest.update(value.tobytes())
         return digest.hexdigest()
     try:
-        limits.require_regular(Path(source))
+        limits.require_file(Path(source), math.inf)
         for file in files_of_scan(Path(source), textures):
             digest.update(f"{file.stat().st_size}:".encode())
             with file.open("rb") as opened:

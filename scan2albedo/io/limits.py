@@ -64,7 +64,7 @@ DAMAGE = (
 """What parsers, NumPy's and trimesh's among them, raise of bytes that are not what was written."""
 
 
-def require_at_most(name: str, what: str, count: float, limit: int, advice: str) -> None:
+def require_at_most(name: str, what: str, count: float, limit: float, advice: str) -> None:
     """Raise TooLargeError, naming the file, when `count` of something is above its limit.
 
     >>> require_at_most("a.obj", "lines of text", 30, 20, "decimate it")
@@ -86,19 +86,16 @@ def parse_json(name: str, text: bytes) -> Any:
     return json.loads(text.decode("utf-8", "replace"))
 
 
-def require_regular(file: Path) -> None:
-    """Raise ScanError for a pipe, a device or a socket, which may never end; OSError for a missing file."""
-    mode = file.stat().st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+def require_file(file: Path, limit: float = FILE_BYTES, advice: str = "make it smaller") -> int:
+    """Return the bytes of a file; raises TooLargeError for more than `limit`, OSError for a missing file.
+
+    Raises ScanError for a pipe, a device or a socket, which may never end.
+    """
+    status = file.stat()
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise ScanError(f"{file}: is a pipe or a device, not a file; give a file")
-
-
-def require_file(file: Path, limit: int = FILE_BYTES, advice: str = "make it smaller") -> int:
-    """Return the bytes of a file; raises as `require_regular`, and TooLargeError for more than `limit`."""
-    require_regular(file)
-    size = file.stat().st_size
-    require_at_most(file.name, "bytes", size, limit, advice)
-    return size
+    require_at_most(file.name, "bytes", status.st_size, limit, advice)
+    return status.st_size
 
 
 def read_bytes(file: Path, limit: int = FILE_BYTES, advice: str = "make it smaller") -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import zipfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -59,7 +58,7 @@ def read_npz(
     """
     try:
         # A stream of our own: NumPy leaves the file open where it is damaged.
-        size = limits.require_file(Path(path), sys.maxsize)
+        size = limits.require_file(Path(path), math.inf)
         with Path(path).open("rb") as stream:
             stored = np.load(stream, allow_pickle=False)
             if not isinstance(stored, NpzFile):

@@ -49,20 +49,6 @@ Row = tuple[float, float, float, float]
 Matrix = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(plain_json)]
 
 
-class Record(BaseModel):
-    """Base of every record: unknown fields and numbers that are not finite raise; values are fixed.
-
-    Texts are `printable`, whether they come from a scan's files or from a record that was edited.
-    """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _printable(cls, value: Any) -> Any:
-        return _printable_texts(value)
-
-
 def _printable_texts(value: Any) -> Any:
     if isinstance(value, str):
         return printable(value)
@@ -72,6 +58,16 @@ def _printable_texts(value: Any) -> Any:
         texts = {name: printable(text) for name, text in vars(value).items() if isinstance(text, str)}
         return replace(value, **texts) if texts else value
     return type(value)(map(_printable_texts, value)) if type(value) in (list, tuple) else value
+
+
+class Record(BaseModel):
+    """Base of every record: unknown fields and numbers that are not finite raise; values are fixed.
+
+    Texts are `printable`, whether they come from a scan's files or from a record that was edited.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    _printable = field_validator("*", mode="before")(_printable_texts)
 
 
 @cache

@@ -6,6 +6,7 @@ import os
 import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from scan2albedo.errors import ScanError
@@ -66,18 +67,13 @@ class ScanFolder:
         return "is missing beside the scan"
 
     def _found(self, relative: Path) -> Iterator[Path]:
-        for home in (self.path, self.textures):
-            if home is None:
-                continue
+        wanted = _folded(relative.name)
+        for home in filter(None, (self.path, self.textures)):
             places = [place for place in {home / relative.parent: None, home: None} if self._allows(place)]
-            for place in places:
-                if (place / relative.name).is_file() and self._allows(place / relative.name):
-                    yield place / relative.name
-            for place in places:
-                wanted = _folded(relative.name)
-                for file in sorted(place.iterdir()) if place.is_dir() else ():
-                    if _folded(file.name) == wanted and file.is_file() and self._allows(file):
-                        yield file
+            named = (place / relative.name for place in places)
+            others = (file for place in places if place.is_dir() for file in sorted(place.iterdir()))
+            alike = (file for file in others if _folded(file.name) == wanted)
+            yield from (file for file in chain(named, alike) if file.is_file() and self._allows(file))
 
     def _allows(self, path: Path) -> bool:
         homes = (self.path, self.textures)
