@@ -123,7 +123,7 @@ def run_stages(deformation: Deformation, count: int | None = None) -> tuple[Floa
         if deformation.scan.edge_mm < spacing_mm:
             finer = _run_stage(deformation, finest, 1.0, SHORT, q, stiffening)
             finer, _ = _mended(deformation, finer, stiffening, finest, SHORT)
-            # Around folds that are left the finest steps are taken back; everywhere where that does not end them.
+            # Around folds that are left the finest steps are taken back; all, where that does not end them.
             back = np.zeros((len(q), 1), bool)
             for _ in range(MENDING_ROUNDS):
                 folded = _around_folds(deformation, np.where(back, q, finer))
