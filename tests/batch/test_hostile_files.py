@@ -7,7 +7,7 @@ import pytest
 from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.pipeline.options import ProcessOptions
 
-TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
+TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False, skip=("albedo",))
 pytestmark = pytest.mark.usefixtures("stages_in_this_process", "no_endless_reading")
 
 

@@ -12,7 +12,7 @@ from scan2albedo.errors import BatchError, OutputError
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.report.html import write_report
 
-TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False)
+TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False, quality="draft", lights=1)
 pytestmark = pytest.mark.usefixtures("stages_in_this_process")
 
 

@@ -11,7 +11,7 @@ import scan2albedo as s2a
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.pipeline.result import write_result
 
-TINY = {"model": "none", "size": 32, "unit": "mm", "pictures": False}
+TINY = {"model": "none", "size": 32, "unit": "mm", "pictures": False, "quality": "draft", "lights": 1}
 
 
 @pytest.fixture(scope="module")
