@@ -212,8 +212,8 @@ def write_labelled_templates(path: str | Path, labelled: LabelledTemplates) -> t
     """Return the NPZ files to which templates are written, each whole or not at all.
 
     `labelled` goes to `path`, NAME.npz, and NAME.shape.npz where there are both albedo and shape. ValueError
-    when the name does not end in .npz, RecognitionError when some results have both albedo and shape and others only one
-    of them, OutputError when a file cannot be written.
+    when the name does not end in .npz, RecognitionError when some results have both albedo and shape and
+    others only one of them, OutputError when a file cannot be written.
     """
     file = Path(path)
     everybody = set(range(len(labelled)))
