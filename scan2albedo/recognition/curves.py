@@ -117,9 +117,17 @@ def roc_curve(
     and the few that do err much alike: intervals of true accept rates and of the equal error rate are never
     shorter than Clopper and Pearson's for as many independent genuine claims.
 
-    `false_accept_rates` (F,) ascend within [0, 1]; when omitted, 61 of evenly spaced logarithms from that of
-    one impostor's claim. `confidence` is that of the two-sided intervals, within (0, 1); without `resamples`
-    their bounds are the values themselves.
+    Parameters
+    ----------
+    identification : Identification
+    false_accept_rates : (F,)
+        Ascending, within [0, 1]; when omitted, 61 of evenly spaced logarithms from that of one impostor's
+        claim.
+    confidence : float
+        Of the two-sided intervals, within (0, 1).
+    resamples : int
+        With 0 the bounds of the intervals are the values themselves.
+    seed : int or numpy.random.Generator
 
     Raises
     ------

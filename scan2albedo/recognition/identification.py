@@ -78,10 +78,23 @@ def identify(
 
     As Toderici et al.: a closed set, compared by CW-SSIM of the coarsest of three scales.
 
-    The gallery has one template or more of each person, whose similarity is the best of, or the mean over,
-    these, as `combine` says. Names of probes only show whether the prediction is right; `window` is as in
-    `cw_ssim`. ValueError for another `combine`; RecognitionError when a set is empty, a probe's person is not
-    in the gallery, or templates cannot be compared.
+    Parameters
+    ----------
+    gallery : Templates
+        Of the known persons, one or more each.
+    probes : Templates
+        Their names only show whether the prediction is right.
+    combine : {"best", "mean"}
+        A person's similarity is the best of, or the mean over, the images in the gallery.
+    window : int
+        As in `cw_ssim`.
+
+    Raises
+    ------
+    ValueError
+        For another `combine`.
+    RecognitionError
+        When a set is empty, a probe's person is not in the gallery, or templates cannot be compared.
 
     Examples
     --------
@@ -109,10 +122,21 @@ def identify_by_similarity(
 
     The set is closed: a probe whose person is unknown gets the most similar person too.
 
-    `similarities` (P, images) are those of probes to gallery images, of which the names are given: None for
-    probes whose person is unknown. `combine` is as in `identify`. ValueError when the shape does not fit the
-    names or `combine` is unknown; RecognitionError when a set is empty, a probe's person is not in the
-    gallery, or a similarity is not finite.
+    Parameters
+    ----------
+    similarities : (P, images) array_like
+        Those of probes to gallery images.
+    gallery_names, probe_names : sequence of str
+        Persons of the gallery's images and of the probes; None for probes whose person is unknown.
+    combine : {"best", "mean"}
+        As in `identify`.
+
+    Raises
+    ------
+    ValueError
+        When the shape does not fit the names or `combine` is unknown.
+    RecognitionError
+        When a set is empty, a probe's person is not in the gallery, or a similarity is not finite.
 
     Examples
     --------

@@ -94,11 +94,12 @@ def read_labelled_templates(
     Parameters
     ----------
     source : path
-        From `write_labelled_templates` or `write_templates`, or a manifest as `read_manifest` takes it; every
-        line of it has to name a person where `persons_required`.
+        From `write_labelled_templates` or `write_templates`, or a manifest as `read_manifest` takes it.
     use : sequence of {"albedo", "shape"}
         What templates are made of. Results that lack one of them, or have nothing to compare, go on without,
         and a note says so.
+    persons_required : bool
+        Whether every line of a manifest has to name a person.
     options : TemplateOptions, optional
         The default ones, or those of the file, when omitted.
     on_count : callable, optional
@@ -208,11 +209,11 @@ def _of_manifest(
 
 
 def write_labelled_templates(path: str | Path, labelled: LabelledTemplates) -> tuple[Path, ...]:
-    """Write templates as NPZ files, each whole or not at all.
+    """Return the NPZ files to which templates are written, each whole or not at all.
 
-    Return them: NAME.npz, and NAME.shape.npz where there are both albedo and shape. ValueError when the name
-    does not end in .npz, RecognitionError when some results have both albedo and shape and others only one
-    of them, OutputError when a file cannot be written.
+    `labelled` goes to `path`, NAME.npz, and NAME.shape.npz where there are both albedo and shape. ValueError
+    when the name does not end in .npz, RecognitionError when some results have both albedo and shape and
+    others only one of them, OutputError when a file cannot be written.
     """
     file = Path(path)
     everybody = set(range(len(labelled)))

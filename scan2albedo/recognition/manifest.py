@@ -45,7 +45,7 @@ class Manifest:
 
 
 def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifest:
-    """Return the entries of a CSV file with the columns `person` and `result`, or of a folder of results.
+    """Return the entries of a CSV file with the columns `person` and `result`, or of a folder, at `path`.
 
     UTF-8 with or without a byte order mark; the header shows whether commas, semicolons or tabs separate
     cells. Other columns and empty lines are ignored. Of a folder, every result `FOLDER/PERSON/SCAN` shows

@@ -121,14 +121,15 @@ def identify_results(
 ) -> ResultIdentification:
     """Return which persons of a gallery of processed scans other processed scans show.
 
-    A gallery and the probes are each given as a CSV file with the columns person and result, each result the
-    folder of a processed scan (see `read_face`); as the folder of a batch (see `read_manifest`); as a file of
-    templates; or as what `read_labelled_templates` returned. Several results may show one person; of the
-    probes a cell of person may be empty. A probe whose person is not known, or not in the gallery, is
-    identified, but counts in no rate. Results that have nothing to compare are left out; `notes` name them.
+    A probe whose person is not known, or not in the gallery, is identified, but counts in no rate. Results
+    that have nothing to compare are left out; `notes` name them.
 
     Parameters
     ----------
+    gallery, probes : path or LabelledTemplates
+        A CSV file with the columns person and result, each result the folder of a processed scan (see
+        `read_face`); the folder of a batch (see `read_manifest`); or a file of templates. Several results may
+        show one person; of the probes a cell of person may be empty.
     use : sequence of {"albedo", "shape"}
         What is compared; similarities by both are taken together as `fused` says. A result that lacks one of
         them, as a scan without colour lacks the albedo, is compared by the other.

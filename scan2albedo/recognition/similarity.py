@@ -51,6 +51,7 @@ def cw_ssim(
     mask, mask_b : (H, W) bool, optional
         Pixels that count in the first and in the second image, where `mask` counts too when `mask_b` is
         omitted.
+    options : TemplateOptions
     window : int
         Side of the windows in coefficients.
 
@@ -139,8 +140,18 @@ def _no_window_message(what: str, window: int) -> str:
 def similarity_matrix(templates_a: Templates, templates_b: Templates, *, window: int = WINDOW) -> FloatArray:
     """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks.
 
-    RecognitionError, which names them, when the sets were made with other options, sizes or charts, are
-    empty, or the masks of a pair have no window in common.
+    Parameters
+    ----------
+    templates_a, templates_b : Templates
+        A and B templates.
+    window : int
+        As in `cw_ssim`.
+
+    Raises
+    ------
+    RecognitionError
+        When the sets were made with other options, sizes or charts, are empty, or the masks of a pair have no
+        window in common; names it.
 
     Notes
     -----

@@ -33,7 +33,7 @@ class StoredFace:
 
 
 def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
-    """Return the albedo or the shape of a processed scan, of what an application wrote, or of an image.
+    """Return the albedo or the shape, by `kind`, of a processed scan, of an application, or of an image.
 
     `path` is a folder with result.json or application.json, geometry_image.npz and, for an albedo,
     albedo.exr; a file in such a folder means the folder. Any other image is an albedo and must be on the

@@ -178,6 +178,7 @@ def albedo_templates(
         Of the persons.
     masks : N of (H, W) bool, or None
         Where the albedo is known; everywhere when omitted.
+    options : TemplateOptions
 
     Raises
     ------
@@ -204,8 +205,12 @@ def shape_templates(
 ) -> Templates:
     """Return the templates of surfaces by their normals; `unit_mean` does not apply.
 
-    `normals` are N of (H, W, 3), unit, in one chart and in one frame, as `GeometryImage.normal` in the
-    model's. The rest is as in `albedo_templates`, whose errors are raised.
+    Parameters
+    ----------
+    normals : N of (H, W, 3)
+        Unit normals in one chart and in one frame, as `GeometryImage.normal` in the model's.
+    names, masks, options
+        As in `albedo_templates`, whose errors are raised.
     """
     return _templates("shape", normals, names, masks, options)
 

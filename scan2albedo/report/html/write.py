@@ -58,7 +58,7 @@ class WrittenReport:
 
     path: Path
     scans: int
-    """In the table, or 1; `done` and `failed` of them."""
+    """In the table of the page at `path`, or 1; `done` and `failed` of them."""
     done: int
     failed: int
     sections: int
@@ -76,9 +76,17 @@ def write_report(
 ) -> WrittenReport:
     """Return what a self-contained HTML report of processed scans holds, which is written atomically.
 
-    `out` is the folder of one processed scan (with result.json), of several such folders, or of a batch (with
-    catalogue.parquet); `path` the page, ``out/report.html`` when omitted, to which links to files are
-    relative. `scans` of a batch get a section of their own, each of which calls `on_progress` with a line.
+    Parameters
+    ----------
+    out : path
+        Folder of one processed scan (with result.json), of several such folders, or of a batch (with
+        catalogue.parquet).
+    path : path, optional
+        The page; ``out/report.html`` when omitted. Links to files are relative to it.
+    scans : int
+        How many scans of a batch get a section of their own.
+    on_progress : callable, optional
+        Called with a line for each scan that is put into the page.
 
     Raises
     ------
