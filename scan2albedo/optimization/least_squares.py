@@ -96,11 +96,21 @@ def minimize(
 ) -> Descent[Point]:
     """Return where damped Gauss-Newton steps [1]_ lead, (matrix + damping diag(matrix)) d = -gradient each.
 
-    A step is taken when it lowers the cost; else it is tried again with more damping. At most `trials` steps
-    are tried, and `steps` taken. Converged after `flat_steps` in a row that each lower the cost by a part
-    less than `tolerance`, or a step not longer than `step_tolerance`. The budget of the `meter` ends the
-    descent with the best so far; `on_better` gets the start and every better point. A start of no finite cost
-    is returned.
+    A step is taken when it lowers the cost; else it is tried again with more damping.
+
+    Parameters
+    ----------
+    start : LeastSquaresPoint
+        Returned as it is when its cost is not finite.
+    trials, steps : int, optional
+        Most steps tried, and most of them that lower the cost.
+    tolerance, flat_steps, step_tolerance : float, int, float
+        Converged after so many steps in a row that each lower the cost by less than this part, or a short step.
+    damping : Damping
+    meter : Meter, optional
+        Its budget ends the descent with the best so far.
+    on_better : callable, optional
+        Gets the start and every better point.
 
     .. [1] D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11(2),
        1963.

@@ -25,9 +25,19 @@ MOST_FACES = 15_000
 def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     """Sample any scanned surface on a grid over charts that xatlas cuts and packs.
 
-    The image, of `size` (8 or more) texels a side, is in the scan's frame with its centroid moved to the
-    origin; it has no regions. Raises GeometryImageError for a smaller size, or when no chart can be made (for
-    example, only zero-area faces).
+    Raises GeometryImageError when `size` is below 8, or no chart can be made (only zero-area faces).
+
+    Parameters
+    ----------
+    scan : RawScan
+        Any object; its own frame, mm.
+    size : int
+        Height and width in texels, at least 8.
+
+    Returns
+    -------
+    GeometryImage
+        In the scan's frame with its centroid moved to the origin; no regions.
     """
     require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
     check_size(size)
