@@ -73,7 +73,7 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
         apart, up, _ = left.middle - right.middle
         aside = (right.middle + left.middle)[0] / 2 - (right_eye + left_eye)[0] / 2
         alike = np.maximum(right.size, left.size) < _ALIKE * np.minimum(right.size, left.size)
-        level = abs(up) < _LEVEL_MM and abs(aside) < _ASIDE_MM
+        level = np.hypot(up / _LEVEL_MM, aside / _ASIDE_MM) < 1
         if _APART_MM[0] < apart < _APART_MM[1] and level and alike.all():
             off = np.linalg.norm([right.middle - right_eye, left.middle - left_eye], axis=1).sum()
             pairs.append((float(off), right, left))
