@@ -21,7 +21,6 @@ from scan2albedo.eyeglasses.keypoints import (
 from scan2albedo.eyeglasses.mean_keypoints import (
     BEHIND,
     WIDTHS_MM,
-    MeanKeyPoints,
     align_key_points,
     front_width,
     fullest,
@@ -79,7 +78,7 @@ class CanonicalEyeglasses:
     residual: float
     """Root mean square distance of the key points from `keypoints` after the rigid part: how bent it was."""
     unbent: bool
-    """Whether it keeps its own shape and sizes (mode "unbend"); False: its key points are the mean's."""
+    """Whether it keeps its own shape and sizes (mode "unbend")."""
     converged: bool
     """Whether its weights converged, or were given."""
     plan: Plan
@@ -92,8 +91,7 @@ class CanonicalEyeglasses:
     def uncanonicalize(self, vertices: ArrayLike) -> FloatArray:
         """Return canonical vertices (V, 3), edited or not, back in the frame's pose, bend and unit.
 
-        The exact inverse of `apply`: each vertex's own blended affine map, inverted. Raises ValueError when
-        there are not as many vertices as weights.
+        The exact inverse of `apply`. Raises ValueError when there are not as many vertices as weights.
         """
         xyz = np.asarray(vertices, np.float64)
         if xyz.shape != (len(self.weights), 3):
@@ -141,13 +139,10 @@ def canonicalize(
     """Return frames without pose and bend, in their own shape or in the proportions of their mean.
 
     Each frame is aligned rigidly to the mean, then its key points p are moved to targets x and the surface
-    follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k).
-
-    Mode "unbend": the targets are the frame's own. Its halves are laid on each other and each moved half the
-    way, so that rims, bridge and temples move rigidly and come to mirror each other. A bend common to both
-    sides cannot be seen in the frame and remains. Mode "mean" (equation S2): the targets are the mean's key
-    points and R_k the skeleton's turn at each, or 1 for v' = v + W (x - p). Every bend goes, and rims and
-    temples take the mean's widths, heights and lengths.
+    follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k). In mode
+    "unbend" each half of the frame is moved half the way to the other, which leaves a bend that both sides
+    share. In mode "mean" (equation S2) the targets are the mean's key points and R_k the skeleton's turn at
+    each, or 1 for v' = v + W (x - p): rims and temples take the mean's widths, heights and lengths.
 
     Parameters
     ----------
@@ -178,10 +173,9 @@ def canonicalize(
 
     Notes
     -----
-    Equation S2 of Li et al., read literally, collapses the frame; the case R_k = 1 is what it must mean.
-    Shifts alone flatten a bend between key points, where turning ones halve the error. The width of the
-    front, 110 to 170 mm, tells a frame's unit. Frames of different units are brought to that of the mean that
-    is given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
+    Equation S2 of Li et al., read literally, collapses the frame; R_k = 1 is what it must mean, and turns
+    halve its error. The width of the front, 110 to 170 mm, tells a frame's unit. Frames of different units
+    are brought to that of the mean given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
 
     Examples
     --------
@@ -195,7 +189,23 @@ def canonicalize(
     if options.mode == "unbend" and options.handles != "turned":
         raise ValueError('handles="translated" is for mode="mean": shifts alone would bend the rims')
     meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
-    given = _checked_frames(meshes, keypoints, weights)
+    if len(meshes) == 0:
+        raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
+    for name, values in (("keypoints", keypoints), ("weights", weights)):
+        if values is not None and len(values) != len(meshes):
+            raise ValueError(
+                f"{name} must have one entry for each of {len(meshes)} meshes, got {len(values)}"
+            )
+    given = []
+    for i, mesh in enumerate(meshes):
+        vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
+        xyz = np.asarray(vertices, np.float64)
+        shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
+        for name, array in (("vertices", xyz), ("weights", shares)):
+            if array is not None and not np.isfinite(array).all():
+                raise ValueError(f"frame {i}: {name} hold NaN or infinity; repair the frame or leave it out")
+        index, marks = np.asarray(faces, np.int64), checked_keypoints(f"keypoints {i}", keypoints[i])
+        given.append(_Frame(i, getattr(mesh, "name", None), xyz, index, marks, shares))
     reference, common = None, None
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
@@ -208,13 +218,12 @@ def canonicalize(
     scales = unit_factors([f.unit_exponent for f in frames], common)
     points = [scale * f.points for scale, f in zip(scales, frames, strict=True)]
     widths = scales * [f.width for f in frames]
-    if reference is not None:
-        mean = MeanKeyPoints(reference, True, 0)
-    else:
+    mean, settled, rounds = reference, True, 0
+    if mean is None:
         own = meter.sub_meter("eyeglasses.mean", "bones")
-        mean = mean_key_points(points, own)
+        mean, settled, rounds = mean_key_points(points, own)
         meter.merge(own)
-    place = mean.points
+    place = mean
     if options.mode == "unbend":
         place = symmetric_key_points(place)
         place = in_own_axes(place) if reference is None else place
@@ -249,15 +258,14 @@ def canonicalize(
     if bare := [names[f.number] for f in frames if np.isnan(f.points[BEHIND]).any(1).all()]:
         reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
         rows.append(PlanStep.doubt("eyeglasses.sides", reason))
-    rounds = f"{mean.iterations} round{'s' if mean.iterations != 1 else ''}"
-    evidence = f"{'' if mean.converged else 'not '}settled after {rounds}"
+    evidence = f"{'' if settled else 'not '}settled after {rounds} round{'s' if rounds != 1 else ''}"
     found = PlanStep("eyeglasses.mean", True, f"mean of {count}", evidence)
     rows.append(found if reference is None else PlanStep("eyeglasses.mean", False, "given"))
     return CanonicalSet(
         frames=tuple(done),
-        mean_keypoints=mean.points,
-        converged=mean.converged and all(frame.converged for frame in done),
-        iterations=mean.iterations,
+        mean_keypoints=mean,
+        converged=settled and all(frame.converged for frame in done),
+        iterations=rounds,
         numbers=tuple(f.number for f in frames),
         failures=failures,
         outliers=unusual,
@@ -270,8 +278,7 @@ def canonicalize(
 class _Frame:
     """A mesh with its key points (20, 3), NaN for missing ones, in the mesh's unit.
 
-    `weights` (V, 20), zero for missing key points, are None until they are solved; coordinates times ten to
-    `unit_exponent` are in mm; `width` is that of `front_width`.
+    `weights` (V, 20) are None until they are solved; coordinates times ten to `unit_exponent` are in mm.
     """
 
     number: int
@@ -284,27 +291,6 @@ class _Frame:
     plan: Plan = Plan((PlanStep("eyeglasses.weights", False, "given"),))
     unit_exponent: int = 0
     width: float = np.nan
-
-
-def _checked_frames(
-    meshes: Sequence[Any], keypoints: Sequence[ArrayLike], weights: Sequence[ArrayLike] | None
-) -> list[_Frame]:
-    if len(meshes) == 0:
-        raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
-    for name, given in (("keypoints", keypoints), ("weights", weights)):
-        if given is not None and len(given) != len(meshes):
-            raise ValueError(f"{name} must have one entry for each of {len(meshes)} meshes, got {len(given)}")
-    frames = []
-    for i, (mesh, points) in enumerate(zip(meshes, keypoints, strict=True)):
-        vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-        xyz = np.asarray(vertices, np.float64)
-        shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
-        for name, array in (("vertices", xyz), ("weights", shares)):
-            if array is not None and not np.isfinite(array).all():
-                raise ValueError(f"frame {i}: {name} hold NaN or infinity; repair the frame or leave it out")
-        index, marks = np.asarray(faces, np.int64), checked_keypoints(f"keypoints {i}", points)
-        frames.append(_Frame(i, getattr(mesh, "name", None), xyz, index, marks, shares))
-    return frames
 
 
 def _weighted(

@@ -73,8 +73,7 @@ def embed(
 ) -> Embedding:
     """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`.
 
-    `finest` is the least automatic spacing as a part of the size: a finer lattice changes deformations less
-    than a scan's noise.
+    `finest` is the least automatic spacing as a part of the size.
     """
     called = names or [str(k) for k in range(len(handles))]
     corners = vertices[faces.ravel()]
@@ -165,11 +164,8 @@ def _distances(places: FloatArray, metric: str) -> FloatArray:
 
 
 def _origin(low: FloatArray, spacing: float) -> FloatArray:
-    """Return the corner (3,) of the lattice around what begins at `low` (3,).
-
-    2 - golden ratio cells lie between: flat sides and regular grids do not lie on the lattice's planes, where
-    rounding would decide which cell they touch.
-    """
+    """Return the corner (3,) of the lattice around what begins at `low` (3,)."""
+    # 2 - golden ratio cells lie between: on the lattice's planes rounding would decide about flat sides.
     return low - (3 - np.sqrt(5)) / 2 * spacing
 
 
@@ -182,13 +178,9 @@ def _automatic(
     max_nodes: int,
     finest: float,
 ) -> tuple[float, IntArray, PlanStep]:
-    """Return a spacing as fine as thin parts and key points ask for, its cells (C, 3), the step of the plan.
-
-    The size is divided into a whole number of parts: rounding in another unit does not change the lattice.
-    """
+    """Return a spacing as fine as thin parts and key points ask for, its cells (C, 3), the plan's step."""
     # The thickness that a tenth of the surface's area stays below, measured across faces on the side where
-    # the mesh is met first: winding does not matter, a narrow gap counts like a thin part. Infinite where
-    # nothing is met.
+    # the mesh is met first; infinite where nothing is met.
     thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
     if area[-1] > 0:
         chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
@@ -237,8 +229,7 @@ def _cells(
 def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray, IntArray, PlanStep]:
     """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan.
 
-    Of key points (K, 3) in spacings. A handle lies in the middle of its key points. Those whose cells touch
-    become one, the nearest first.
+    A handle lies in the middle of its key points; those whose cells touch become one, the nearest first.
     """
     groups = [[k] for k in range(len(handles))]
     while True:

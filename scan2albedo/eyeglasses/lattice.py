@@ -108,8 +108,7 @@ def biharmonic_energy(lattice: Lattice) -> sparse.csr_matrix:
 def join_parts(cells: IntArray, reach: float) -> IntArray:
     """Return `cells` (C, 3) with the gaps of at most `reach` (in cells) between its parts bridged.
 
-    Parts are bridged along the minimum spanning forest of their distances, each by one straight chain of
-    cells between the nearest two. Parts farther away from all others stay apart.
+    Along the minimum spanning forest of their distances, by straight chains of cells between the nearest two.
     """
     label = Lattice.of_cells(cells).cell_components
     sizes = np.bincount(label)
@@ -174,10 +173,7 @@ def unique_cells(cells: IntArray) -> IntArray:
 
 
 def enclosed_cells(cells: IntArray) -> IntArray:
-    """Return the cells (E, 3) that `cells` (C, 3) enclose.
-
-    Holes smaller than a cell are closed; larger ones leave the part hollow, as do boxes of over 2^26 cells.
-    """
+    """Return the cells (E, 3) that `cells` (C, 3) enclose; none in boxes of over 2^26 cells."""
     low = cells.min(0) - 1
     shape = cells.max(0) - low + 2
     if float(np.prod(shape.astype(float))) > 2**26:

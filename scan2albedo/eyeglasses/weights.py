@@ -138,15 +138,10 @@ def solve_weights(
 
     Notes
     -----
-    Key points do not lie on nodes. Trilinear interpolation of weights of at most 1 is 1 at a key point only
-    if it is 1 at all corners of the cell: the handle is the cell, whose eight nodes hold 1 for its own key
-    point and 0 for the others'.
-
-    Key points closer together than two spacings, such as the top and the bottom of a wire, share one handle
-    in their middle; its weight is divided among them by the inverse squares of their distances.
-
-    A part farther than 5 % of the size from all parts with a key point moves as one piece, with the
-    weights of the lattice's point nearest to it.
+    The handle of a key point is its cell, whose eight nodes hold 1 for it and 0 for the others: otherwise
+    trilinear interpolation would stay below 1 there. Key points closer together than two spacings share one
+    handle in their middle; its weight is divided among them by the inverse squares of their distances. A part
+    farther than 5 % of the size from all parts with a key point moves as one piece.
 
     Cost: a factorisation of the lattice's matrix a step, 5 to 10 steps a handle.
     """
@@ -186,8 +181,7 @@ def solve_lattice(
 ) -> BoundedMinimum:
     """Return the weights (N, K) of the handles that hold the cells `handle_cells` (K, 3) of `lattice`.
 
-    They are not normalised. Each lattice starts from the one of twice the spacing: its weights bring the set
-    of nodes at 0 or 1, which Newton steps from the unbounded solution move by a few nodes at a time only.
+    They are not normalised. Each lattice starts from the one of twice the spacing and its nodes at 0 or 1.
     """
     levels = [lattice]
     while len(levels[0].nodes) > _COARSE_NODES:
@@ -237,11 +231,10 @@ def minimize_bounded(
     """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
 
     Projected Newton [1]_: entries at a bound that are pushed outward stay, the others take the Newton step
-    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. It falls in
-    every step, so a budget that ends early keeps the best so far. A column is done when its scaled residual
-    is at most `tolerance`, or after `max_steps`; the meter counts the steps of all columns. Entries of
-    `start` (N, K), in [0, 1], at a bound stay there in the first step, so that a start from a coarser
-    lattice, whose gradient is rough, hands on its active set. Without one it is A^-1 b, clipped.
+    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. A column is
+    done when its scaled residual is at most `tolerance`, or after `max_steps`; the meter counts the steps of
+    all columns. Entries of `start` (N, K), in [0, 1], at a bound stay there in the first step. Without one it
+    is A^-1 b, clipped.
 
     .. [1] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints",
        SIAM J. Control and Optimization 20(2), 1982, section 2.

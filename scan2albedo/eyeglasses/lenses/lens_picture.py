@@ -50,8 +50,7 @@ class LensPictureOptions:
     supersampling: int = 3
     """n x n rays for pixels on edges; one for all others."""
     light_count: int = 256
-    """Distant lights that stand for an environment, where it is bright; time grows with them, and edges of
-    shadows get softer."""
+    """Distant lights that stand for an environment; time grows with them, and shadows get softer."""
 
     def __post_init__(self) -> None:
         for name in ("supersampling", "light_count"):
@@ -137,14 +136,12 @@ def insert_lenses(
 
     Notes
     -----
-    - Linear in the light: under lights that are given, pictures under two environments add up to the picture
-      under their sum. A painted tint is a matte surface in the same light, in a photograph taken as it is.
+    - A painted tint is a matte surface in the same light; in a photograph it is taken as it is.
     - In drawn scenes surfaces and lenses cast shadows (a lens according to its shares, without bending
       light); in photographs none do, whose shadows stay, and whose background counts as far away.
     - What lenses mirror is seen past all lenses. Light does not bounce otherwise.
     - 256 lights, without a size, are 1 % rms off a reference of 8,192 directions, 64 are 2.5 %.
-    - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights, which
-      neighbouring pixels share where the surface is flat and they agree.
+    - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights.
 
     Examples
     --------
@@ -191,8 +188,19 @@ def insert_lenses(
         for side, material in enumerate(materials)
         if material is not None
     )
-    bare, notes = without_glass(frame, placed, marks)
-    scene, region = LensScene(bare, surfaces), _pixels_of_lenses(placed, matrix, (height, width))
+    bare, glass_notes = without_glass(frame, placed, marks)
+    scene, notes = LensScene(bare, surfaces), list(glass_notes)
+    # The rows and columns of the pixels that may see a lens, with one to spare around them.
+    size = np.array([width, height], np.float64)
+    low, high = np.zeros(2), np.zeros(2)
+    if placed:
+        pixels, depth = project(matrix, np.concatenate([lens.vertices for lens in placed]))
+        if (depth > 0).all():
+            low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
+        elif (depth > 0).any():
+            high = size
+    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
+    region = slice(top, bottom), slice(left, right)
     colors: SceneColors
     if photograph is not None:
         # Outside the lenses a photograph stays as it is.
@@ -207,15 +215,25 @@ def insert_lenses(
     made = _View(scene, placed, colors, matrix, region).pixels(window, options.supersampling)
     image, without = empty.copy(), empty.copy()
     unknown, seen = np.zeros((height, width), bool), np.full((height, width), -1, np.int8)
-    for whole, values in (
-        (image, made.shaded),
-        (without, made.bare),
-        (unknown, made.unknown),
-        (seen, made.lens),
-    ):
+    wholes = image, without, unknown, seen
+    for whole, values in zip(wholes, (made.shaded, made.bare, made.unknown, made.lens), strict=True):
         whole[window] = values.reshape(whole[window].shape)
-    notes += _notes(placed, seen, unknown, made.glancing, around is None)
-    return LensPicture(image, without, seen, unknown, placed, notes)
+    for lens in placed:
+        if lens.rim.gaps != "none":
+            source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
+            share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
+            notes.append(f"the {lens.name}: {share} of its rim come from {source}")
+        if not (seen == lens.side).any():
+            notes.append(f"the {lens.name}: no pixel sees it")
+    if made.glancing:
+        notes.append(f"{made.glancing} rays run along a lens and pass it as if it were not there")
+    if lost := int(unknown.sum()):
+        notes.append(f"{lost} pixels show in a lens what the photograph hides; their colours are guesses")
+    if not placed:
+        notes.append(f"no lens is given, neither {SIDES[0]} nor {SIDES[1]}")
+    if around is None and any(lens.material.beta > 0 or lens.material.fresnel for lens in placed):
+        notes.append("no environment is given: lenses mirror surfaces only, and black")
+    return LensPicture(image, without, seen, unknown, placed, tuple(notes))
 
 
 def checked_image(name: str, values: ArrayLike) -> FloatArray:
@@ -228,27 +246,11 @@ def checked_image(name: str, values: ArrayLike) -> FloatArray:
     return image
 
 
-def _pixels_of_lenses(lenses: Sequence[InsertedLens], camera: FloatArray, shape: tuple[int, int]) -> Window:
-    """Return the rows and columns of the pixels that may see a lens, with one to spare around them."""
-    if not lenses:
-        return slice(0, 0), slice(0, 0)
-    pixels, depth = project(camera, np.concatenate([lens.vertices for lens in lenses]))
-    if (depth <= 0).all():
-        return slice(0, 0), slice(0, 0)
-    size = np.array(shape[::-1])
-    low, high = np.zeros(2), size
-    if (depth > 0).all():
-        low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
-    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
-    return slice(top, bottom), slice(left, right)
-
-
 @dataclass(frozen=True)
 class _SeenRays:
-    """What N rays through pixels see: colours without lenses and with them, where these are guesses.
+    """What N rays see: colours without lenses and with them, where these are guesses, the first lens (or -1).
 
-    `lens` (N,) is the side of the first lens, -1 for none, `surface` (N,) the number of the surface at the
-    end, and `distance` (N,) mm how far it is; `glancing` rays left out a lens.
+    `surface` (N,) is the number of the surface at the end, `distance` (N,) mm how far it is.
     """
 
     bare: FloatArray
@@ -340,25 +342,3 @@ class _View:
         distance[near] = np.linalg.norm(paths.rays.ends - center, axis=1)
         surface = np.where(face >= 0, scene.surface_of_face[face], -1)
         return _SeenRays(colors.bare.copy(), shaded, unknown, lens, surface, distance, paths.glancing)
-
-
-def _notes(
-    lenses: tuple[InsertedLens, ...], seen: NDArray[np.int8], unknown: BoolArray, glancing: int, dark: bool
-) -> tuple[str, ...]:
-    notes = []
-    for lens in lenses:
-        if lens.rim.gaps != "none":
-            source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
-            share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
-            notes.append(f"the {lens.name}: {share} of its rim come from {source}")
-        if not (seen == lens.side).any():
-            notes.append(f"the {lens.name}: no pixel sees it")
-    if glancing:
-        notes.append(f"{glancing} rays run along a lens and pass it as if it were not there")
-    if lost := int(unknown.sum()):
-        notes.append(f"{lost} pixels show in a lens what the photograph hides; their colours are guesses")
-    if not lenses:
-        notes.append(f"no lens is given, neither {SIDES[0]} nor {SIDES[1]}")
-    if dark and any(lens.material.beta > 0 or lens.material.fresnel for lens in lenses):
-        notes.append("no environment is given: lenses mirror surfaces only, and black")
-    return tuple(notes)

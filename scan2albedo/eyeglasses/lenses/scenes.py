@@ -83,15 +83,15 @@ class Surface:
 
 @dataclass(frozen=True)
 class SceneRays:
-    """N rays and where they end in the scene."""
+    """N rays from `origins` (N, 3) mm along unit `directions` (N, 3), and where they end in the scene.
+
+    `pixels` (N, 2) are those through which they are seen, if any.
+    """
 
     origins: FloatArray
-    """(N, 3) mm."""
     directions: FloatArray
-    """(N, 3) unit."""
     hits: RayHits
     pixels: FloatArray | None = None
-    """(N, 2) through which they are seen, if any."""
 
     def chosen(self, which: IntArray | BoolArray) -> SceneRays:
         """Return copies of some of the rays."""
@@ -189,8 +189,7 @@ def radiance_at(environment_linear: FloatArray | None, directions: FloatArray) -
 def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
     """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
 
-    `axes` (3, 3) are those of `worn_axes`: lamps stand around whoever wears the frame, wherever a camera is,
-    the main one on the wearer's right, which pictures show on the left.
+    `axes` (3, 3) are those of `worn_axes`: lamps stand around the wearer, the main one on their right.
     """
     seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
     radiance = 0.4 + 0.2 * seen[..., 1]
@@ -203,9 +202,8 @@ def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
 def white_exposure(environment_linear: FloatArray, front: FloatArray) -> float:
     """Return the factor that shows a matte white plate facing `front` (3,) as `WHITE_SHOWN` of white.
 
-    Nothing hides the plate, so that an environment (H, W, 3) has one exposure for all cameras and heads.
-    Where it gets less light than a plate does on average over all directions, that average counts; 1 in the
-    dark.
+    Nothing hides the plate, so that an environment (H, W, 3) has one exposure for all cameras. It is no
+    darker than a plate on average over all directions; 1 in the dark.
     """
     rows, columns = environment_linear.shape[:2]
     light = environment_linear.mean(2) * texel_solid_angles(rows, columns)[:, None]

@@ -61,8 +61,7 @@ class RegisteredEyeglasses:
     visible: BoolArray
     """(C, V) vertices in the picture that the head does not hide, whether the frame hides them or not."""
     deviation: FloatArray
-    """(V,) root mean square distance that each vertex may be off: two in three lie nearer, 19 in 20 within
-    twice as much."""
+    """(V,) root mean square distance that each vertex may be off."""
     observed: BoolArray
     """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more than a
     third of the labels do not fit, or the budget ended before the bend was found."""
@@ -81,8 +80,7 @@ class RegisteredEyeglasses:
     outline_rms_px: FloatArray
     """(C,) distance of the outline from the mask's, where they can be compared; NaN without a mask."""
     iou: FloatArray
-    """(C,) of the frame's mask and the given one; NaN without. High values are no evidence of a good fit in
-    space: frames millimetres off reach 0.97."""
+    """(C,) of the frame's mask and the given one; NaN without. Frames millimetres off reach 0.97."""
     converged: bool
     """False when the budget ended first or outlines did not settle."""
     iterations: int
@@ -186,8 +184,10 @@ def checked_inputs(
         checked.append(mask)
     skull = None
     if head is not None:
-        points, index = (head.vertices, head.faces) if hasattr(head, "vertices") else head
-        skull = checked_mesh(points, index, "the head")
+        points, index = checked_mesh(
+            *((head.vertices, head.faces) if hasattr(head, "vertices") else head), "the head"
+        )
+        skull = points / unit, index
     pose = None
     if start is not None:
         pose = np.array(start, np.float64)
@@ -203,7 +203,7 @@ def checked_inputs(
         weights=weights,
         views=tuple(views),
         masks=tuple(checked),
-        head=None if skull is None else (skull[0] / unit, skull[1]),
+        head=skull,
         start=pose,
         unit=unit,
         plan=tuple(plan),
@@ -218,7 +218,6 @@ def is_rigid(pose: FloatArray) -> bool:
 
 
 def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray | None]:
-    """Return vertices, faces, key points and weights: a tuple of four for the one caller."""
     if hasattr(glasses, "vertices"):
         parts = [glasses.vertices, glasses.faces, glasses.keypoints, getattr(glasses, "weights", None)]
     elif isinstance(glasses, tuple | list) and len(glasses) in (3, 4):

@@ -46,8 +46,7 @@ _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES
 class Linearization:
     """The objective at a state: cost, half gradient (P,) and Gauss-Newton matrix (P, P).
 
-    `labels_px` (C, K) and `outline_px` (N,) are the errors, NaN where there are no labels, or samples do not
-    count.
+    `labels_px` (C, K) and `outline_px` (N,) are the errors, NaN where there are none.
     """
 
     cost: float
@@ -119,8 +118,7 @@ class RegistrationObjective:
     outlines: sum of Huber's function of the mask's distance at the sample's place, less a bias of each mask,
               + squares of the biases
     bend:     sum of squares of `bend_prior`
-    contact:  square of the frame's distance in mm, which is the usual one, from the nose, where there is a
-              `contact`
+    contact:  square of the frame's distance from the nose in mm, where there is a `contact`
 
     Offsets and biases are those that make the sum least; gradient and matrix are those of what is left.
     """
@@ -152,8 +150,7 @@ class RegistrationObjective:
     ) -> Linearization:
         """Return the objective at a state, with outlines where there are `samples`.
 
-        `rigid`: of turn and translation alone, without a prior. Without `with_matrix` labels and outlines add
-        to cost and gradient alone.
+        `rigid`: of turn and translation alone, without a prior. Without `with_matrix` data do not add to it.
         """
         motion = self.motion(state)
         sums = _Sums(motion, with_matrix)
@@ -277,10 +274,7 @@ class _Sums:
 
 
 def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return pixels (N, 2), NaN behind the camera, and their derivatives; which points lie in front (N,).
-
-    Each point is seen by its own camera; the derivatives are (N, 2, 3).
-    """
+    """Return pixels (N, 2) of points, NaN behind their camera, derivatives (N, 2, 3), which lie in front."""
     image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
     front = image[:, 2] > 0
     depth = np.where(front, image[:, 2], np.nan)
@@ -327,8 +321,7 @@ def descend(
 ) -> FrameEstimate:
     """Return the best state that `steps` Levenberg-Marquardt steps from `state` reach.
 
-    It ends early when a step lowers the cost by less than the part `tolerance`, or with the meter's budget,
-    which records `error` of every improvement.
+    It ends early when a step lowers the cost by less than the part `tolerance`, or with the budget.
     """
     found = minimize(
         _Point(linearize, state, meter),

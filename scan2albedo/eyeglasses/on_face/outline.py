@@ -78,9 +78,8 @@ def search_edges(
 ) -> FloatArray:
     """Return (N,) signed distances along `outward` (N, 2) from `pixels` to the mask's edge; NaN for none.
 
-    The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask, at
-    a cosine of 0.3 or more to the mask's own outward direction. Distances to the mask's nearest border
-    would find the sides of a bar, never its end.
+    The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask at
+    a cosine of 0.3 or more to the mask's own. The mask's nearest border would never be the end of a bar.
     """
     result = np.full(len(pixels), np.nan)
     if not len(pixels):
@@ -122,7 +121,7 @@ class OutlineSamples:
     """Points of the frame that make its outlines, and the `view` (N,) of each.
 
     `edges` (N, 2) are pixels where the mask ends beside the sample, NaN where its distance to the mask
-    counts, `outward` (N, 2) unit vectors in the picture, away from the frame.
+    counts, `outward` (N, 2) unit vectors away from the frame.
     """
 
     view: IntArray
@@ -154,8 +153,8 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
 class Outline:
     """Pixels of a mask that touch the outside, and the surface points at their centres.
 
-    `pixels` (N, 2) are column and row, `face` (N,) and `barycentric` (N, 3) the points, perspective taken
-    out, `outward` (N, 2) unit vectors in the picture, away from the mask.
+    `pixels` (N, 2) are column and row, `face` (N,) and `barycentric` (N, 3) the points, `outward` (N, 2)
+    unit vectors away from the mask.
     """
 
     pixels: IntArray
@@ -167,10 +166,9 @@ class Outline:
 def cover(
     pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
 ) -> NDArray[np.int32]:
-    """Return (H, W) the foremost face at each pixel's centre, -1 for none.
+    """Return (H, W) the foremost face in front of the camera at each pixel's centre, -1 for none.
 
-    `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane; faces with vertices
-    behind the camera (NaN) are left out.
+    `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane.
     """
     return nearest_faces(pixels, 1 / np.where(depth > 0, depth, np.nan), faces, shape)
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
@@ -74,17 +73,16 @@ def register_on_face(
     keypoints_2d : (C, 20, 2) array_like of float
         Labels in pixels (column, row), centres of pixels at integers; NaN for missing ones.
     masks : sequence of C (H, W) array_like, or None
-        Nonzero where a view shows the frame, with lenses or without, whether the mesh has them or not: the
-        plan says what was left out or put in. None, also for a single view, where there is no segmentation.
-        An empty one does not count.
+        Nonzero where a view shows the frame, with lenses or without, whether the mesh has them or not. None,
+        also for a single view, where there is no segmentation. An empty one does not count.
     cameras : (C, 3, 4) array_like of float
         Projection matrices of any scale and sign.
     budget : Budget or float, optional
-        Seconds, or evaluations of the objective. When it ends the best pose and bend so far are returned.
-        Seconds end the search with outlines; labels alone take well under a second and are always used.
+        Seconds, or evaluations of the objective. When it ends the best pose and bend so far are returned;
+        labels are always used.
     head : optional
         What may hide the frame, such as the fitted face: an object with vertices and faces, or a tuple of
-        them, in the cameras' frame. Without it hidden temples are taken for wrongly placed ones.
+        them, in the cameras' frame.
     start : (4, 4) array_like, optional
         `world_from_glasses`, about; needed only where the labels fix no pose.
     shapes : sequence of C (H, W), optional
@@ -104,12 +102,10 @@ def register_on_face(
     Notes
     -----
     What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`. Deviations hold for
-    a mesh of the frame itself, true to about a percent: a canonical frame has the measures of the mean. They
-    count labels that miss the key point alike in all views (0.5 mm) and masks that are too wide or too narrow
-    throughout (1 px). Masks that contradict good labels are left aside.
-
-    Li et al. (supplement, equation S3) minimise a rendered segmentation with Adam, some thousand renderings;
-    this takes about a hundred evaluations.
+    a mesh of the frame itself, true to about a percent. They count labels that miss the key point alike in
+    all views (0.5 mm) and masks that are too wide or too narrow throughout (1 px). Masks that contradict good
+    labels are left aside. Li et al. (supplement, equation S3) minimise a rendered segmentation with Adam in
+    some thousand renderings; this takes about a hundred evaluations.
 
     Examples
     --------
@@ -137,7 +133,26 @@ class _Registration:
         self.steps: list[PlanStep] = list(given.plan)
         self.bend_found = True
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
-        mesh = FrameMesh(SkinnedPoints(given.vertices, self._weights()), given.faces)
+        if given.weights is not None:
+            self._note("weights", False, "the glasses bring their own")
+            weights = given.weights
+        elif not options.bend:
+            self._note("weights", False, "the frame stays as it is")
+            weights = np.eye(1, len(given.keypoints), int(np.argmax(given.known)))
+            weights = weights.repeat(len(given.vertices), 0)
+        else:
+            seconds = meter.budget.seconds
+            left = None if seconds is None else Budget(seconds=max(seconds - meter.elapsed_s, 1e-3))
+            marks = given.keypoints[given.known]
+            try:
+                solved = solve_weights(given.vertices, given.faces, marks, budget=left)
+            except EyeglassesError as error:
+                raise EyeglassesError(f"the glasses' weights: {error}") from error
+            evidence = f"{solved.node_count} nodes, {meter.elapsed_s:.2f} s"
+            self._note("weights", True, "the glasses bring none", evidence)
+            weights = np.zeros((len(given.vertices), len(given.keypoints)))
+            weights[:, given.known] = solved.weights
+        mesh = FrameMesh(SkinnedPoints(given.vertices, weights), given.faces)
         occluder = None
         if given.head is not None:
             coarse = thinned(*given.head, _RESOLUTION_MM)
@@ -160,26 +175,6 @@ class _Registration:
 
     def _note(self, step: str, ran: bool, reason: str, evidence: str = "") -> None:
         self.steps.append(PlanStep(f"{self.meter.stage}.{step}", ran, reason, evidence))
-
-    def _weights(self) -> FloatArray:
-        given = self.given
-        if given.weights is not None:
-            self._note("weights", False, "the glasses bring their own")
-            return given.weights
-        if not self.options.bend:
-            self._note("weights", False, "the frame stays as it is")
-            return np.eye(1, len(given.keypoints), int(np.argmax(given.known))).repeat(len(given.vertices), 0)
-        seconds = self.meter.budget.seconds
-        left = None if seconds is None else Budget(seconds=max(seconds - self.meter.elapsed_s, 1e-3))
-        try:
-            solved = solve_weights(given.vertices, given.faces, given.keypoints[given.known], budget=left)
-        except EyeglassesError as error:
-            raise EyeglassesError(f"the glasses' weights: {error}") from error
-        evidence = f"{solved.node_count} nodes, {self.meter.elapsed_s:.2f} s"
-        self._note("weights", True, "the glasses bring none", evidence)
-        weights = np.zeros((len(given.vertices), len(given.keypoints)))
-        weights[:, given.known] = solved.weights
-        return weights
 
     def _find_pose(self) -> FrameEstimate:
         """The pose alone, from the best of several starts."""
@@ -262,9 +257,10 @@ class _Registration:
         views = self.given.views
         masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
         motion, cameras = self.objective.motion(before.state), [view.camera for view in views]
-        frame = fit_lenses_to_masks(self.sampler.mesh, motion, cameras, masks, self.sampler.head)
-        self.steps += frame.steps
-        self.sampler = OutlineSampler(frame.mesh, views, self.sampler.head, frame.shown)
+        given = self.sampler.mesh, motion, cameras, masks, self.sampler.head
+        mesh, shown, steps = fit_lenses_to_masks(*given)
+        self.steps += steps
+        self.sampler = OutlineSampler(mesh, views, self.sampler.head, shown)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
         known = self.given.known

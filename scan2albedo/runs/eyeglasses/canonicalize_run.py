@@ -126,10 +126,10 @@ def canonicalize_frames(
     """
     begun, spend, mean_mm = time.perf_counter(), Budget.of(budget), None
     if mean is not None:
-        given = read_keypoints_with_unit(mean)
-        if given.unit == "unknown":
+        given, unit = read_keypoints_with_unit(mean)
+        if unit == "unknown":
             raise EyeglassesError(f"key points {mean} do not say their unit; a mean needs one: mm, cm or m")
-        mean_mm = given.points * MM_PER_UNIT[given.unit]
+        mean_mm = given * MM_PER_UNIT[unit]
     result = canonicalize(
         [frame.scan for frame in frames],
         [frame.keypoints for frame in frames],

@@ -23,7 +23,7 @@ from scan2albedo.eyeglasses import (
     read_registered,
     read_start,
 )
-from scan2albedo.eyeglasses.frame_files import KeyPoints, read_keypoints_with_unit
+from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM
 from scan2albedo.eyeglasses.view_files import mask_path
@@ -121,44 +121,39 @@ def read_frame(
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
-    marks = read_keypoints_with_unit(marks_file)
+    marks, marks_unit = read_keypoints_with_unit(marks_file)
     low, high = (np.array(PLAUSIBLE_GLASSES_MM) * widths_mm / WIDTHS_MM).tolist()
     mm_per_unit = 0.0
 
     def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
         nonlocal mm_per_unit
-        if marks.unit == "unknown":
-            mm_per_unit, note = glasses_millimetres_per_unit(marks.points, unit, mesh.name, (low, high))
+        if marks_unit == "unknown":
+            mm_per_unit, note = glasses_millimetres_per_unit(marks, unit, mesh.name, (low, high))
             return mm_per_unit, note
-        _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_file.name, (low, high))
-        mm_per_unit = MM_PER_UNIT.get(unit, 0.0)
-        note = f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
-        if unit == "auto":
-            mm_per_unit, note = _unit_on_which_key_points_lie(parsed, marks, mesh.name)
-        return mm_per_unit, note
+        _, size = glasses_millimetres_per_unit(marks, marks_unit, marks_file.name, (low, high))
+        if unit != "auto":
+            mm_per_unit = MM_PER_UNIT[unit]
+            return mm_per_unit, f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
+        # The unit in which the key points lie on the mesh: units are factors of ten apart.
+        known = marks[np.isfinite(marks).all(1)] * MM_PER_UNIT[marks_unit]
+        surface = ClosestPointQuery(parsed.vertices, parsed.faces)
+        off = {u: mm * float(np.median(surface.query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
+        found = min(off, key=lambda u: off[u])
+        # Farther off than a tenth of their size, key points are those of another mesh.
+        if not 10 * off[found] <= float(np.ptp(known, axis=0).max()):
+            raise EyeglassesError(
+                f"{mesh.name}: in no unit do the key points lie on the mesh: at best, in {found}, they are "
+                f"{off[found]:.3g} mm off; check that they belong to this mesh and that their file says "
+                "their unit"
+            )
+        evidence = f"median distance {off[found]:.2g} mm of the key points, which are in {marks_unit}"
+        mm_per_unit = MM_PER_UNIT[found]
+        return mm_per_unit, f"unit: {found}, decided from where the key points lie ({evidence})"
 
     scan = load_scan_with(mesh, decide)
-    factor = mm_per_unit if marks.unit == "unknown" else MM_PER_UNIT[marks.unit]
+    factor = mm_per_unit if marks_unit == "unknown" else MM_PER_UNIT[marks_unit]
     files = {"mesh": _hashed(mesh, mesh=True), "keypoints": _hashed(marks_file)}
-    return GlassesFrame(scan.name, scan, marks.points * factor, mm_per_unit, files)
-
-
-def _unit_on_which_key_points_lie(mesh: ParsedMesh, marks: KeyPoints, name: str) -> tuple[float, str]:
-    """Return the unit in which key points of a known unit lie on the mesh: units are factors of ten apart."""
-    known = marks.points[np.isfinite(marks.points).all(1)] * MM_PER_UNIT[marks.unit]
-    surface, size = ClosestPointQuery(mesh.vertices, mesh.faces), float(np.ptp(known, axis=0).max())
-    off = {
-        unit: mm * float(np.median(surface.query(known / mm).distance)) for unit, mm in MM_PER_UNIT.items()
-    }
-    unit = min(off, key=lambda u: off[u])
-    # Farther off than a tenth of their size, key points are those of another mesh.
-    if not 10 * off[unit] <= size:
-        raise EyeglassesError(
-            f"{name}: in no unit do the key points lie on the mesh: at best, in {unit}, they are "
-            f"{off[unit]:.3g} mm off; check that they belong to this mesh and that their file says their unit"
-        )
-    evidence = f"median distance {off[unit]:.2g} mm of the key points, which are in {marks.unit}"
-    return MM_PER_UNIT[unit], f"unit: {unit}, decided from where the key points lie ({evidence})"
+    return GlassesFrame(scan.name, scan, marks * factor, mm_per_unit, files)
 
 
 def read_registration(
