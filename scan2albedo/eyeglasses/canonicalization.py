@@ -103,10 +103,9 @@ class CanonicalEyeglasses:
 
 @dataclass(frozen=True)
 class CanonicalSet:
-    """Frames on common ground; see `canonicalize`."""
+    """`frames` on common ground, in the order of the meshes; see `canonicalize`."""
 
     frames: tuple[CanonicalEyeglasses, ...]
-    """In the order of the meshes given."""
     mean_keypoints: FloatArray
     """(20, 3) in the frames' unit; unless given, x to the wearer's left, z to the front, centroid at 0."""
     converged: bool

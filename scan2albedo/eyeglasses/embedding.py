@@ -143,21 +143,11 @@ def embed(
         nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
         nearness[square == 0] = 1.0
         shares[:, group] = nearness / nearness.sum(1, keepdims=True)
-    return Embedding(
-        lattice=lattice,
-        handle_cells=owners,
-        handle=handle,
-        shares=shares,
-        interpolation=lattice.interpolation(local),
-        spacing=used,
-        follower=follower,
-        leader=leader,
-        plan=Plan((step, left_out, merged)),
-    )
+    interpolation, plan = lattice.interpolation(local), Plan((step, left_out, merged))
+    return Embedding(lattice, owners, handle, shares, interpolation, used, follower, leader, plan)
 
 
 def _distances(places: FloatArray, metric: str) -> FloatArray:
-    """Return (K, K) distances of places (K, 3), infinite from each to itself."""
     apart = squareform(pdist(places, metric)) if len(places) > 1 else np.zeros((1, 1))
     np.fill_diagonal(apart, np.inf)
     return np.asarray(apart)

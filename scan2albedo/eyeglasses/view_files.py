@@ -23,14 +23,15 @@ from scan2albedo.io.units import MM_PER_UNIT
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera; raises ValueError, naming it, when its name, matrix or shape is not usable."""
+    """A pinhole camera: `name` and `shape` (H, W) of its picture, which labels and mask share.
+
+    Raises ValueError, naming it, when its name, matrix or shape is not usable.
+    """
 
     name: str
-    """Of its picture, labels and mask."""
     matrix: FloatArray
     """(3, 4): pixels (column, row), centres at integers, from points in mm; any scale and sign."""
     shape: tuple[int, int]
-    """(H, W) of its picture in pixels."""
 
     def __post_init__(self) -> None:
         checked_name(self.name)

@@ -35,22 +35,19 @@ passing the lens."""
 
 @dataclass(frozen=True)
 class InsertedLens:
-    """A lens in its rim; mm in the world's frame."""
+    """A lens of a `material` in its `rim`, on `side` 0, the wearer's left, or 1; mm in the world's frame.
+
+    `vertices` (R + 1, 3), the centre first, rim points moved into their seat, and `faces` (R, 3) are its
+    mesh, which `caster` casts rays at. `optics` is in the plane nearest to the rim, towards the viewer.
+    """
 
     side: int
-    """0 is the wearer's left, 1 the right."""
     material: LensMaterial
-    """Power, tint and reflection."""
     rim: LensRim
-    """The edge that it fills."""
     vertices: FloatArray
-    """(R + 1, 3), the centre first; rim points moved into their seat."""
     faces: IntArray
-    """(R, 3)."""
     optics: ThinLens
-    """In the plane nearest to the rim; the normal towards the viewer of the front."""
     caster: RayCaster
-    """Of the lens alone."""
 
     @property
     def name(self) -> str:

@@ -18,24 +18,20 @@ _GRAZING = 1e-9
 
 @dataclass(frozen=True)
 class ThinLens:
-    """An ideal thin lens: optical centre, axis and power."""
+    """An ideal thin lens: optical `center` (3,) mm, `normal` (3,) along the axis, of any length and sign."""
 
     center: ArrayLike
-    """(3,) mm."""
     normal: ArrayLike
-    """(3,) along the optical axis, of any length and either sign: a thin lens has no front."""
     dioptres: float
     """1/m, negative for the shortsighted: things behind the lens look smaller; 0 is window glass."""
 
 
 @dataclass(frozen=True)
 class RefractedRays:
-    """Rays on the far side of a lens."""
+    """Rays beyond a lens: `origins` (N, 3) mm in its plane, unit `directions` (N, 3) from the camera."""
 
     origins: FloatArray
-    """(N, 3) mm, in the lens plane."""
     directions: FloatArray
-    """(N, 3) unit vectors away from the camera."""
 
 
 def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRays:

@@ -196,18 +196,8 @@ def checked_inputs(
         if not is_rigid(pose):
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
-    return RegistrationInputs(
-        vertices=vertices / unit,
-        faces=faces,
-        keypoints=keypoints / unit,
-        weights=weights,
-        views=tuple(views),
-        masks=tuple(checked),
-        head=skull,
-        start=pose,
-        unit=unit,
-        plan=tuple(plan),
-    )
+    frame = vertices / unit, faces, keypoints / unit, weights
+    return RegistrationInputs(*frame, tuple(views), tuple(checked), skull, pose, unit, tuple(plan))
 
 
 def is_rigid(pose: FloatArray) -> bool:

@@ -208,7 +208,8 @@ class RegistrationObjective:
         return errors
 
     def _add_outlines(self, samples: OutlineSamples, sums: _Sums) -> FloatArray:
-        place, noise = sums.motion.positions(samples.points), self.options.outline_noise_px
+        motion, noise = sums.motion, self.options.outline_noise_px
+        place = motion.positions(samples.points)
         pixels, slopes, _ = projected(self._cameras[samples.view], place)
         error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
         for number, view in enumerate(self.views):
@@ -235,7 +236,11 @@ class RegistrationObjective:
             weight = _VOTE * _huber_weights(residual[mine])
             error[mine] -= noise * bias
             sums.cost += tight * bias**2
-            sums.take_common(samples.points[mine], place[mine], slope[mine] / noise, weight, tight)
+            if sums.with_matrix:
+                # What the bias takes from the matrix: all values may be off by one amount.
+                terms = slope[mine] / noise, np.ones(len(weight)), weight
+                common, _ = motion.raw_sums(samples.points[mine], place[mine], *terms, with_matrix=False)
+                sums.matrix -= np.outer(common, common) / (weight.sum() + tight)
         size = np.abs(residual)
         cost = np.where(size > _ROBUST, _ROBUST * (2 * size - _ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
@@ -255,22 +260,13 @@ class _Sums:
     def __init__(self, motion: FrameMotion, with_matrix: bool) -> None:
         size = RIGID + 6 * len(motion.keypoints)
         self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
-        self.motion, self._with_matrix = motion, with_matrix
+        self.motion, self.with_matrix = motion, with_matrix
 
     def add(self, points: SkinnedPoints, place: FloatArray, *terms: FloatArray) -> None:
         """Add slopes, values and votes of points at their places."""
-        gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self._with_matrix)
+        gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self.with_matrix)
         self.gradient += gradient
         self.matrix += matrix
-
-    def take_common(
-        self, points: SkinnedPoints, place: FloatArray, slopes: FloatArray, votes: FloatArray, tight: float
-    ) -> None:
-        """Take from the matrix what N values say that may all be off by one amount of precision `tight`."""
-        if self._with_matrix:
-            ones = np.ones(len(votes))
-            common, _ = self.motion.raw_sums(points, place, slopes, ones, votes, with_matrix=False)
-            self.matrix -= np.outer(common, common) / (votes.sum() + tight)
 
 
 def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

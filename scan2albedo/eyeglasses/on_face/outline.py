@@ -253,13 +253,52 @@ class OutlineSampler:
 
         `deviation_mm` (K,) says how well the key points are known so far: an uncertain one reaches far.
         """
-        vertices = motion.positions(self.mesh.points)
+        points = self.mesh.points
+        vertices = motion.positions(points)
         # View, places at rest, weights, edges, outward.
-        none = np.zeros(0, np.int64), np.zeros((0, 3)), self.mesh.points.weights[:0], *np.zeros((2, 0, 2))
+        none = np.zeros(0, np.int64), np.zeros((0, 3)), points.weights[:0], *np.zeros((2, 0, 2))
         parts: list[tuple[NDArray[Any], ...]] = [none]
-        for number, view in enumerate(self.views):
-            if view.distance is not None and view.shape is not None:
-                parts.append(self._of_view(number, view.distance, view.shape, vertices, deviation_mm))
+        for number, (view, faces) in enumerate(zip(self.views, self.shown, strict=True)):
+            if view.distance is None or view.shape is None:
+                continue
+            camera = view.camera
+            pixels, depth = project(camera, vertices)
+            covered = cover(pixels, depth, faces, view.shape)
+            outline = trace_outline(covered, pixels, depth, faces)
+            foremost = faces[outline.face, 0]
+            px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
+            reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
+            reach = np.minimum(_NEAR_PX + reach, REACH_PX)
+            # Where the nearest border of the mask has its outside on the same side, its distance counts;
+            # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
+            place = outline.pixels.astype(np.float64)
+            distance, slope = view.distance.sample(place)
+            facing = np.einsum("ni,ni->n", slope, outline.outward)
+            # Points nearer to the picture's border than to the observed outline may have it outside.
+            border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
+            limit = np.minimum(reach, border + 0.5)
+            with np.errstate(invalid="ignore"):
+                near = np.abs(distance) <= limit
+                near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
+            edges, lost = np.full((len(place), 2), np.nan), np.flatnonzero(~near)
+            way = search_edges(view.distance, place[lost], outline.outward[lost], limit[lost])
+            edges[lost] = place[lost] + way[:, None] * outline.outward[lost]
+            kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
+            # Points that the head hides, or a ray some pixels beside them.
+            corners, share = faces[outline.face[kept]], outline.barycentric[kept]
+            world = np.einsum("nk,nki->ni", share, vertices[corners])
+            if self.head is not None and len(kept):
+                hidden = hidden_by(self.head, camera, world)
+                center = camera_centers(camera[None])[0]
+                far = np.linalg.norm(world - center, axis=1)[:, None]
+                for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                    ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
+                    hidden |= hidden_by(self.head, camera, center + far * ray)
+                corners, share, kept = corners[~hidden], share[~hidden], kept[~hidden]
+            rest, weights = (
+                np.einsum("nk,nki->ni", share, a[corners]) for a in (points.rest, points.weights)
+            )
+            parts.append((np.full(len(kept), number), rest, weights, edges[kept], outline.outward[kept]))
         number_of, rest, weights, edges, outward = (np.concatenate(part) for part in zip(*parts, strict=True))
         return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward)
 
@@ -276,50 +315,3 @@ class OutlineSampler:
         owner = np.full(view.shape, -1, np.int64)
         owner[at[seen, 1], at[seen, 0]] = face[seen]
         return owner >= 0, owner
-
-    def _of_view(
-        self,
-        number: int,
-        mask: MaskDistance,
-        shape: tuple[int, int],
-        vertices: FloatArray,
-        deviation_mm: FloatArray,
-    ) -> tuple[NDArray[Any], ...]:
-        mesh, faces, camera = self.mesh, self.shown[number], self.views[number].camera
-        pixels, depth = project(camera, vertices)
-        covered = cover(pixels, depth, faces, shape)
-        outline = trace_outline(covered, pixels, depth, faces)
-        foremost = faces[outline.face, 0]
-        px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
-        reach = 3 * mesh.points.weights[foremost] @ deviation_mm * px_per_mm
-        reach = np.minimum(_NEAR_PX + reach, REACH_PX)
-        # Where the nearest border of the mask has its outside on the same side, its distance counts;
-        # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
-        place = outline.pixels.astype(np.float64)
-        distance, slope = mask.sample(place)
-        facing = np.einsum("ni,ni->n", slope, outline.outward)
-        # Points nearer to the picture's border than to the observed outline may have it outside.
-        border = np.minimum(place, [shape[1] - 1, shape[0] - 1] - place).min(1)
-        limit = np.minimum(reach, border + 0.5)
-        with np.errstate(invalid="ignore"):
-            near = np.abs(distance) <= limit
-            near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
-        edges, lost = np.full((len(place), 2), np.nan), np.flatnonzero(~near)
-        way = search_edges(mask, place[lost], outline.outward[lost], limit[lost])
-        edges[lost] = place[lost] + way[:, None] * outline.outward[lost]
-        kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
-        # Points that the head hides, or a ray some pixels beside them.
-        corners, share = faces[outline.face[kept]], outline.barycentric[kept]
-        world = np.einsum("nk,nki->ni", share, vertices[corners])
-        if self.head is not None and len(kept):
-            hidden = hidden_by(self.head, camera, world)
-            center = camera_centers(camera[None])[0]
-            far = np.linalg.norm(world - center, axis=1)[:, None]
-            for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
-                hidden |= hidden_by(self.head, camera, center + far * ray)
-            corners, share, kept = corners[~hidden], share[~hidden], kept[~hidden]
-        rest, weights = (
-            np.einsum("nk,nki->ni", share, a[corners]) for a in (mesh.points.rest, mesh.points.weights)
-        )
-        return np.full(len(kept), number), rest, weights, edges[kept], outline.outward[kept]

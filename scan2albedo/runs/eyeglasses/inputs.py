@@ -60,17 +60,17 @@ class FileRecord(Record):
 
 @dataclass(frozen=True)
 class GlassesFrame:
-    """A frame as read: mesh and key points (20, 3) in mm, NaN for missing ones."""
+    """A frame as read: mesh and key points (20, 3) in mm, NaN for missing ones, weights (V, 20) if any.
+
+    `mm_per_unit` is that of the mesh's file; `files` are "mesh" and, where it is a file, "keypoints".
+    """
 
     name: str
     scan: RawScan
     keypoints: FloatArray
     mm_per_unit: float
-    """Of the mesh's file."""
     files: Mapping[str, FileRecord]
-    """"mesh" and, where it is a file of its own, "keypoints", as they were read."""
     weights: FloatArray | None = None
-    """(V, 20), when it brings them."""
 
     @property
     def missing_key_points(self) -> tuple[str, ...]:
@@ -81,24 +81,23 @@ class GlassesFrame:
 
 @dataclass(frozen=True)
 class GlassesInput:
-    """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm."""
+    """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm.
+
+    `files` are named "mesh", "cameras", "mask <camera>", "picture <camera>" and others; `labels` (C, 20, 2)
+    are pixels, NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` (H, W, 3), one a
+    camera, and `environment` (H, W, 3) are linear.
+    """
 
     frame: GlassesFrame
     cameras: tuple[Camera, ...]
     head: RawScan | None
     files: Mapping[str, FileRecord]
-    """By what they are: "mesh", "cameras", "mask <camera>", "picture <camera>" and others."""
     notes: tuple[str, ...] = ()
-    """What reading decided, repaired and did not find."""
     labels: FloatArray | None = None
-    """(C, 20, 2) pixels, NaN for missing ones."""
     masks: tuple[BoolArray | None, ...] = ()
     start: FloatArray | None = None
-    """(4, 4) `world_from_glasses`."""
     pictures: tuple[FloatArray, ...] | None = None
-    """(H, W, 3) linear, one a camera."""
     environment: FloatArray | None = None
-    """(H, W, 3)."""
 
 
 def keypoints_beside(mesh: Path) -> Path:
@@ -114,10 +113,10 @@ def read_frame(
 ) -> GlassesFrame:
     """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
 
-    The unit is the mesh's. "auto" is the one in which the key points lie on the mesh, when their file states
-    its own unit; otherwise both are in one unit, which the size of glasses decides. Other `widths_mm` of
-    fronts admit other sizes in proportion. Raises EyeglassesError or ScanError, naming the file, when one
-    cannot be read or the size is that of no glasses; ValueError for an unknown unit.
+    The mesh's unit "auto" is the one in which the key points lie on it, when their file states their own;
+    otherwise the size of glasses decides, in proportion to `widths_mm`. Raises EyeglassesError or ScanError,
+    naming the file, when one cannot be read or the size is that of no glasses; ValueError for an unknown
+    unit.
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
@@ -169,11 +168,10 @@ def read_registration(
 ) -> GlassesInput:
     """Read the files of a registration.
 
-    `mesh` has key points beside it, or is the `canonical.npz` of a canonical frame; `masks` is a folder of
-    masks named after the cameras, `head` a mesh in the cameras' frame, `start` a pose or the `registered.npz`
-    of an earlier run; the unit is that of the mesh. Raises EyeglassesError or ScanError, naming the file,
-    when one cannot be read or they do not belong together; ValueError for an unknown unit, or key points that
-    the frame already has.
+    `mesh` has key points beside it, or is a `canonical.npz`; `masks` is a folder of masks named after the
+    cameras, `head` a mesh in the cameras' frame, `start` a pose or a `registered.npz`; the unit is that of
+    the mesh. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or they do not
+    belong together; ValueError for an unknown unit, or key points that the frame already has.
     """
     views = read_cameras(cameras)
     files = {"cameras": _hashed(cameras), "labels": _hashed(labels)}
@@ -248,9 +246,8 @@ def read_lens_scene(
     """Read the files of a rendering; the unit is that of both meshes, and "auto" decides for each.
 
     Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
-    name cameras, all when there are none; `pictures`, one a view, are named after their cameras or in the
-    views' order. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not
-    fit the others.
+    name cameras, all when there are none; `pictures`, one a view, are named after them or in their order.
+    Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
     """
     by_name = {camera.name: camera for camera in read_cameras(cameras)}
     if strange := [name for name in views if name not in by_name]:
