@@ -45,11 +45,9 @@ class CanonicalizationOptions:
     """Settings of `canonicalize`."""
 
     mode: CanonicalMode = "unbend"
-    """"unbend": pose and bend go, the frame's own shape and sizes stay. "mean" (the paper's S2): all key
-    points go to the mean's, which gives every frame the proportions of the mean."""
+    """"unbend": the frame's own shape and sizes stay. "mean" (the paper's S2): it takes the mean's."""
     handles: Literal["turned", "translated"] = "turned"
-    """In "mean": whether key points turn their surroundings as the skeleton turns, or only shift them (the
-    paper's)."""
+    """In "mean": whether key points turn their surroundings, or only shift them (the paper's)."""
     widths_mm: tuple[float, float] = WIDTHS_MM
     """Least and greatest width of a front; a frame that no decimal unit brings between them is refused."""
     skip_failed: bool = False
@@ -165,8 +163,7 @@ def canonicalize(
     Raises
     ------
     EyeglassesError
-        When there is no frame, key points do not fix a pose, a front is not as wide as that of spectacles, or
-        weights cannot be solved; names the frame.
+        When there is no frame; or, named, one without a pose, of another width, or without weights.
     ValueError
         When shapes do not fit together.
 
@@ -301,7 +298,7 @@ def _weighted(
 ) -> tuple[list[_Frame], dict[int, str]]:
     """Return the frames with their weights and, with `skip_failed`, why others are left out.
 
-    Key points that `reference` (20, 3) lacks do not count. Frames share the meter's budget evenly.
+    Key points that `reference` (20, 3) lacks do not count.
     """
     anchor = fullest([frame.points for frame in frames]) if reference is None else reference
     done: list[_Frame] = []

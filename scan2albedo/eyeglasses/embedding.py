@@ -28,8 +28,7 @@ from scan2albedo.geometry.rays import RayCaster
 MAX_NODES = 10_000
 """Lattice nodes that the automatic spacing may use."""
 _COARSEST = 1 / 40
-"""Largest automatic spacing as a part of the size (the diagonal of the key points' box, or the mesh's for a
-single one)."""
+"""Largest automatic spacing as a part of the size, the diagonal of the key points' box."""
 _REACH = 0.05
 """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
 _THIN_PART = 0.1
@@ -44,10 +43,9 @@ _SKIN = 1e-5
 class Embedding:
     """The lattice of a mesh; `spacing` is in the mesh's unit.
 
-    `handle_cells` (H, 3) are cells of the `lattice`, one a handle. `handle` (K,) is that of each key point,
-    which those too close together share, `shares` (V, K) how its weight is divided among them.
-    `interpolation` (V, N) takes node values to the vertices. Vertices `follower` (n,) take the weights of
-    `leader` (n,): their parts are out of the lattice's reach.
+    `handle_cells` (H, 3) are cells of the `lattice`, one a handle, `handle` (K,) is that of each key point,
+    `shares` (V, K) how its weight is divided among several. `interpolation` (V, N) takes node values to the
+    vertices. Vertices `follower` (n,), out of the lattice's reach, take the weights of `leader` (n,).
     """
 
     lattice: Lattice

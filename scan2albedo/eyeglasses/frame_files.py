@@ -89,10 +89,7 @@ _LIKE_GLASSES = 0.1
 def read_json(
     path: str | Path, kind: type[Content], what: str, *, writer: str, schema: str, hint: str = ""
 ) -> Content:
-    """Return the content of a file that the function `writer` wrote; errors call it `what`, name its schema.
-
-    A `hint` ends the errors' advice. Raises EyeglassesError when the file cannot be read or does not fit.
-    """
+    """Return the content of a file that the function `writer` wrote, or raise EyeglassesError with a hint."""
     advice = f"give a file that {writer} wrote (data_schemas/{schema}.schema.json){hint and '; ' + hint}"
     return read_record(path, kind, what=what, advice=advice, error=EyeglassesError)
 
@@ -129,8 +126,7 @@ def require_known_names(names: Iterable[str]) -> None:
 def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
     """Write key points (20, 3), in the order of `KEY_POINT_NAMES`, as JSON; rows with NaN as null.
 
-    Their `unit` is only noted in the file. Raises ValueError when the shape is another, OutputError when the
-    file cannot be written.
+    Their `unit` is only noted. Raises ValueError for another shape, OutputError when writing fails.
 
     Parameters
     ----------
@@ -147,8 +143,7 @@ def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKn
 def read_keypoints(path: str | Path) -> FloatArray:
     """Return the key points (20, 3) of the file at `path` in its own unit, NaN where one is missing.
 
-    Raises EyeglassesError, naming the file, when it cannot be read or is not a key-point file, when it has
-    names of no key points, or when key points lie where others belong (names exchanged).
+    Raises EyeglassesError, naming the file, when it cannot be read, has unknown names, or names exchanged.
     """
     return read_keypoints_with_unit(path)[0]
 
@@ -270,10 +265,7 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
 
 
 def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
-    """Write a `frame` that `register_on_face` placed at `path`, without its plan and trace.
-
-    As `write_canonical`.
-    """
+    """Write a `frame` that `register_on_face` placed at `path`, as `write_canonical`, without its trace."""
     _write(path, frame)
 
 
@@ -313,7 +305,7 @@ class StartFile(Record):
 def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUnit = "mm") -> None:
     """Write a rigid pose (4, 4) as JSON, atomically; the translation's `unit` is only noted in the file.
 
-    Raises ValueError when it is not a rigid transform, OutputError when the file cannot be written.
+    Raises ValueError when it is not rigid, OutputError when the file cannot be written.
 
     Parameters
     ----------

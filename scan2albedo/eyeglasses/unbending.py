@@ -41,11 +41,9 @@ _SAMPLES = 1000
 _FEWEST = 50
 """Vertices and faces of a rim below which only its key points are compared."""
 _LABEL_SHARE = 1e-3
-"""Weight of a rim's key points beside its surface: they hold what a surface leaves free, such as a turn of a
-round rim in its plane."""
+"""Weight of a rim's key points beside its surface: they hold what a surface leaves free."""
 _FARTHEST = 0.15
-"""Part of the rim's size by which surfaces may move its key points: more is another place that fits by
-chance."""
+"""Part of the rim's size by which surfaces may move its key points: more fits by chance."""
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ _COARSE_NODES = 1500
 
 @dataclass(frozen=True)
 class BoundedMinimum:
-    """Minima `x` (N, K) in [0, 1] of K columns, `optimality_residual` (K,) and Newton steps (K,)."""
+    """Minima `x` (N, K) of K columns, `optimality_residual` (K,) and Newton steps (K,)."""
 
     x: FloatArray
     residual: FloatArray
@@ -103,8 +103,7 @@ def solve_weights(
         min over w of  w^T L M^-1 L w / 2,  w = 1 at its key point, 0 at the others', 0 <= w <= 1,
 
     on the nodes of a lattice around (and inside) the surface; then the weights are divided by their sum and
-    interpolated trilinearly at the vertices. The mesh may have many parts, holes, flipped, repeated and
-    zero-area faces, and vertices without faces.
+    interpolated trilinearly at the vertices. The mesh may have parts, holes and bad faces of any kind.
 
     Parameters
     ----------
@@ -115,8 +114,7 @@ def solve_weights(
     spacing : "auto" or float
         Of the lattice, in the mesh's unit; parts closer together than that become one.
     budget : Budget or float, optional
-        Seconds, or evaluations: Newton steps. When it ends the weights so far are returned, smooth and
-        within their bounds, with `converged` False.
+        Seconds, or evaluations: Newton steps. When it ends the weights so far are returned.
     max_nodes : int
         Lattice nodes that the automatic spacing may use; a given spacing may use ten times as many.
     tolerance : float

@@ -60,10 +60,9 @@ class LensPictureOptions:
 
 @dataclass(frozen=True)
 class LensPicture:
-    """A picture with lenses in it."""
+    """A picture with lenses in it, `image_linear` (H, W, 3)."""
 
     image_linear: FloatArray
-    """(H, W, 3)."""
     without_lenses_linear: FloatArray
     """(H, W, 3): the photograph itself, or the scene with empty rims."""
     lens: NDArray[np.int8]
@@ -105,8 +104,7 @@ def insert_lenses(
     Parameters
     ----------
     frame : Surface
-        In its pose on the face, in mm. Glass of its own is left out where a lens goes, unless it is of one
-        piece with the rim; `notes` say so.
+        In its pose on the face, in mm. Glass of its own is left out, unless of one piece with the rim.
     keypoints : (20, 3) array_like of float
         Of the frame, as in `KEY_POINT_NAMES`; NaN but for those of each rim that gets a lens.
     lenses : LensMaterial, or (left, right) of LensMaterial or None
@@ -118,8 +116,8 @@ def insert_lenses(
     shape, picture_linear : (H, W), or (H, W, 3) array_like of float
         Of the picture to draw, or a linear photograph by this camera; one of them.
     environment_linear : (H, W, 3) array_like of float, optional
-        Radiance as in `environment_radiance`. Lights a drawn scene unless `lights` are given, stands behind
-        it, and is what lenses mirror; without it they mirror surfaces only, and black.
+        Radiance as in `environment_radiance`: lights a drawn scene unless `lights` are given, stands behind
+        it, and is what lenses mirror.
     lights : DistantLights, optional
         Only with `shape`.
     lens_centers : (2, 3) array_like of float, optional
@@ -129,8 +127,7 @@ def insert_lenses(
     Raises
     ------
     EyeglassesError
-        When a rim's key points are missing or no lens fits into it (the message names which), a surface or
-        the picture is not finite, or sizes are not millimetres.
+        When no lens fits into a rim, numbers are not finite, or sizes are not millimetres.
     ValueError
         When shapes do not fit together, or it is not clear what to draw under which light.
 
@@ -149,15 +146,10 @@ def insert_lenses(
     >>> from scan2albedo.synthetic import eyeglasses
     >>> glasses = eyeglasses(seed=1)
     >>> wall = Surface([[-300, -300, -30], [300, -300, -30], [0, 500, -30]], [[0, 1, 2]])
+    >>> camera = look_at([0, 0, 600], [0, 0, 0], focal_px=200, shape=(48, 64))
     >>> picture = insert_lenses(
-    ...     Surface(glasses.vertices, glasses.faces),
-    ...     glasses.keypoints,
-    ...     (LensMaterial(dioptres=-4.0), LensMaterial(dioptres=-2.5)),
-    ...     surfaces=[wall],
-    ...     camera=look_at([0, 0, 600], [0, 0, 0], focal_px=200, shape=(48, 64)),
-    ...     shape=(48, 64),
-    ...     environment_linear=np.ones((8, 16, 3)),
-    ... )
+    ...     Surface(glasses.vertices, glasses.faces), glasses.keypoints, LensMaterial(dioptres=-4.0),
+    ...     surfaces=[wall], camera=camera, shape=(48, 64), environment_linear=np.ones((8, 16, 3)))
     >>> picture.image_linear.shape, np.unique(picture.lens).tolist(), picture.notes
     ((48, 64, 3), [-1, 0, 1], ())
     """

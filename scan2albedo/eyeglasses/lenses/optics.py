@@ -50,14 +50,12 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     camera : (3,) or (N, 3) array_like of float
         Centre of projection, or one origin a ray; mm.
     points : (N, 3) array_like of float
-        Where each ray is heading, mm: any point on it but its origin, such as a hit on a lens mesh, which
-        need not be flat.
+        Where each ray is heading, mm: any point on it but its origin.
 
     Raises
     ------
     EyeglassesError
-        When numbers are not finite, the normal is zero, a camera lies in the lens plane, or a ray runs
-        along the plane or away from it.
+        When numbers are not finite, the normal is zero, or a camera or ray lies along the lens plane.
     ValueError
         When an array has the wrong shape.
 

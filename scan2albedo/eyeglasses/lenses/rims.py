@@ -194,14 +194,12 @@ def find_lens_rim(
     rim_points : (K, 3) array_like of float, optional
         Three or more key points on or at the rim, in any order.
     normal : (3,) array_like of float, optional
-        Of the lens plane to some degrees, towards the viewer. Otherwise of the plane nearest to the rim
-        points, away from the temples.
+        Of the lens plane, towards the viewer; otherwise of the plane nearest to the rim points.
 
     Raises
     ------
     EyeglassesError
-        When the mesh is empty or not finite, neither rim points nor a normal are given, or too little of
-        a rim lies around the centre to do without rim points.
+        When the mesh is empty or not finite, or rim points are needed and not given.
     ValueError
         When an array has the wrong shape.
 

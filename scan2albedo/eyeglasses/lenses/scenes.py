@@ -17,8 +17,7 @@ from scan2albedo.geometry.rays import RayCaster, RayHits
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 
 _SMOOTH = 0.3
-"""Cosine to its face below which a smoothed normal is replaced by the face's: its neighbours are wound in two
-ways."""
+"""Cosine to its face below which a smoothed normal is replaced by the face's: winding differs around it."""
 _LAMPS = (
     ((-0.6, 0.6, 0.7), 0.82, 7.0),
     ((0.9, 0.15, 0.6), 0.86, 1.6),
@@ -36,8 +35,7 @@ WHITE_SHOWN = 0.9
 class Surface:
     """A mesh with its colour, in mm in the world's frame.
 
-    Raises EyeglassesError when there are no faces or numbers are not finite; ValueError when an array has the
-    wrong shape, or the texture comes without `uv`.
+    Raises EyeglassesError when there are no faces or numbers are not finite; ValueError for a wrong shape.
     """
 
     vertices: ArrayLike

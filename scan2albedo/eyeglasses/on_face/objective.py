@@ -27,8 +27,7 @@ from scan2albedo.optimization.least_squares import Damping, NormalEquations, min
 _BEHIND = 1e6
 """Squared error in standard deviations of a point behind a camera."""
 _ROBUST = 2.0
-"""Standard deviations from which the error of a label counts less and less (Cauchy), and that of an outline
-by its size alone (Huber)."""
+"""Standard deviations from which labels count less and less (Cauchy), outlines by their size (Huber)."""
 _OFFSET_MM = 0.5
 """How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
 _BIAS_PX = 1.0

@@ -20,8 +20,7 @@ from scan2albedo.geometry.rays import RayCaster
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
 _NEAR_PX = 5.0
-"""Nearer ones are left out where the frame's place is known better: beyond these pixels, for noise and what
-weights cannot bend, and three standard deviations."""
+"""Nearer ones are left out where the frame's place is known better: beyond this and three deviations."""
 _MARGIN_PX = 96
 """How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3

@@ -37,8 +37,8 @@ from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
 _RESOLUTION_MM = 2.0
-"""Deviation of depth up to which a frame need not rest on the nose (one view leaves far more open), and cells
-in which the head's vertices are joined: finer ones hide the same and cost more."""
+"""Deviation of depth up to which a frame need not rest on the nose, and cells in which the head's vertices
+are joined."""
 
 
 def register_on_face(
@@ -61,15 +61,13 @@ def register_on_face(
         sum rho(project(x_k) - l_ck) + sum rho(d_c(project(y_i))) + bend's prior,
 
     l_ck the labels, y_i the points that make the frame's outline in view c, d_c the distance from the outline
-    of its mask; first the pose alone on the labels, then bent, then with the outlines, which are traced anew
-    as the frame moves. Steps are Levenberg-Marquardt's, with all derivatives in closed form.
+    of its mask; first the pose alone on the labels, then bent, then with the outlines.
 
     Parameters
     ----------
     glasses : object or tuple
-        With attributes vertices (V, 3), faces (F, 3), keypoints (20, 3) and maybe weights (V, 20), such as
-        `CanonicalEyeglasses`; or a tuple of these, in the cameras' unit. Key points in the order of
-        `KEY_POINT_NAMES`, NaN for those that the frame lacks.
+        With attributes vertices (V, 3), faces (F, 3), keypoints (20, 3), NaN for those that it lacks, and
+        maybe weights (V, 20), such as `CanonicalEyeglasses`; or a tuple of these, in the cameras' unit.
     keypoints_2d : (C, 20, 2) array_like of float
         Labels in pixels (column, row), centres of pixels at integers; NaN for missing ones.
     masks : sequence of C (H, W) array_like, or None
@@ -94,8 +92,8 @@ def register_on_face(
     Raises
     ------
     EyeglassesError
-        When the labels fix no pose and there is no start, left and right are exchanged, units differ,
-        labels lie outside their pictures, weights cannot be solved, or numbers are not finite.
+        When labels fix no pose, lie outside their pictures, or have left and right exchanged, units differ,
+        weights cannot be solved, or numbers are not finite.
     ValueError
         When shapes do not fit together.
 

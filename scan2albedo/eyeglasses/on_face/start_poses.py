@@ -144,9 +144,8 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
 
         sum over c of rho(|project(P_c, x) - l_c|),  rho(r) = log(1 + (r / 2 s)^2),
 
-    the Cauchy loss, under which labels many s off hardly pull. Starts are the linear solutions of all pairs
-    of views that lie in front of both cameras (Hartley, Zisserman, "Multiple View Geometry", section 12.2);
-    the one of least loss is refined by damped Gauss-Newton steps on the reweighted reprojection errors.
+    the Cauchy loss. Of the linear solutions of all pairs of views (Hartley, Zisserman, "Multiple View
+    Geometry", section 12.2) the one of least loss is refined by damped Gauss-Newton steps.
 
     Parameters
     ----------
