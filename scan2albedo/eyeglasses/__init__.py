@@ -1,7 +1,7 @@
 """Eyeglasses, after the supplement of Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023.
 
-S2, canonical frames: `weights` (bounded biharmonic), `skinning` (linear blend), `canonicalization`. S3,
-registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files: `frame_files`, `view_files`.
+S2: `canonicalization`, with `weights` and `skinning`. S3, registration on the face: `on_face`. S11 to S15:
+`lenses`. Files: `frame_files`, `view_files`.
 """
 
 from scan2albedo.eyeglasses.canonicalization import (

@@ -58,19 +58,17 @@ class CanonicalizationOptions:
 class CanonicalEyeglasses:
     """A frame in canonical pose and shape, and the way there and back; see `canonicalize`.
 
-    `vertices` (V, 3) and `faces` (F, 3) are its mesh, `weights` (V, 20) zero for key points that it lacks.
+    `vertices` (V, 3) and `faces` (F, 3) are its mesh, `weights` (V, 20) zero for key points that it lacks,
+    which are NaN in `keypoints` (20, 3): canonical ones, its own, unbent, or in mode "mean" the mean's.
+    `canonical_from_frame` (4, 4) is rigid, after the factor `scale`, 1 unless units differ.
     """
 
     vertices: FloatArray
     faces: IntArray
     weights: FloatArray
     keypoints: FloatArray
-    """(20, 3) canonical, those of `vertices`, `faces` and `weights`: its own, unbent, or in mode "mean" the
-    mean's; NaN where the frame lacks them."""
     canonical_from_frame: FloatArray
-    """(4, 4) rigid, after `scale`."""
     scale: float
-    """Factor on the frame's coordinates before anything else; 1 unless units differ."""
     handle_transforms: FloatArray
     """(20, 4, 4) from the frame as given to canonical space, scale and rigid part included."""
     residual: float
@@ -78,9 +76,8 @@ class CanonicalEyeglasses:
     unbent: bool
     """Whether it keeps its own shape and sizes (mode "unbend")."""
     converged: bool
-    """Whether its weights converged, or were given."""
     plan: Plan
-    """How its weights were found and its bend taken away."""
+    """How its weights were found, whether they `converged` or were given, and its bend was taken away."""
 
     def apply(self, vertices: ArrayLike) -> FloatArray:
         """Return the frame's vertices (V, 3), as given or edited, in canonical space."""
@@ -113,13 +110,11 @@ class CanonicalSet:
     numbers: tuple[int, ...]
     """Of each of the `frames` among the meshes given: all, unless some failed."""
     failures: Mapping[int, str]
-    """Why, for each mesh that was left out; empty unless `CanonicalizationOptions.skip_failed`."""
     outliers: Mapping[int, str]
-    """What is unusual about a mesh, by its number: its width or key points, in sets of four or more."""
+    """By the number of a mesh, why it was left out (`failures`) or what is unusual about it."""
     plan: Plan
-    """What ran and what was left out; the steps of a frame say its number."""
     trace: Trace
-    """Weights of each frame, then the mean."""
+    """`plan` and `trace` hold the steps of each frame, by number, then those of the set."""
 
 
 def canonicalize(

@@ -65,12 +65,7 @@ def _elimination(matrix: sparse.csr_matrix) -> tuple[IntArray, sparse.csc_matrix
     links = sparse.csc_matrix(matrix, copy=True)
     links.data[:] = -1.0
     dominant = links + sparse.diags(1e-3 - np.asarray(links.sum(0)).ravel())
-    factor = splu(
-        dominant.tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    factor = splu(dominant.tocsc(), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
     lower = sparse.tril(factor.L, -1, "csc")
     lower.sort_indices()
     count = lower.shape[0]

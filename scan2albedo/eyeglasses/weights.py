@@ -40,20 +40,18 @@ class BoundedBiharmonicWeights:
     weights: FloatArray
     """(V, K); rows sum to 1, entries in [0, 1]."""
     converged: bool
-    """Whether every handle's `residual` is at most the tolerance."""
     iterations: IntArray
-    """(K,) Newton steps of each key point's handle on the finest lattice."""
     residual: FloatArray
-    """(K,) scaled residuals of the optimality conditions, in weight (no unit)."""
+    """(K,) scaled residuals of the optimality conditions after Newton `iterations` (K,) on the finest
+    lattice; they have `converged` where each is at most the tolerance."""
     energy: FloatArray
     """(K,) x^T A x / 2 of the weights before they are normalised, in units of the spacing."""
     spacing: float
     node_count: int
     """Of the lattice; its `spacing` is in the mesh's unit."""
     plan: Plan
-    """The spacing, key points that share a handle, and the parts left out, with the reasons."""
     trace: Trace
-    """Largest scaled residual of all handles after each Newton step, lattices in order."""
+    """Largest scaled residual after each Newton step; `plan` says what shares a handle or was left out."""
 
 
 def bounded_biharmonic_weights(

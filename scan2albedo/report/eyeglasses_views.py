@@ -73,7 +73,7 @@ def registration_panels(
     """Return a panel for each view, two of the frame's standard deviation, and one on the head if any.
 
     Orange is the registered frame's outline, blue where the head hides it; green labels fit, red ones are
-    outliers, NaN ones are missing. Vertices that are not observed are red.
+    outliers, as are vertices that are not observed.
     """
     from matplotlib.colors import to_rgb
 

@@ -294,7 +294,6 @@ class _View:
         return once
 
     def _rays(self, pixels: FloatArray) -> _SeenRays:
-        """Return one ray through each of the pixels (N, 2)."""
         if len(pixels) > _BAND:
             parts = [self._rays(pixels[part]) for part in blocks(len(pixels), _BAND)]
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")

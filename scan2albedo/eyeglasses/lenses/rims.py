@@ -162,9 +162,8 @@ class LensRim:
     points: FloatArray
     """(R, 3) at even angles around the centre, counterclockwise seen from the viewer; in the frame's unit."""
     measured: BoolArray
-    """(R,) True where a ray hit the rim; the others are filled in."""
     gaps: Literal["none", "interpolated", "subdivided"]
-    """How gaps were filled: from the rim on both sides, or by subdivision of the rim's key points."""
+    """How points were filled in that no ray `measured` (R,): from both sides, or from key points."""
     center: FloatArray
     normal: FloatArray
     """`center` (3,) and unit `normal` (3,) of the lens plane, towards the viewer."""

@@ -135,7 +135,6 @@ class FrameMotion:
 
     @property
     def _placement(self) -> tuple[FloatArray, ...]:
-        """The handles' turns, the key points without gaps, rotation and origin, as the loops take them."""
         filled = np.where(self.known[:, None], self.keypoints, self.center)
         turns = np.ascontiguousarray(self.handles[:, :3, :3])
         return turns, filled, self.state.rotation, self.state.origin
@@ -262,7 +261,6 @@ def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row
 
 @njit(cache=True, nogil=True)
 def _point_covariances(rest, weights, positions, turns, keypoints, rotation, origin, root):  # type: ignore[no-untyped-def]
-    """Return (N, 3, 3) covariances under that of parameters, root root^T, `root` (6 + 6 K, P)."""
     count, size, parameters = len(rest), 6 + 6 * weights.shape[1], root.shape[1]
     result = np.empty((count, 3, 3))
     row, place, axes = np.empty(size), np.empty(size, np.int64), np.eye(3)

@@ -159,7 +159,6 @@ class _Registration:
         self.sampler = OutlineSampler(mesh, given.views, occluder)
 
     def run(self) -> RegisteredEyeglasses:
-        """Run the stages that the input asks for; raises as `register_on_face`."""
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
         return report(
             self.given,
@@ -175,7 +174,6 @@ class _Registration:
         self.steps.append(PlanStep(f"{self.meter.stage}.{step}", ran, reason, evidence))
 
     def _find_pose(self) -> FrameEstimate:
-        """The pose alone, from the best of several starts."""
         given, options = self.given, self.options
         starts = starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
         rigid = partial(self.objective.linearize, samples=None, rigid=True)
@@ -193,7 +191,6 @@ class _Registration:
         return found
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
-        """The pose and the bend that the labels ask for."""
         if not (self.options.bend and self.given.labelled):
             reason = "no key point is labelled" if self.options.bend else "the frame stays as it is"
             self._note("key_points", False, reason)
@@ -209,7 +206,6 @@ class _Registration:
         return found
 
     def _rest_on_nose(self, before: FrameEstimate) -> FrameEstimate:
-        """The frame on the nose, where the labels do not determine its depth."""
         motion = self.objective.motion(before.state)
         depth = depth_open(self.given, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"
@@ -244,7 +240,6 @@ class _Registration:
         return found
 
     def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
-        """The frame whose outlines meet those of the masks, traced anew until they settle."""
         if not any(view.distance is not None for view in self.given.views):
             self._note("outlines", False, "no view has a mask")
             return before

@@ -132,9 +132,8 @@ class TriangulatedPoints:
     points: FloatArray
     """(K, 3) in the unit of the cameras; NaN rows where fewer than two views see a point."""
     errors_px: FloatArray
-    """(C, K) distances of labels from the reprojected points; NaN for missing, infinite behind a camera."""
     inliers: BoolArray
-    """(C, K) labels within three times the noise of their point."""
+    """(C, K) labels whose distance from their reprojected point, `errors_px`, is within thrice the noise."""
 
 
 def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2.0) -> TriangulatedPoints:
