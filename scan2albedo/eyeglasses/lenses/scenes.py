@@ -39,15 +39,13 @@ class Surface:
     """
 
     vertices: ArrayLike
-    """(V, 3)."""
     faces: ArrayLike
-    """(F, 3) of any winding; both sides are seen."""
+    """(F, 3) of any winding, over `vertices` (V, 3); both sides are seen."""
     albedo_linear: ArrayLike = (0.5, 0.5, 0.5)
     """(3,) or (V, 3); ignored where there is a texture."""
     uv: ArrayLike | None = None
-    """(V, 2) of vertices or (F, 3, 2) of each face's corners; v = 0 is the bottom row."""
     texture_linear: ArrayLike | None = None
-    """(H, W, 3) albedo; needs `uv`."""
+    """(H, W, 3) albedo; needs `uv`, (V, 2) or (F, 3, 2) of each face's corners; v = 0 is the bottom row."""
     roughness_rad: float = 0.0
     """Oren and Nayar's sigma; 0 is Lambert."""
     specular: float = 0.0
@@ -96,19 +94,6 @@ class SceneRays:
         hits = RayHits(self.hits.face[which], self.hits.barycentric[which], self.hits.distance[which])
         pixels = None if self.pixels is None else self.pixels[which]
         return SceneRays(self.origins[which], self.directions[which], hits, pixels)
-
-    @classmethod
-    def joined(cls, sets: Sequence[SceneRays]) -> SceneRays:
-        """Return the rays of all sets, with their pixels moved apart: those of two sets are no neighbours."""
-        hits = ((rays.hits.face, rays.hits.barycentric, rays.hits.distance) for rays in sets)
-        pixels = [rays.pixels for rays in sets if rays.pixels is not None]
-        width = 2 * np.ceil(max(p[:, 0].max(initial=0) for p in pixels)) + 4
-        return cls(
-            np.concatenate([rays.origins for rays in sets]),
-            np.concatenate([rays.directions for rays in sets]),
-            RayHits(*map(np.concatenate, zip(*hits, strict=True))),
-            np.concatenate([p + [number * width, 0] for number, p in enumerate(pixels)]),
-        )
 
     @property
     def ends(self) -> FloatArray:
