@@ -40,16 +40,8 @@ from scan2albedo.eyeglasses.view_files import (
     write_labels,
     write_masks,
 )
-from scan2albedo.eyeglasses.weights import (
-    BoundedBiharmonicWeights,
-    bounded_biharmonic_weights,
-    solve_weights,
-)
-from scan2albedo.lighting.environment import (
-    DistantLights,
-    distant_directions,
-    environment_weights,
-)
+from scan2albedo.eyeglasses.weights import BoundedBiharmonicWeights, bounded_biharmonic_weights, solve_weights
+from scan2albedo.lighting.environment import DistantLights, distant_directions, environment_weights
 
 __all__ = [
     "KEY_POINT_NAMES",

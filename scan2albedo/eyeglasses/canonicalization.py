@@ -267,10 +267,7 @@ def canonicalize(
 
 @dataclass(frozen=True)
 class _Frame:
-    """A mesh with its key points (20, 3), NaN for missing ones, in the mesh's unit.
-
-    `weights` (V, 20) are None until they are solved; coordinates times ten to `unit_exponent` are in mm.
-    """
+    """A mesh with its key points (20, 3) in its unit; its coordinates times ten to `unit_exponent` are mm."""
 
     number: int
     name: str | None
@@ -291,10 +288,7 @@ def _weighted(
     options: CanonicalizationOptions,
     meter: Meter,
 ) -> tuple[list[_Frame], dict[int, str]]:
-    """Return the frames with their weights and, with `skip_failed`, why others are left out.
-
-    Key points that `reference` (20, 3) lacks do not count.
-    """
+    """Return the frames with their weights and, with `skip_failed`, why others are left out."""
     anchor = fullest([frame.points for frame in frames]) if reference is None else reference
     done: list[_Frame] = []
     failures: dict[int, str] = {}
@@ -302,6 +296,7 @@ def _weighted(
     for i, frame in enumerate(frames):
         called = f"frame {frame.number}{f', {frame.name}' if frame.name else ''}"
         try:
+            # Key points that the reference lacks do not count.
             shared = np.where(np.isfinite(anchor), frame.points, np.nan)
             require_posable(shared)
             width = front_width(frame.points, frame.vertices)

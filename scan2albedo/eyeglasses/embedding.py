@@ -14,13 +14,7 @@ from scipy.spatial.distance import pdist, squareform
 from scan2albedo.core import Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.lattice import (
-    Lattice,
-    enclosed_cells,
-    join_parts,
-    surface_cells,
-    unique_cells,
-)
+from scan2albedo.eyeglasses.lattice import Lattice, enclosed_cells, join_parts, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_components
 from scan2albedo.geometry.rays import RayCaster
@@ -41,11 +35,11 @@ _SKIN = 1e-5
 
 @dataclass(frozen=True)
 class Embedding:
-    """The lattice of a mesh; `spacing` is in the mesh's unit.
+    """The lattice of a mesh; `spacing` is in the mesh's unit, `interpolation` (V, N) goes from the nodes.
 
     `handle_cells` (H, 3) are cells of the `lattice`, one a handle, `handle` (K,) is that of each key point,
-    `shares` (V, K) how its weight is divided among several. `interpolation` (V, N) takes node values to the
-    vertices. Vertices `follower` (n,), out of the lattice's reach, take the weights of `leader` (n,).
+    `shares` (V, K) how its weight is divided among several. Vertices `follower` (n,), out of the lattice's
+    reach, take the weights of `leader` (n,).
     """
 
     lattice: Lattice
@@ -215,10 +209,8 @@ def _cells(
 
 
 def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray, IntArray, PlanStep]:
-    """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan.
-
-    A handle lies in the middle of its key points; those whose cells touch become one, the nearest first.
-    """
+    """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan."""
+    # A handle lies in the middle of its key points; those whose cells touch become one, the nearest first.
     groups = [[k] for k in range(len(handles))]
     while True:
         middles = np.array([handles[group].mean(0) for group in groups])

@@ -187,7 +187,6 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     ]
 
     def laid(current: FloatArray) -> tuple[FloatArray, float]:
-        """The typical key points laid on the known ones, and how far they are off."""
         seen = np.isfinite(current).all(1)
         placed = transform_points(procrustes(typical[seen], current[seen], scale=True), typical)
         return placed, float(np.nansum((placed - current) ** 2))

@@ -18,19 +18,17 @@ class SparseCholesky:
     """L L^T = A for a symmetric positive definite (N, N) A, and for A with rows and columns taken out.
 
     The multifrontal method [1]_: columns with one pattern form a supernode, a small dense matrix that hands
-    its remainder to its parent in the elimination tree. Order, tree and patterns depend on A's pattern alone;
-    `refill` repeats only the dense work, where cholespy works out everything anew (four to five times as slow
-    for 20 key points). `matrix` holds both triangles.
+    its remainder to its parent in the elimination tree. `refill` repeats only the dense work, where cholespy
+    works out everything anew (four to five times as slow for 20 key points). `matrix` holds both triangles.
 
     .. [1] J. W. H. Liu, "The multifrontal method for sparse matrix solution: theory and practice",
        SIAM Review 34(1), 1992.
     """
 
     def __init__(self, matrix: sparse.csr_matrix) -> None:
+        # The rows of A (N,) as they are eliminated, and A in that order.
         self.order, lower = _elimination(matrix)
-        """(N,) the row of A that is eliminated first, second, ..."""
         self.matrix = _permuted(matrix, self.order)
-        """A in that order."""
         starts, rows = lower.indptr.astype(np.int64), lower.indices.astype(np.int64)
         self._first = _supernodes(starts, rows)
         self._rows, self._row_start, self._children, self._room = _fronts(self._first, starts, rows)
@@ -88,10 +86,7 @@ def _permuted(matrix: sparse.csr_matrix, order: IntArray) -> sparse.csr_matrix:
 
 @njit(cache=True)
 def _supernodes(starts, rows):  # type: ignore[no-untyped-def]
-    """Return (S + 1,) first columns of the supernodes, and N, of L's pattern below the diagonal.
-
-    A column joins the one before it when it is its parent and that adds few zeros.
-    """
+    """Return (S + 1,) first columns of the supernodes, and N: runs of parents that add few zeros."""
     count = len(starts) - 1
     first = np.zeros(count + 1, np.int64)
     found, true_entries = 1, starts[1] + 1
@@ -142,10 +137,7 @@ def _fronts(first, starts, column_rows):  # type: ignore[no-untyped-def]
 def _factor(  # type: ignore[no-untyped-def]
     starts, columns, values, held, first, rows, row_start, children, block_start, blocks, work, stack
 ):
-    """Fill `blocks`; return False where a pivot is not positive.
-
-    `work` holds one front, column after column; its remainder waits on `stack` for the parent.
-    """
+    """Fill `blocks`; return False where a pivot is not positive. Remainders wait on `stack` for parents."""
     nodes, top, depth = len(first) - 1, 0, 0
     place, local = np.empty(first[-1], np.int64), np.empty(len(work), np.int64)
     waiting = np.empty(nodes, np.int64)

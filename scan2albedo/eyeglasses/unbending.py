@@ -79,8 +79,7 @@ def front_halves(
 ) -> FrontHalves | None:
     """Return how the halves of a frame's front lie; None where too few key points (20, 3) mirror each other.
 
-    Key points lay the mirror image of the right rim on the left rim; then the surfaces do, by iterated
-    closest points.
+    Key points, then surfaces (iterated closest points) lay the mirrored right rim on the left one.
     """
     reflection = _reflection(points)
     if reflection is None:

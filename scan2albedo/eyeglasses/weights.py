@@ -137,9 +137,8 @@ def solve_weights(
     The handle of a key point is its cell, whose eight nodes hold 1 for it and 0 for the others: otherwise
     trilinear interpolation would stay below 1 there. Key points closer together than two spacings share one
     handle in their middle; its weight is divided among them by the inverse squares of their distances. A part
-    farther than 5 % of the size from all parts with a key point moves as one piece.
-
-    Cost: a factorisation of the lattice's matrix a step, 5 to 10 steps a handle.
+    farther than 5 % of the size from all parts with a key point moves as one piece. Cost: a factorisation of
+    the lattice's matrix a step, 5 to 10 steps a handle.
     """
     if meter is None:
         meter = Meter("eyeglasses.weights", "scaled KKT residual", Budget.of(budget), on_progress)

@@ -68,10 +68,8 @@ def insert_lens(
     """Return the lens that fills one rim of a frame, whose key points are needed; lengths in mm.
 
     The optical `center` (3,) is moved into the lens plane along its normal; the outline's centroid when
-    omitted. Points of the outline that were measured move `seat_mm` outward, into the rim.
-
-    Raises EyeglassesError, naming the lens, when key points are missing, no rim is found, or its size is not
-    a lens's in mm.
+    omitted. Points of the outline that were measured move `seat_mm` outward, into the rim. Raises
+    EyeglassesError, naming the lens, when key points are missing or no rim of a lens's size is found.
     """
     marks = rim_key_points(keypoints, side)
     top, bridge, inner, bottom, outer = marks

@@ -131,11 +131,10 @@ class LensMaterial:
     dioptres: float = 0.0
     """1/m, the optician's sign: negative for the shortsighted, 0 is plane."""
     tint_linear: ArrayLike = (0.0, 0.0, 0.0)
-    """(3,) linear colour of the glass."""
     alpha: float = 0.0
-    """Share of the tint."""
     beta: float = 0.0
-    """Share of the reflection; with `fresnel`, at right angles. alpha + beta is at most 1."""
+    """Shares of the tint (`alpha`), of colour `tint_linear` (3,), and of the reflection, with `fresnel` at
+    right angles; together at most 1."""
     front_radius_mm: float = 130.0
     """Of the sphere that mirrors; 130 mm is a usual front of 4 D, infinity a flat one."""
     fresnel: bool = False

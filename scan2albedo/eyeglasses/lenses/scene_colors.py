@@ -234,8 +234,7 @@ class PhotographedScene:
     """A linear photograph (H, W, 3) as the source of colours: points are looked up where the camera saw them.
 
     Points that were not seen take the colour of the nearest one of their surface among the pixels of
-    `region`, or their albedo where there is none. Nothing is taken from `fringe_px` pixels around the frame
-    and of the background around surfaces. Mirrors show the environment (H, W, 3) where they show no surface.
+    `region`, or their albedo where there is none. Nothing is taken from `fringe_px` pixels on fringes.
     """
 
     def __init__(

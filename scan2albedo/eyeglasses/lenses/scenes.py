@@ -185,8 +185,7 @@ def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
 def white_exposure(environment_linear: FloatArray, front: FloatArray) -> float:
     """Return the factor that shows a matte white plate facing `front` (3,) as `WHITE_SHOWN` of white.
 
-    Nothing hides the plate, so that an environment (H, W, 3) has one exposure for all cameras. It is no
-    darker than a plate on average over all directions; 1 in the dark.
+    It gets at least what a plate of any direction gets on average from the environment; 1 in the dark.
     """
     rows, columns = environment_linear.shape[:2]
     light = environment_linear.mean(2) * texel_solid_angles(rows, columns)[:, None]

@@ -290,9 +290,7 @@ def _normal_sums(  # type: ignore[no-untyped-def]
 ):
     """Return gradient (S,) and matrix (S, S), S = 6 + 6 K, of sum of vote value^2 / 2 over N points.
 
-    Derivatives are by the frame's turn and translation, by the key points' shifts at fixed turns of the
-    handles, and by these turns. Points are `rest` (N, 3) at rest and `positions` (N, 3) in the world, where
-    `slopes` (N, 3) are the values' derivatives.
+    Derivatives are by turn and translation, by the shifts at fixed turns of the handles, and by these turns.
     """
     count, handles = weights.shape
     size = 6 + 6 * handles

@@ -150,10 +150,9 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
 
 @dataclass(frozen=True)
 class Outline:
-    """Pixels of a mask that touch the outside, and the surface points at their centres.
+    """Pixels (N, 2) of a mask that touch the outside, and the surface points at their centres.
 
-    `pixels` (N, 2) are column and row, `face` (N,) and `barycentric` (N, 3) the points, `outward` (N, 2)
-    unit vectors away from the mask.
+    `face` (N,) and `barycentric` (N, 3) are the points, `outward` (N, 2) unit vectors away from the mask.
     """
 
     pixels: IntArray

@@ -99,11 +99,10 @@ def register_on_face(
 
     Notes
     -----
-    What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`. Deviations hold for
-    a mesh of the frame itself, true to about a percent. They count labels that miss the key point alike in
-    all views (0.5 mm) and masks that are too wide or too narrow throughout (1 px). Masks that contradict good
-    labels are left aside. Li et al. (supplement, equation S3) minimise a rendered segmentation with Adam in
-    some thousand renderings; this takes about a hundred evaluations.
+    Deviations hold for a mesh of the frame itself, true to about a percent. They count labels that miss the
+    key point alike in all views (0.5 mm) and masks that are too wide or too narrow throughout (1 px). Masks
+    that contradict good labels are left aside. Li et al. (supplement, equation S3) minimise a rendered
+    segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
 
     Examples
     --------
@@ -124,7 +123,7 @@ def register_on_face(
 
 
 class _Registration:
-    """One registration: what its stages share. Raises EyeglassesError when weights cannot be solved."""
+    """One registration: what its stages share."""
 
     def __init__(self, given: RegistrationInputs, options: FaceRegistrationOptions, meter: Meter) -> None:
         self.given, self.options, self.meter = given, options, meter

@@ -193,7 +193,6 @@ def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Lineariz
 
 
 def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) -> BoolArray:
-    """Return (N,) True for points in the picture that the head does not hide."""
     pixels, depth = project(view.camera, points)
     inside = depth > 0
     if view.shape is not None:

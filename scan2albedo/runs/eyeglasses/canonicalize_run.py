@@ -121,8 +121,7 @@ def canonicalize_frames(
 ) -> CanonicalFiles:
     """Take poses and bends away; frames go where their mean lies, or an earlier `mean_keypoints.json`.
 
-    New failures are added to `failures` of reading. Raises EyeglassesError when no frame can be done, or
-    `mean` cannot be read.
+    Adds to the `failures`. Raises EyeglassesError when no frame can be done, or `mean` cannot be read.
     """
     begun, spend, mean_mm = time.perf_counter(), Budget.of(budget), None
     if mean is not None:

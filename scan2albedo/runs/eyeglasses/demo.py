@@ -176,8 +176,7 @@ def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
 def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
     """Write the data of a wearer into ``out / INPUT`` and return what `read_registration` reads there.
 
-    Raises OutputError, naming folder and cause, also where another file is in the way: neither the same nor
-    listed by the record in `out`.
+    Raises OutputError, naming folder and cause, also where a file that no run wrote is in the way.
     """
     folder, glasses = out / INPUT, person.glasses
     _, height, width = person.masks.shape

@@ -33,12 +33,7 @@ from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan, load_scan_with
 from scan2albedo.io.records import Record
 from scan2albedo.io.result_records import SHA256
-from scan2albedo.io.units import (
-    MM_PER_UNIT,
-    PLAUSIBLE_GLASSES_MM,
-    check_unit,
-    glasses_millimetres_per_unit,
-)
+from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_GLASSES_MM, check_unit, glasses_millimetres_per_unit
 
 if TYPE_CHECKING:
     from scan2albedo.io.parsed_mesh import ParsedMesh
@@ -84,8 +79,7 @@ class GlassesInput:
     """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm.
 
     `files` are named "mesh", "cameras", "mask <camera>", "picture <camera>" and others; `labels` (C, 20, 2)
-    are pixels, NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` (H, W, 3), one a
-    camera, and `environment` (H, W, 3) are linear.
+    are NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` and `environment` are linear.
     """
 
     frame: GlassesFrame
@@ -115,8 +109,7 @@ def read_frame(
 
     The mesh's unit "auto" is the one in which the key points lie on it, when their file states their own;
     otherwise the size of glasses decides, in proportion to `widths_mm`. Raises EyeglassesError or ScanError,
-    naming the file, when one cannot be read or the size is that of no glasses; ValueError for an unknown
-    unit.
+    naming the file, when one cannot be read or has another size; ValueError for an unknown unit.
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
@@ -170,8 +163,8 @@ def read_registration(
 
     `mesh` has key points beside it, or is a `canonical.npz`; `masks` is a folder of masks named after the
     cameras, `head` a mesh in the cameras' frame, `start` a pose or a `registered.npz`; the unit is that of
-    the mesh. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or they do not
-    belong together; ValueError for an unknown unit, or key points that the frame already has.
+    the mesh. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit;
+    ValueError for an unknown unit, or key points that the frame already has.
     """
     views = read_cameras(cameras)
     files = {"cameras": _hashed(cameras), "labels": _hashed(labels)}
@@ -311,8 +304,7 @@ def material_pair(
 ) -> tuple[LensMaterial, LensMaterial]:
     """Return the left and the right lens of the command's options.
 
-    Raises ValueError when a text is not a number or holds too many or too few, EyeglassesError when one is
-    out of range.
+    Raises ValueError for a text that is not as many numbers, EyeglassesError for one out of range.
     """
     powers = numbers("--dioptres", dioptres, 1, 2)
     glass = _SUNGLASSES
