@@ -180,9 +180,8 @@ def checked_inputs(
         checked.append(mask)
     skull = None
     if head is not None:
-        points, index = checked_mesh(
-            *((head.vertices, head.faces) if hasattr(head, "vertices") else head), "the head"
-        )
+        points, index = (head.vertices, head.faces) if hasattr(head, "vertices") else head
+        points, index = checked_mesh(points, index, "the head")
         skull = points / unit, index
     pose = None
     if start is not None:
