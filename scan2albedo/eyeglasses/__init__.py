@@ -1,7 +1,7 @@
 """Eyeglasses, after the supplement of Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023.
 
-S2, canonical frames: `weights` (bounded biharmonic), `skinning` (linear blend), `canonicalization`. S3,
-registration on the face: `on_face`. S11 to S15, lenses: `lenses`. Files: `frame_files`, `view_files`.
+S2: `canonicalization`, with `weights` and `skinning`. S3, registration on the face: `on_face`. S11 to S15:
+`lenses`. Files: `frame_files`, `view_files`.
 """
 
 from scan2albedo.eyeglasses.canonicalization import (
@@ -40,16 +40,8 @@ from scan2albedo.eyeglasses.view_files import (
     write_labels,
     write_masks,
 )
-from scan2albedo.eyeglasses.weights import (
-    BoundedBiharmonicWeights,
-    bounded_biharmonic_weights,
-    solve_weights,
-)
-from scan2albedo.lighting.environment import (
-    DistantLights,
-    distant_directions,
-    environment_weights,
-)
+from scan2albedo.eyeglasses.weights import BoundedBiharmonicWeights, bounded_biharmonic_weights, solve_weights
+from scan2albedo.lighting.environment import DistantLights, distant_directions, environment_weights
 
 __all__ = [
     "KEY_POINT_NAMES",

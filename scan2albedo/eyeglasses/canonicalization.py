@@ -21,7 +21,6 @@ from scan2albedo.eyeglasses.keypoints import (
 from scan2albedo.eyeglasses.mean_keypoints import (
     BEHIND,
     WIDTHS_MM,
-    MeanKeyPoints,
     align_key_points,
     front_width,
     fullest,
@@ -46,11 +45,9 @@ class CanonicalizationOptions:
     """Settings of `canonicalize`."""
 
     mode: CanonicalMode = "unbend"
-    """"unbend": pose and bend go, the frame's own shape and sizes stay. "mean" (the paper's S2): all key
-    points go to the mean's, which gives every frame the proportions of the mean."""
+    """"unbend": the frame's own shape and sizes stay. "mean" (the paper's S2): it takes the mean's."""
     handles: Literal["turned", "translated"] = "turned"
-    """In "mean": whether key points turn their surroundings as the skeleton turns, or only shift them (the
-    paper's)."""
+    """In "mean": whether key points turn their surroundings, or only shift them (the paper's)."""
     widths_mm: tuple[float, float] = WIDTHS_MM
     """Least and greatest width of a front; a frame that no decimal unit brings between them is refused."""
     skip_failed: bool = False
@@ -61,29 +58,26 @@ class CanonicalizationOptions:
 class CanonicalEyeglasses:
     """A frame in canonical pose and shape, and the way there and back; see `canonicalize`.
 
-    `vertices` (V, 3) and `faces` (F, 3) are its mesh, `weights` (V, 20) zero for key points that it lacks.
+    `vertices` (V, 3) and `faces` (F, 3) are its mesh, `weights` (V, 20) zero for key points that it lacks,
+    which are NaN in `keypoints` (20, 3): canonical ones, its own, unbent, or in mode "mean" the mean's.
+    `canonical_from_frame` (4, 4) is rigid, after the factor `scale`, 1 unless units differ.
     """
 
     vertices: FloatArray
     faces: IntArray
     weights: FloatArray
     keypoints: FloatArray
-    """(20, 3) canonical, those of `vertices`, `faces` and `weights`: its own, unbent, or in mode "mean" the
-    mean's; NaN where the frame lacks them."""
     canonical_from_frame: FloatArray
-    """(4, 4) rigid, after `scale`."""
     scale: float
-    """Factor on the frame's coordinates before anything else; 1 unless units differ."""
     handle_transforms: FloatArray
     """(20, 4, 4) from the frame as given to canonical space, scale and rigid part included."""
     residual: float
     """Root mean square distance of the key points from `keypoints` after the rigid part: how bent it was."""
     unbent: bool
-    """Whether it keeps its own shape and sizes (mode "unbend"); False: its key points are the mean's."""
+    """Whether it keeps its own shape and sizes (mode "unbend")."""
     converged: bool
-    """Whether its weights converged, or were given."""
     plan: Plan
-    """How its weights were found and its bend taken away."""
+    """How its weights were found, whether they `converged` or were given, and its bend was taken away."""
 
     def apply(self, vertices: ArrayLike) -> FloatArray:
         """Return the frame's vertices (V, 3), as given or edited, in canonical space."""
@@ -92,8 +86,7 @@ class CanonicalEyeglasses:
     def uncanonicalize(self, vertices: ArrayLike) -> FloatArray:
         """Return canonical vertices (V, 3), edited or not, back in the frame's pose, bend and unit.
 
-        The exact inverse of `apply`: each vertex's own blended affine map, inverted. Raises ValueError when
-        there are not as many vertices as weights.
+        The exact inverse of `apply`. Raises ValueError when there are not as many vertices as weights.
         """
         xyz = np.asarray(vertices, np.float64)
         if xyz.shape != (len(self.weights), 3):
@@ -105,10 +98,9 @@ class CanonicalEyeglasses:
 
 @dataclass(frozen=True)
 class CanonicalSet:
-    """Frames on common ground; see `canonicalize`."""
+    """`frames` on common ground, in the order of the meshes; see `canonicalize`."""
 
     frames: tuple[CanonicalEyeglasses, ...]
-    """In the order of the meshes given."""
     mean_keypoints: FloatArray
     """(20, 3) in the frames' unit; unless given, x to the wearer's left, z to the front, centroid at 0."""
     converged: bool
@@ -118,13 +110,11 @@ class CanonicalSet:
     numbers: tuple[int, ...]
     """Of each of the `frames` among the meshes given: all, unless some failed."""
     failures: Mapping[int, str]
-    """Why, for each mesh that was left out; empty unless `CanonicalizationOptions.skip_failed`."""
     outliers: Mapping[int, str]
-    """What is unusual about a mesh, by its number: its width or key points, in sets of four or more."""
+    """By the number of a mesh, why it was left out (`failures`) or what is unusual about it."""
     plan: Plan
-    """What ran and what was left out; the steps of a frame say its number."""
     trace: Trace
-    """Weights of each frame, then the mean."""
+    """`plan` and `trace` hold the steps of each frame, by number, then those of the set."""
 
 
 def canonicalize(
@@ -141,13 +131,10 @@ def canonicalize(
     """Return frames without pose and bend, in their own shape or in the proportions of their mean.
 
     Each frame is aligned rigidly to the mean, then its key points p are moved to targets x and the surface
-    follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k).
-
-    Mode "unbend": the targets are the frame's own. Its halves are laid on each other and each moved half the
-    way, so that rims, bridge and temples move rigidly and come to mirror each other. A bend common to both
-    sides cannot be seen in the frame and remains. Mode "mean" (equation S2): the targets are the mean's key
-    points and R_k the skeleton's turn at each, or 1 for v' = v + W (x - p). Every bend goes, and rims and
-    temples take the mean's widths, heights and lengths.
+    follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k). In mode
+    "unbend" each half of the frame is moved half the way to the other, which leaves a bend that both sides
+    share. In mode "mean" (equation S2) the targets are the mean's key points and R_k the skeleton's turn at
+    each, or 1 for v' = v + W (x - p): rims and temples take the mean's widths, heights and lengths.
 
     Parameters
     ----------
@@ -171,17 +158,15 @@ def canonicalize(
     Raises
     ------
     EyeglassesError
-        When there is no frame, key points do not fix a pose, a front is not as wide as that of spectacles, or
-        weights cannot be solved; names the frame.
+        When there is no frame; or, named, one without a pose, of another width, or without weights.
     ValueError
         When shapes do not fit together.
 
     Notes
     -----
-    Equation S2 of Li et al., read literally, collapses the frame; the case R_k = 1 is what it must mean.
-    Shifts alone flatten a bend between key points, where turning ones halve the error. The width of the
-    front, 110 to 170 mm, tells a frame's unit. Frames of different units are brought to that of the mean that
-    is given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
+    Equation S2 of Li et al., read literally, collapses the frame; R_k = 1 is what it must mean, and turns
+    halve its error. The width of the front, 110 to 170 mm, tells a frame's unit. Frames of different units
+    are brought to that of the mean given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
 
     Examples
     --------
@@ -195,7 +180,23 @@ def canonicalize(
     if options.mode == "unbend" and options.handles != "turned":
         raise ValueError('handles="translated" is for mode="mean": shifts alone would bend the rims')
     meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
-    given = _checked_frames(meshes, keypoints, weights)
+    if len(meshes) == 0:
+        raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
+    for name, values in (("keypoints", keypoints), ("weights", weights)):
+        if values is not None and len(values) != len(meshes):
+            raise ValueError(
+                f"{name} must have one entry for each of {len(meshes)} meshes, got {len(values)}"
+            )
+    given = []
+    for i, mesh in enumerate(meshes):
+        vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
+        xyz = np.asarray(vertices, np.float64)
+        shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
+        for name, array in (("vertices", xyz), ("weights", shares)):
+            if array is not None and not np.isfinite(array).all():
+                raise ValueError(f"frame {i}: {name} hold NaN or infinity; repair the frame or leave it out")
+        index, marks = np.asarray(faces, np.int64), checked_keypoints(f"keypoints {i}", keypoints[i])
+        given.append(_Frame(i, getattr(mesh, "name", None), xyz, index, marks, shares))
     reference, common = None, None
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
@@ -208,13 +209,12 @@ def canonicalize(
     scales = unit_factors([f.unit_exponent for f in frames], common)
     points = [scale * f.points for scale, f in zip(scales, frames, strict=True)]
     widths = scales * [f.width for f in frames]
-    if reference is not None:
-        mean = MeanKeyPoints(reference, True, 0)
-    else:
+    mean, settled, rounds = reference, True, 0
+    if mean is None:
         own = meter.sub_meter("eyeglasses.mean", "bones")
-        mean = mean_key_points(points, own)
+        mean, settled, rounds = mean_key_points(points, own)
         meter.merge(own)
-    place = mean.points
+    place = mean
     if options.mode == "unbend":
         place = symmetric_key_points(place)
         place = in_own_axes(place) if reference is None else place
@@ -249,15 +249,14 @@ def canonicalize(
     if bare := [names[f.number] for f in frames if np.isnan(f.points[BEHIND]).any(1).all()]:
         reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
         rows.append(PlanStep.doubt("eyeglasses.sides", reason))
-    rounds = f"{mean.iterations} round{'s' if mean.iterations != 1 else ''}"
-    evidence = f"{'' if mean.converged else 'not '}settled after {rounds}"
+    evidence = f"{'' if settled else 'not '}settled after {rounds} round{'s' if rounds != 1 else ''}"
     found = PlanStep("eyeglasses.mean", True, f"mean of {count}", evidence)
     rows.append(found if reference is None else PlanStep("eyeglasses.mean", False, "given"))
     return CanonicalSet(
         frames=tuple(done),
-        mean_keypoints=mean.points,
-        converged=mean.converged and all(frame.converged for frame in done),
-        iterations=mean.iterations,
+        mean_keypoints=mean,
+        converged=settled and all(frame.converged for frame in done),
+        iterations=rounds,
         numbers=tuple(f.number for f in frames),
         failures=failures,
         outliers=unusual,
@@ -268,11 +267,7 @@ def canonicalize(
 
 @dataclass(frozen=True)
 class _Frame:
-    """A mesh with its key points (20, 3), NaN for missing ones, in the mesh's unit.
-
-    `weights` (V, 20), zero for missing key points, are None until they are solved; coordinates times ten to
-    `unit_exponent` are in mm; `width` is that of `front_width`.
-    """
+    """A mesh with its key points (20, 3) in its unit; its coordinates times ten to `unit_exponent` are mm."""
 
     number: int
     name: str | None
@@ -286,27 +281,6 @@ class _Frame:
     width: float = np.nan
 
 
-def _checked_frames(
-    meshes: Sequence[Any], keypoints: Sequence[ArrayLike], weights: Sequence[ArrayLike] | None
-) -> list[_Frame]:
-    if len(meshes) == 0:
-        raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
-    for name, given in (("keypoints", keypoints), ("weights", weights)):
-        if given is not None and len(given) != len(meshes):
-            raise ValueError(f"{name} must have one entry for each of {len(meshes)} meshes, got {len(given)}")
-    frames = []
-    for i, (mesh, points) in enumerate(zip(meshes, keypoints, strict=True)):
-        vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-        xyz = np.asarray(vertices, np.float64)
-        shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
-        for name, array in (("vertices", xyz), ("weights", shares)):
-            if array is not None and not np.isfinite(array).all():
-                raise ValueError(f"frame {i}: {name} hold NaN or infinity; repair the frame or leave it out")
-        index, marks = np.asarray(faces, np.int64), checked_keypoints(f"keypoints {i}", points)
-        frames.append(_Frame(i, getattr(mesh, "name", None), xyz, index, marks, shares))
-    return frames
-
-
 def _weighted(
     frames: list[_Frame],
     reference: FloatArray | None,
@@ -314,10 +288,7 @@ def _weighted(
     options: CanonicalizationOptions,
     meter: Meter,
 ) -> tuple[list[_Frame], dict[int, str]]:
-    """Return the frames with their weights and, with `skip_failed`, why others are left out.
-
-    Key points that `reference` (20, 3) lacks do not count. Frames share the meter's budget evenly.
-    """
+    """Return the frames with their weights and, with `skip_failed`, why others are left out."""
     anchor = fullest([frame.points for frame in frames]) if reference is None else reference
     done: list[_Frame] = []
     failures: dict[int, str] = {}
@@ -325,6 +296,7 @@ def _weighted(
     for i, frame in enumerate(frames):
         called = f"frame {frame.number}{f', {frame.name}' if frame.name else ''}"
         try:
+            # Key points that the reference lacks do not count.
             shared = np.where(np.isfinite(anchor), frame.points, np.nan)
             require_posable(shared)
             width = front_width(frame.points, frame.vertices)

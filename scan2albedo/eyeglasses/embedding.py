@@ -14,13 +14,7 @@ from scipy.spatial.distance import pdist, squareform
 from scan2albedo.core import Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.lattice import (
-    Lattice,
-    enclosed_cells,
-    join_parts,
-    surface_cells,
-    unique_cells,
-)
+from scan2albedo.eyeglasses.lattice import Lattice, enclosed_cells, join_parts, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_components
 from scan2albedo.geometry.rays import RayCaster
@@ -28,8 +22,7 @@ from scan2albedo.geometry.rays import RayCaster
 MAX_NODES = 10_000
 """Lattice nodes that the automatic spacing may use."""
 _COARSEST = 1 / 40
-"""Largest automatic spacing as a part of the size (the diagonal of the key points' box, or the mesh's for a
-single one)."""
+"""Largest automatic spacing as a part of the size, the diagonal of the key points' box."""
 _REACH = 0.05
 """Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
 _THIN_PART = 0.1
@@ -42,12 +35,11 @@ _SKIN = 1e-5
 
 @dataclass(frozen=True)
 class Embedding:
-    """The lattice of a mesh; `spacing` is in the mesh's unit.
+    """The lattice of a mesh; `spacing` is in the mesh's unit, `interpolation` (V, N) goes from the nodes.
 
-    `handle_cells` (H, 3) are cells of the `lattice`, one a handle. `handle` (K,) is that of each key point,
-    which those too close together share, `shares` (V, K) how its weight is divided among them.
-    `interpolation` (V, N) takes node values to the vertices. Vertices `follower` (n,) take the weights of
-    `leader` (n,): their parts are out of the lattice's reach.
+    `handle_cells` (H, 3) are cells of the `lattice`, one a handle, `handle` (K,) is that of each key point,
+    `shares` (V, K) how its weight is divided among several. Vertices `follower` (n,), out of the lattice's
+    reach, take the weights of `leader` (n,).
     """
 
     lattice: Lattice
@@ -73,8 +65,7 @@ def embed(
 ) -> Embedding:
     """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`.
 
-    `finest` is the least automatic spacing as a part of the size: a finer lattice changes deformations less
-    than a scan's noise.
+    `finest` is the least automatic spacing as a part of the size.
     """
     called = names or [str(k) for k in range(len(handles))]
     corners = vertices[faces.ravel()]
@@ -144,32 +135,19 @@ def embed(
         nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
         nearness[square == 0] = 1.0
         shares[:, group] = nearness / nearness.sum(1, keepdims=True)
-    return Embedding(
-        lattice=lattice,
-        handle_cells=owners,
-        handle=handle,
-        shares=shares,
-        interpolation=lattice.interpolation(local),
-        spacing=used,
-        follower=follower,
-        leader=leader,
-        plan=Plan((step, left_out, merged)),
-    )
+    interpolation, plan = lattice.interpolation(local), Plan((step, left_out, merged))
+    return Embedding(lattice, owners, handle, shares, interpolation, used, follower, leader, plan)
 
 
 def _distances(places: FloatArray, metric: str) -> FloatArray:
-    """Return (K, K) distances of places (K, 3), infinite from each to itself."""
     apart = squareform(pdist(places, metric)) if len(places) > 1 else np.zeros((1, 1))
     np.fill_diagonal(apart, np.inf)
     return np.asarray(apart)
 
 
 def _origin(low: FloatArray, spacing: float) -> FloatArray:
-    """Return the corner (3,) of the lattice around what begins at `low` (3,).
-
-    2 - golden ratio cells lie between: flat sides and regular grids do not lie on the lattice's planes, where
-    rounding would decide which cell they touch.
-    """
+    """Return the corner (3,) of the lattice around what begins at `low` (3,)."""
+    # 2 - golden ratio cells lie between: on the lattice's planes rounding would decide about flat sides.
     return low - (3 - np.sqrt(5)) / 2 * spacing
 
 
@@ -182,13 +160,9 @@ def _automatic(
     max_nodes: int,
     finest: float,
 ) -> tuple[float, IntArray, PlanStep]:
-    """Return a spacing as fine as thin parts and key points ask for, its cells (C, 3), the step of the plan.
-
-    The size is divided into a whole number of parts: rounding in another unit does not change the lattice.
-    """
+    """Return a spacing as fine as thin parts and key points ask for, its cells (C, 3), the plan's step."""
     # The thickness that a tenth of the surface's area stays below, measured across faces on the side where
-    # the mesh is met first: winding does not matter, a narrow gap counts like a thin part. Infinite where
-    # nothing is met.
+    # the mesh is met first; infinite where nothing is met.
     thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
     if area[-1] > 0:
         chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
@@ -235,11 +209,8 @@ def _cells(
 
 
 def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray, IntArray, PlanStep]:
-    """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan.
-
-    Of key points (K, 3) in spacings. A handle lies in the middle of its key points. Those whose cells touch
-    become one, the nearest first.
-    """
+    """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan."""
+    # A handle lies in the middle of its key points; those whose cells touch become one, the nearest first.
     groups = [[k] for k in range(len(handles))]
     while True:
         middles = np.array([handles[group].mean(0) for group in groups])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -79,12 +79,7 @@ _SAME_SIDE = (
     ("rim_bridge", "rim_outer"),
     ("rim_bridge", "rim_inner"),
     ("rim_bridge", "rim_bottom"),
-    ("hinge", "temple_middle"),
-    ("hinge", "ear_bend"),
-    ("hinge", "temple_tip"),
-    ("temple_middle", "ear_bend"),
-    ("temple_middle", "temple_tip"),
-    ("ear_bend", "temple_tip"),
+    *itertools.combinations(("hinge", "temple_middle", "ear_bend", "temple_tip"), 2),
 )
 """Key points of one side whose names are exchanged at times."""
 _LIKE_GLASSES = 0.1
@@ -94,10 +89,7 @@ _LIKE_GLASSES = 0.1
 def read_json(
     path: str | Path, kind: type[Content], what: str, *, writer: str, schema: str, hint: str = ""
 ) -> Content:
-    """Return the content of a file that the function `writer` wrote; errors call it `what`, name its schema.
-
-    A `hint` ends the errors' advice. Raises EyeglassesError when the file cannot be read or does not fit.
-    """
+    """Return the content of a file that the function `writer` wrote, or raise EyeglassesError with a hint."""
     advice = f"give a file that {writer} wrote (data_schemas/{schema}.schema.json){hint and '; ' + hint}"
     return read_record(path, kind, what=what, advice=advice, error=EyeglassesError)
 
@@ -134,8 +126,7 @@ def require_known_names(names: Iterable[str]) -> None:
 def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
     """Write key points (20, 3), in the order of `KEY_POINT_NAMES`, as JSON; rows with NaN as null.
 
-    Their `unit` is only noted in the file. Raises ValueError when the shape is another, OutputError when the
-    file cannot be written.
+    Their `unit` is only noted. Raises ValueError for another shape, OutputError when writing fails.
 
     Parameters
     ----------
@@ -149,24 +140,15 @@ def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKn
     write_record(path, KeyPointsFile(unit=unit, key_points=entries))
 
 
-@dataclass(frozen=True)
-class KeyPoints:
-    """Key points of a file: `points` (20, 3), NaN where one is missing, in `unit`."""
-
-    points: FloatArray
-    unit: LengthUnitIfKnown
-
-
 def read_keypoints(path: str | Path) -> FloatArray:
     """Return the key points (20, 3) of the file at `path` in its own unit, NaN where one is missing.
 
-    Raises EyeglassesError, naming the file, when it cannot be read or is not a key-point file, when it has
-    names of no key points, or when key points lie where others belong (names exchanged).
+    Raises EyeglassesError, naming the file, when it cannot be read, has unknown names, or names exchanged.
     """
-    return read_keypoints_with_unit(path).points
+    return read_keypoints_with_unit(path)[0]
 
 
-def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
+def read_keypoints_with_unit(path: str | Path) -> tuple[FloatArray, LengthUnitIfKnown]:
     """Return what `read_keypoints` does, and the unit that the file states."""
     entry = read_json(
         path,
@@ -183,15 +165,15 @@ def read_keypoints_with_unit(path: str | Path) -> KeyPoints:
             f"key points {path}: names seem exchanged: {exchanged}. `scan2albedo glasses key-points` "
             "shows where each belongs; temples must be open, not folded"
         )
-    return KeyPoints(points, entry.unit)
+    return points, entry.unit
 
 
 def exchanged_key_points(points: FloatArray) -> list[str]:
     """Return which names of key points (20, 3), NaN for missing ones, seem exchanged, as phrases.
 
     The exchange that brings the key points nearest to a typical frame, laid on them by a similarity, is made
-    first, then the next. It counts where one key point lies in the opposite direction of the typical one from
-    the other, at half the typical distance or more; of all left and right ones, where the residual halves.
+    first, then the next. It counts where the way from one to the other is opposite to the typical one and
+    half as long or more; of all left and right ones, where the residual halves.
     """
     known = np.asarray(np.isfinite(points).all(1))
     # Fewer place no frame.
@@ -205,7 +187,6 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     ]
 
     def laid(current: FloatArray) -> tuple[FloatArray, float]:
-        """The typical key points laid on the known ones, and how far they are off."""
         seen = np.isfinite(current).all(1)
         placed = transform_points(procrustes(typical[seen], current[seen], scale=True), typical)
         return placed, float(np.nansum((placed - current) ** 2))
@@ -235,16 +216,11 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
 
 def _write(path: str | Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> None:
     what, layout = _KINDS[type(frame)]
-    write_npz(
-        path,
-        {name: np.asarray(getattr(frame, name)) for name in layout},
-        what=f"{what} frame",
-        compression=6,
-    )
+    arrays = {name: np.asarray(getattr(frame, name)) for name in layout}
+    write_npz(path, arrays, what=f"{what} frame", compression=6)
 
 
 def _read(path: str | Path, kind: type[Any]) -> Any:
-    """Return a frame of a kind that `_write` wrote."""
     usual, layout = _KINDS[kind]
     what = f"{usual} frame"
     arrays = read_npz(path, layout, what=what, advice=f"give a {usual}.npz", error=EyeglassesError)
@@ -288,10 +264,7 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
 
 
 def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
-    """Write a `frame` that `register_on_face` placed at `path`, without its plan and trace.
-
-    As `write_canonical`.
-    """
+    """Write a `frame` that `register_on_face` placed at `path`, as `write_canonical`, without its trace."""
     _write(path, frame)
 
 
@@ -331,7 +304,7 @@ class StartFile(Record):
 def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUnit = "mm") -> None:
     """Write a rigid pose (4, 4) as JSON, atomically; the translation's `unit` is only noted in the file.
 
-    Raises ValueError when it is not a rigid transform, OutputError when the file cannot be written.
+    Raises ValueError when it is not rigid, OutputError when the file cannot be written.
 
     Parameters
     ----------

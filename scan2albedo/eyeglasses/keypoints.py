@@ -13,10 +13,9 @@ from scan2albedo.errors import EyeglassesError
 
 
 class KeyPointPlace(NamedTuple):
-    """Where a key point goes: of the frame's middle, or of each side (`name` without the side).
+    """Where a key point goes, those of a side once; `absent` says what to do if the frame has none.
 
-    `absent` says what to do if the frame has none, `typical_mm` where the left one is on a typical frame: x
-    to the wearer's left, y up, z to the front.
+    `typical_mm` is the left one's place on a typical frame: x to the wearer's left, y up, z to the front.
     """
 
     name: str
@@ -57,8 +56,7 @@ KEY_POINT_NAMES: tuple[str, ...] = (
     *(place.name for place in KEY_POINT_PLACES[:2]),
     *(f"{side}_{name}" for side in ("left", "right") for name in _SIDE),
 )
-"""Names in the order of all (20, 3) arrays. Left and right are the wearer's; `KEY_POINT_PLACES` says where
-they go."""
+"""Names in the order of all (20, 3) arrays. Left and right are the wearer's."""
 KEY_POINT_COUNT = len(KEY_POINT_NAMES)
 MIRROR: tuple[int, ...] = (0, 1, *range(11, 20), *range(2, 11))
 """Index of each key point's counterpart on the other side."""
@@ -92,8 +90,7 @@ def _tree() -> tuple[int, ...]:
 
 
 PARENTS: tuple[int, ...] = _tree()
-"""Each key point's parent in a tree of bones that hangs on the top of the bridge, whose own is -1: rims and
-bridge are circles, cut once each."""
+"""Each key point's parent in a tree of bones that hangs on the top of the bridge, whose own is -1."""
 
 
 def typical_key_points() -> FloatArray:

@@ -18,7 +18,7 @@ _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a]
 """The 12 edges of a cell as pairs of its corners."""
 _TIE = 1e-9
 """Cells below which rounding does not decide: a triangle this near to a cell touches it, and one whose height
-is this part of its length has no area (its corners still count)."""
+is this part of its length has no area."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
     """Return the symmetric positive semi-definite (N, N) Laplacian L in units of the spacing.
 
     (L u)_p = sum over neighbours q of a_pq (u_p - u_q), where a_pq is the part of the dual face between
-    p and q that lies in cells, 1 inside: the seven-point stencil with the natural boundary condition.
+    p and q that lies in cells, 1 inside.
     """
     ends = lattice.corners[:, np.array(_EDGES)].reshape(-1, 2)
     count = len(lattice.nodes)
@@ -108,8 +108,7 @@ def biharmonic_energy(lattice: Lattice) -> sparse.csr_matrix:
 def join_parts(cells: IntArray, reach: float) -> IntArray:
     """Return `cells` (C, 3) with the gaps of at most `reach` (in cells) between its parts bridged.
 
-    Parts are bridged along the minimum spanning forest of their distances, each by one straight chain of
-    cells between the nearest two. Parts farther away from all others stay apart.
+    Along the minimum spanning forest of their distances, by straight chains of cells between the nearest two.
     """
     label = Lattice.of_cells(cells).cell_components
     sizes = np.bincount(label)
@@ -145,8 +144,8 @@ def join_parts(cells: IntArray, reach: float) -> IntArray:
 def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
     """Return the unique cells (C, 3) that triangles (T, 3, 3) touch, None where they are far beyond `limit`.
 
-    Lengths are in lattice spacings; cell (i, j, k) is the closed cube [i, i + 1] x [j, j + 1] x [k, k + 1]
-    and the test is exact (separating axes). A triangle without area contributes the cells of its corners.
+    Lengths are in lattice spacings; cells are closed cubes, the test is exact (separating axes). A triangle
+    without area contributes the cells of its corners.
     """
     # Every cell is found by the few triangles that touch it; 64 times the limit is beyond any mesh's share.
     room = 64 * limit
@@ -174,10 +173,7 @@ def unique_cells(cells: IntArray) -> IntArray:
 
 
 def enclosed_cells(cells: IntArray) -> IntArray:
-    """Return the cells (E, 3) that `cells` (C, 3) enclose.
-
-    Holes smaller than a cell are closed; larger ones leave the part hollow, as do boxes of over 2^26 cells.
-    """
+    """Return the cells (E, 3) that `cells` (C, 3) enclose; none in boxes of over 2^26 cells."""
     low = cells.min(0) - 1
     shape = cells.max(0) - low + 2
     if float(np.prod(shape.astype(float))) > 2**26:

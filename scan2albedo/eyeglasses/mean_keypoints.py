@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -32,8 +31,8 @@ _DEVIATIONS = 6.0
 _TWO_BRIDGES = 0.07
 """Height of bridges, as a part of the front's width, above which they are taken for two: 10 mm of 140."""
 _LEAST = 0.04
-"""Distance of an outlier's key points from the median frame's, at least, as a part of the median width; its
-own width differs by four times as much."""
+"""Distance of an outlier's key points from the median frame's, as a part of the median width; its own width
+differs by four times as much."""
 BEHIND = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
 """(20,) True for the key points behind the hinges."""
 _LEFT = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
@@ -44,15 +43,6 @@ _TOPS, _BOTTOMS = (
 )
 """Numbers of the highest and the lowest key points of bridge and rims, in one order."""
 _MIRROR = np.array(MIRROR)
-
-
-@dataclass(frozen=True)
-class MeanKeyPoints:
-    """What `mean_key_points` found: `points` (20, 3), NaN where no frame has one."""
-
-    points: FloatArray
-    converged: bool
-    iterations: int
 
 
 def require_posable(points: FloatArray, owner: str = "") -> None:
@@ -75,16 +65,16 @@ def is_posable(seen: FloatArray) -> bool:
 
 
 def usual_size_factor(points: FloatArray) -> float:
-    """Return the factor that brings a frame's median bone to that of spectacles in mm."""
+    """Return the factor that brings a frame's median bone to 30 mm."""
     return _TYPICAL_BONE_MM / key_point_size(points)
 
 
-def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoints:
-    """Return the mean of frames' key points (20, 3), in one unit, NaN for missing ones.
+def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[FloatArray, bool, int]:
+    """Return the mean of frames' key points (20, 3), NaN for missing ones, whether it settled, and rounds.
 
     Alternates x_k = mean over frames of (R_i p_ik + t_i) and the rigid Procrustes transforms (R_i, t_i) of
-    each frame to x [1]_; sizes are kept. The mean lies in the glasses' own axes: x to the wearer's left, z to
-    the front, the centroid at 0. The meter records its change in lengths of the skeleton's median bone.
+    each frame to x [1]_. The mean lies in the glasses' own axes, the centroid at 0. The meter records its
+    change in lengths of the skeleton's median bone.
 
     .. [1] J. C. Gower, "Generalized Procrustes analysis", Psychometrika 40(1), 1975.
     """
@@ -105,7 +95,7 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> MeanKeyPoi
         mean = new
         meter.count()
         meter.record(change / size)
-    return MeanKeyPoints(in_own_axes(mean), settled, iteration)
+    return in_own_axes(mean), settled, iteration
 
 
 def fullest(keypoints: Sequence[FloatArray]) -> FloatArray:
@@ -154,8 +144,7 @@ def in_own_axes(points: FloatArray) -> FloatArray:
 def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float:
     """Return the width of the front of key points (20, 3): the greater of those at hinges and outer rims.
 
-    With the mesh's `vertices` (V, 3) it is that of those nearest to a key point of the front. NaN unless
-    hinges or outer rims are known on both sides.
+    With the mesh's `vertices` (V, 3), that of those nearest to one. NaN unless either pair is known.
     """
     apart = points[_LEFT_OUTER] - points[_MIRROR[_LEFT_OUTER]]
     lengths = np.linalg.norm(apart, axis=1)
@@ -172,9 +161,8 @@ def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float
 def unit_exponent(points: FloatArray, widths_mm: tuple[float, float], mesh_width: float | None = None) -> int:
     """Return k so that key points (20, 3) times 10^k are in mm, decided from the width of the front.
 
-    Without the mesh's (`front_width`), the width is that of the key points. Where it is not known, the median
-    length of the bones decides. Raises EyeglassesError when no power of ten makes the front as wide as that
-    of spectacles.
+    Without the mesh's (`front_width`), the width is that of the key points; else the bones' lengths decide.
+    Raises EyeglassesError when no power of ten makes the front as wide as that of spectacles.
     """
     width = front_width(points) if mesh_width is None else mesh_width
     low, high = widths_mm if mesh_width is not None else (_INSIDE * widths_mm[0], widths_mm[1])
@@ -191,11 +179,7 @@ def unit_exponent(points: FloatArray, widths_mm: tuple[float, float], mesh_width
 
 
 def unit_factors(exponents: Sequence[int], reference: int | None) -> FloatArray:
-    """Return (n,) powers of ten that bring frames to one unit; all 1 where they are in one.
-
-    `exponents` are those of `unit_exponent`. Frames go to the unit of a reference, if there is one,
-    otherwise to mm where their units differ.
-    """
+    """Return (n,) powers of ten that bring frames to one unit: the reference's, or mm where theirs differ."""
     common = reference if reference is not None else exponents[0] if len(set(exponents)) == 1 else 0
     return np.array([10.0 ** (k - common) if k >= common else 1 / 10.0 ** (common - k) for k in exponents])
 
@@ -203,8 +187,7 @@ def unit_factors(exponents: Sequence[int], reference: int | None) -> FloatArray:
 def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, str]:
     """Return what is unusual about frames of a set of four or more, by their place in it.
 
-    Key points (20, 3) and `widths` (n,) of the fronts, NaN where unknown, are in one unit. An outlier's
-    width, or the root mean square distance of its key points from the set's medians, is far from the median.
+    Key points (20, 3) and `widths` (n,) of the fronts, NaN where unknown, are in one unit.
     """
     if len(keypoints) < 4:
         return {}
@@ -241,8 +224,7 @@ def single_bridges(
 ) -> tuple[int, ...]:
     """Return the places of frames with one bridge, if others, or a mean given, have two; otherwise none.
 
-    Two are farther apart, from the top of the upper to the bottom of the lower one, than one is high. Key
-    points (20, 3), those of the `mean`, and `widths` (n,) of the fronts are in one unit.
+    Key points (20, 3), those of the `mean`, and `widths` (n,) of the fronts are in one unit.
     """
     found = np.array([np.linalg.norm(p[0] - p[1]) for p in keypoints]) / widths
     others = (

@@ -32,9 +32,7 @@ def skin(
 ) -> FloatArray | tuple[FloatArray, FloatArray]:
     """Return vertices moved by the weighted mean of affine transforms, v' = sum over k of w_k T_k v.
 
-    With `normals` a tuple of two is returned: vertices, and normals at unit length. Normals turn with the
-    inverse transpose of the mean's linear part, as if it were constant around the vertex: n' is parallel to
-    B^-T n, B = sum over k of w_k A_k.
+    With `normals`, vertices and unit normals are returned: n' is parallel to B^-T n, B = sum of w_k A_k.
 
     Parameters
     ----------
@@ -100,9 +98,8 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
 
         sum over bones (k, j) of b_kj a_kj^T + 0.1 mean_j R_j,
 
-    a and b the bones' unit directions before and after, by sweeps from R = 1 until they settle. A rigid
-    motion of all key points, or of one side, is met exactly by the first term and kept by the second. Key
-    points (K, 3) are in the order of `KEY_POINT_NAMES`; bones with NaN ends do not count.
+    a and b the bones' unit directions before and after, by sweeps from R = 1. Bones of key points (K, 3) with
+    NaN ends do not count.
     """
     bones = known_bones(source + target)
     k, j = bones.T
@@ -113,9 +110,8 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     turns[degree == 0] = np.eye(3)
     share = np.zeros((len(source), len(source)))
     share[k, j] = PRIOR / degree[k]
-    start = np.tile(np.eye(3), (len(source), 1, 1))
-    rotations = _settled_rotations(turns, share, start)
     result = np.tile(np.eye(4), (len(source), 1, 1))
+    rotations = _settled_rotations(turns, share, result[:, :3, :3])
     result[:, :3, :3] = rotations
     result[:, :3, 3] = target - np.einsum("kij,kj->ki", rotations, source)
     return result
@@ -180,7 +176,14 @@ def _turn_towards(m, r):  # type: ignore[no-untyped-def]
         angle = np.sqrt(x * x + y * y + z * z)
         if angle < 0.3:
             if angle > 0.0:
-                _turn(r, x / angle, y / angle, z / angle, angle)
+                x, y, z = x / angle, y / angle, z / angle
+                sine, cosine = np.sin(angle), np.cos(angle)
+                for j in range(3):
+                    a, b, c = r[0, j], r[1, j], r[2, j]
+                    along = (1 - cosine) * (x * a + y * b + z * c)
+                    r[0, j] = cosine * a + sine * (y * c - z * b) + along * x
+                    r[1, j] = cosine * b + sine * (z * a - x * c) + along * y
+                    r[2, j] = cosine * c + sine * (x * b - y * a) + along * z
             return angle
     u, _, vt = np.linalg.svd(m)
     if np.linalg.det(u @ vt) < 0:
@@ -189,15 +192,3 @@ def _turn_towards(m, r):  # type: ignore[no-untyped-def]
     change = np.abs(nearest - r).max()
     r[:] = nearest
     return change
-
-
-@njit(cache=True, nogil=True)
-def _turn(r, x, y, z, angle):  # type: ignore[no-untyped-def]
-    s, c = np.sin(angle), np.cos(angle)
-    t = 1 - c
-    for j in range(3):
-        a, b, d = r[0, j], r[1, j], r[2, j]
-        along = x * a + y * b + z * d
-        r[0, j] = c * a + s * (y * d - z * b) + t * along * x
-        r[1, j] = c * b + s * (z * a - x * d) + t * along * y
-        r[2, j] = c * d + s * (x * b - y * a) + t * along * z

@@ -17,21 +17,18 @@ _SPARE = 0.2
 class SparseCholesky:
     """L L^T = A for a symmetric positive definite (N, N) A, and for A with rows and columns taken out.
 
-    The multifrontal method [1]_: columns with one pattern form a supernode, which is factored as a small
-    dense matrix and hands its remainder over to its parent in the elimination tree. Order, tree and patterns
-    depend on A's pattern alone; only the dense work is repeated by `refill`. cholespy has no such step: it
-    works out everything anew, which makes the weights of 20 key points four to five times as slow, 1.4 times
-    the CPU of libigl's. `matrix` holds both triangles.
+    The multifrontal method [1]_: columns with one pattern form a supernode, a small dense matrix that hands
+    its remainder to its parent in the elimination tree. `refill` repeats only the dense work, where cholespy
+    works out everything anew (four to five times as slow for 20 key points). `matrix` holds both triangles.
 
     .. [1] J. W. H. Liu, "The multifrontal method for sparse matrix solution: theory and practice",
        SIAM Review 34(1), 1992.
     """
 
     def __init__(self, matrix: sparse.csr_matrix) -> None:
+        # The rows of A (N,) as they are eliminated, and A in that order.
         self.order, lower = _elimination(matrix)
-        """(N,) the row of A that is eliminated first, second, ..."""
         self.matrix = _permuted(matrix, self.order)
-        """A in that order."""
         starts, rows = lower.indptr.astype(np.int64), lower.indices.astype(np.int64)
         self._first = _supernodes(starts, rows)
         self._rows, self._row_start, self._children, self._room = _fronts(self._first, starts, rows)
@@ -44,23 +41,10 @@ class SparseCholesky:
 
         Raises numpy.linalg.LinAlgError when the remaining A is not positive definite.
         """
-        matrix = self.matrix
+        given = self.matrix.indptr, self.matrix.indices, self.matrix.data, held
+        fronts = self._first, self._rows, self._row_start, self._children, self._block_start, self._blocks
         widest = int(np.diff(self._row_start).max(initial=1))
-        positive = _factor(
-            matrix.indptr,
-            matrix.indices,
-            matrix.data,
-            held,
-            self._first,
-            self._rows,
-            self._row_start,
-            self._children,
-            self._block_start,
-            self._blocks,
-            np.empty((widest, widest)),
-            np.empty(self._room),
-        )
-        if not positive:
+        if not _factor(*given, *fronts, np.empty((widest, widest)), np.empty(self._room)):
             raise np.linalg.LinAlgError("the matrix is not positive definite")
 
     def solve(self, right: FloatArray) -> FloatArray:
@@ -73,19 +57,13 @@ class SparseCholesky:
 def _elimination(matrix: sparse.csr_matrix) -> tuple[IntArray, sparse.csc_matrix]:
     """Return the elimination order (N,), and L's pattern below the diagonal in that order.
 
-    SuperLU's multiple minimum degree order, then sorted so that each subtree of the elimination tree is one
-    run. In the factor of a dominant matrix with A's pattern and negative links no fill cancels: it shows
-    the whole pattern of L.
+    SuperLU's minimum degree order, sorted so that each subtree of the elimination tree is one run.
     """
+    # In the factor of a dominant matrix with negative links no fill cancels: it shows all of L's pattern.
     links = sparse.csc_matrix(matrix, copy=True)
     links.data[:] = -1.0
     dominant = links + sparse.diags(1e-3 - np.asarray(links.sum(0)).ravel())
-    factor = splu(
-        dominant.tocsc(),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+    factor = splu(dominant.tocsc(), "MMD_AT_PLUS_A", 0.0, options={"SymmetricMode": True})
     lower = sparse.tril(factor.L, -1, "csc")
     lower.sort_indices()
     count = lower.shape[0]
@@ -108,11 +86,7 @@ def _permuted(matrix: sparse.csr_matrix, order: IntArray) -> sparse.csr_matrix:
 
 @njit(cache=True)
 def _supernodes(starts, rows):  # type: ignore[no-untyped-def]
-    """Return (S + 1,) first columns of the supernodes, and N, of L's pattern below the diagonal.
-
-    A column joins the one before it when it is its parent and that adds few zeros: the rows of the last
-    column then hold those of all.
-    """
+    """Return (S + 1,) first columns of the supernodes, and N: runs of parents that add few zeros."""
     count = len(starts) - 1
     first = np.zeros(count + 1, np.int64)
     found, true_entries = 1, starts[1] + 1
@@ -163,11 +137,7 @@ def _fronts(first, starts, column_rows):  # type: ignore[no-untyped-def]
 def _factor(  # type: ignore[no-untyped-def]
     starts, columns, values, held, first, rows, row_start, children, block_start, blocks, work, stack
 ):
-    """Fill `blocks`; return False where a pivot is not positive.
-
-    `work` holds one front, column after column; its remainder waits on `stack` for the parent, which finds
-    its children's on top.
-    """
+    """Fill `blocks`; return False where a pivot is not positive. Remainders wait on `stack` for parents."""
     nodes, top, depth = len(first) - 1, 0, 0
     place, local = np.empty(first[-1], np.int64), np.empty(len(work), np.int64)
     waiting = np.empty(nodes, np.int64)

@@ -41,20 +41,18 @@ _SAMPLES = 1000
 _FEWEST = 50
 """Vertices and faces of a rim below which only its key points are compared."""
 _LABEL_SHARE = 1e-3
-"""Weight of a rim's key points beside its surface: they hold what a surface leaves free, such as a turn of a
-round rim in its plane."""
+"""Weight of a rim's key points beside its surface: they hold what a surface leaves free."""
 _FARTHEST = 0.15
-"""Part of the rim's size by which surfaces may move its key points: more is another place that fits by
-chance."""
+"""Part of the rim's size by which surfaces may move its key points: more fits by chance."""
 
 
 @dataclass(frozen=True)
 class FrontHalves:
     """How the two halves of a front lie to each other.
 
-    `reflection` (4, 4) mirrors the frame in a plane, about that of its symmetry; `left_from_mirrored`
-    (4, 4), rigid, then lays the mirrored right rim on the left one, which takes in how the plane is tilted.
-    `apart` is the root mean square distance of the surfaces, NaN where only key points were compared.
+    `reflection` (4, 4) mirrors the frame about its plane of symmetry; `left_from_mirrored` (4, 4), rigid,
+    then lays the mirrored right rim on the left one. `apart` is the root mean square distance of the
+    surfaces, NaN where only key points were compared.
     """
 
     reflection: FloatArray
@@ -81,8 +79,7 @@ def front_halves(
 ) -> FrontHalves | None:
     """Return how the halves of a frame's front lie; None where too few key points (20, 3) mirror each other.
 
-    Key points lay the mirror image of the right rim on the left rim; then the surfaces do, by iterated
-    closest points, since people place key points to a millimetre at best.
+    Key points, then surfaces (iterated closest points) lay the mirrored right rim on the left one.
     """
     reflection = _reflection(points)
     if reflection is None:
@@ -133,10 +130,9 @@ def front_halves(
 def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatArray:
     """Return (20, 4, 4) rigid transforms of key points (20, 3), NaN for missing ones, that undo the bend.
 
-    With F the reflection and Q = `left_from_mirrored`, the key points of the left rim and its hinge share
-    Q^-1/2, those of the right side F Q^1/2 F: both move half the way and mirror each other afterwards. The
-    bridge follows both by half. Bones of the temples keep their lengths, and their directions become the
-    mean of both sides. A bend common to both sides is not seen, and remains.
+    With F the reflection and Q = `left_from_mirrored`, the left rim and its hinge move by Q^-1/2, those of
+    the right side by F Q^1/2 F. The bridge follows both by half. Bones of the temples keep their lengths, and
+    take the mean direction of both sides.
     """
     if halves is None:
         return np.tile(np.eye(4), (len(points), 1, 1))

@@ -23,14 +23,15 @@ from scan2albedo.io.units import MM_PER_UNIT
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera; raises ValueError, naming it, when its name, matrix or shape is not usable."""
+    """A pinhole camera: `name` and `shape` (H, W) of its picture, which labels and mask share.
+
+    Raises ValueError, naming it, when its name, matrix or shape is not usable.
+    """
 
     name: str
-    """Of its picture, labels and mask."""
     matrix: FloatArray
     """(3, 4): pixels (column, row), centres at integers, from points in mm; any scale and sign."""
     shape: tuple[int, int]
-    """(H, W) of its picture in pixels."""
 
     def __post_init__(self) -> None:
         checked_name(self.name)
@@ -131,8 +132,7 @@ def write_cameras(path: str | Path, cameras: Sequence[Camera], unit: LengthUnit 
 def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     """Return the cameras of the file at `path`, for points in mm whatever the file's unit.
 
-    Raises EyeglassesError, naming file and camera, when the file cannot be read, is not a camera file, or a
-    matrix is not finite or singular.
+    Raises EyeglassesError, naming file and camera, when it cannot be read or a matrix is not usable.
     """
     content = read_json(path, CamerasFile, "cameras", writer="write_cameras", schema="cameras")
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
@@ -146,8 +146,7 @@ def mask_path(folder: str | Path, camera: Camera) -> Path:
 def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
     """Write masks (H, W), one a camera, nonzero where glasses are, as ``folder / "<camera>.png"``.
 
-    Raises ValueError when there are not as many masks as cameras, or a mask has another shape than its
-    camera's picture, OutputError when the folder cannot be written.
+    Raises ValueError when masks do not fit the cameras, OutputError when the folder cannot be written.
 
     Parameters
     ----------
@@ -168,8 +167,7 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
 def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
     """Return a mask (H, W) of each of the `cameras`: where any channel of `folder`/<camera>.png is not zero.
 
-    Raises EyeglassesError when a mask, which it names, is missing, not a picture, or not as large as its
-    camera's.
+    Raises EyeglassesError when a mask, which it names, is missing, unreadable, or of another size.
     """
     masks = []
     for camera in cameras:
@@ -192,12 +190,10 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
 
 @dataclass(frozen=True)
 class ViewLabels:
-    """Labels of C views."""
+    """Labels: `pixels` (C, 20, 2), column and row in the views of `camera_names`, NaN for missing ones."""
 
     camera_names: tuple[str, ...]
     pixels: FloatArray
-    """(C, 20, 2) column and row in the views of `camera_names`, centres of pixels at integers; NaN where a
-    key point is not labelled."""
 
     def of_cameras(self, names: Sequence[str]) -> FloatArray:
         """Return (N, 20, 2) labels of the cameras `names`, in their order; NaN for one without labels.
@@ -247,8 +243,7 @@ class LabelsFile(Record):
 def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str]) -> None:
     """Write labels (C, 20, 2), column and row in pixels, of C cameras as JSON; NaN as null.
 
-    Raises ValueError when the shape is another, or two cameras share a name, OutputError when the file cannot
-    be written.
+    Raises ValueError for another shape, or two cameras of one name, OutputError when writing fails.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ _COARSE_NODES = 1500
 
 @dataclass(frozen=True)
 class BoundedMinimum:
-    """Minima `x` (N, K) in [0, 1] of K columns, `optimality_residual` (K,) and Newton steps (K,)."""
+    """Minima `x` (N, K) of K columns, `optimality_residual` (K,) and Newton steps (K,)."""
 
     x: FloatArray
     residual: FloatArray
@@ -40,20 +40,18 @@ class BoundedBiharmonicWeights:
     weights: FloatArray
     """(V, K); rows sum to 1, entries in [0, 1]."""
     converged: bool
-    """Whether every handle's `residual` is at most the tolerance."""
     iterations: IntArray
-    """(K,) Newton steps of each key point's handle on the finest lattice."""
     residual: FloatArray
-    """(K,) scaled residuals of the optimality conditions, in weight (no unit)."""
+    """(K,) scaled residuals of the optimality conditions after Newton `iterations` (K,) on the finest
+    lattice; they have `converged` where each is at most the tolerance."""
     energy: FloatArray
     """(K,) x^T A x / 2 of the weights before they are normalised, in units of the spacing."""
     spacing: float
     node_count: int
     """Of the lattice; its `spacing` is in the mesh's unit."""
     plan: Plan
-    """The spacing, key points that share a handle, and the parts left out, with the reasons."""
     trace: Trace
-    """Largest scaled residual of all handles after each Newton step, lattices in order."""
+    """Largest scaled residual after each Newton step; `plan` says what shares a handle or was left out."""
 
 
 def bounded_biharmonic_weights(
@@ -103,8 +101,7 @@ def solve_weights(
         min over w of  w^T L M^-1 L w / 2,  w = 1 at its key point, 0 at the others', 0 <= w <= 1,
 
     on the nodes of a lattice around (and inside) the surface; then the weights are divided by their sum and
-    interpolated trilinearly at the vertices. The mesh may have many parts, holes, flipped, repeated and
-    zero-area faces, and vertices without faces.
+    interpolated trilinearly at the vertices. The mesh may have parts, holes and bad faces of any kind.
 
     Parameters
     ----------
@@ -115,8 +112,7 @@ def solve_weights(
     spacing : "auto" or float
         Of the lattice, in the mesh's unit; parts closer together than that become one.
     budget : Budget or float, optional
-        Seconds, or evaluations: Newton steps. When it ends the weights so far are returned, smooth and
-        within their bounds, with `converged` False.
+        Seconds, or evaluations: Newton steps. When it ends the weights so far are returned.
     max_nodes : int
         Lattice nodes that the automatic spacing may use; a given spacing may use ten times as many.
     tolerance : float
@@ -138,17 +134,11 @@ def solve_weights(
 
     Notes
     -----
-    Key points do not lie on nodes. Trilinear interpolation of weights of at most 1 is 1 at a key point only
-    if it is 1 at all corners of the cell: the handle is the cell, whose eight nodes hold 1 for its own key
-    point and 0 for the others'.
-
-    Key points closer together than two spacings, such as the top and the bottom of a wire, share one handle
-    in their middle; its weight is divided among them by the inverse squares of their distances.
-
-    A part farther than 5 % of the size from all parts with a key point moves as one piece, with the
-    weights of the lattice's point nearest to it.
-
-    Cost: a factorisation of the lattice's matrix a step, 5 to 10 steps a handle.
+    The handle of a key point is its cell, whose eight nodes hold 1 for it and 0 for the others: otherwise
+    trilinear interpolation would stay below 1 there. Key points closer together than two spacings share one
+    handle in their middle; its weight is divided among them by the inverse squares of their distances. A part
+    farther than 5 % of the size from all parts with a key point moves as one piece. Cost: a factorisation of
+    the lattice's matrix a step, 5 to 10 steps a handle.
     """
     if meter is None:
         meter = Meter("eyeglasses.weights", "scaled KKT residual", Budget.of(budget), on_progress)
@@ -186,8 +176,7 @@ def solve_lattice(
 ) -> BoundedMinimum:
     """Return the weights (N, K) of the handles that hold the cells `handle_cells` (K, 3) of `lattice`.
 
-    They are not normalised. Each lattice starts from the one of twice the spacing: its weights bring the set
-    of nodes at 0 or 1, which Newton steps from the unbounded solution move by a few nodes at a time only.
+    They are not normalised. Each lattice starts from the one of twice the spacing and its nodes at 0 or 1.
     """
     levels = [lattice]
     while len(levels[0].nodes) > _COARSE_NODES:
@@ -237,11 +226,10 @@ def minimize_bounded(
     """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
 
     Projected Newton [1]_: entries at a bound that are pushed outward stay, the others take the Newton step
-    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. It falls in
-    every step, so a budget that ends early keeps the best so far. A column is done when its scaled residual
-    is at most `tolerance`, or after `max_steps`; the meter counts the steps of all columns. Entries of
-    `start` (N, K), in [0, 1], at a bound stay there in the first step, so that a start from a coarser
-    lattice, whose gradient is rough, hands on its active set. Without one it is A^-1 b, clipped.
+    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. A column is
+    done when its scaled residual is at most `tolerance`, or after `max_steps`; the meter counts the steps of
+    all columns. Entries of `start` (N, K), in [0, 1], at a bound stay there in the first step. Without one it
+    is A^-1 b, clipped.
 
     .. [1] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints",
        SIAM J. Control and Optimization 20(2), 1982, section 2.

@@ -28,17 +28,13 @@ _SIZE = 512
 _MARGIN = 0.04
 """Left free around what a picture shows, as a part of its width."""
 _ABOVE_DEG = -90.0
-_SEEN_COLOR = "darkorange"
-_HIDDEN_COLOR = "cornflowerblue"
-_INLIER_COLOR = "lime"
 _OUTLIER_COLOR = "crimson"
 
 
 def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]) -> list[Panel]:
     """Return four panels a frame: before, coloured by weights, and after, coloured by how far it moved.
 
-    `frames` are names, vertices (V, 3) as given, and what became of them. Before is the frame brought rigidly
-    to its canonical place. Dots are the canonical key points: its own, unbent, or the mean's.
+    `frames` are names, vertices (V, 3) as given, and what became of them. Dots are the canonical key points.
     """
     from matplotlib import colormaps
 
@@ -76,10 +72,8 @@ def registration_panels(
 ) -> list[Panel]:
     """Return a panel for each view, two of the frame's standard deviation, and one on the head if any.
 
-    A view is a camera, its mask if any, and labels (20, 2) in pixels, NaN for missing ones.
-
     Orange is the registered frame's outline, blue where the head hides it; green labels fit, red ones are
-    outliers. Vertices that are not observed are red.
+    outliers, as are vertices that are not observed.
     """
     from matplotlib.colors import to_rgb
 
@@ -146,7 +140,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     seen[at[~behind, 1], at[~behind, 0]] = True
     hidden[at[behind, 1], at[behind, 0]] = True
     # The silhouette's own border; what the head cuts off is not a border of the frame.
-    for part, rest, color in ((hidden, ~(seen | hidden), _HIDDEN_COLOR), (seen, ~seen, _SEEN_COLOR)):
+    for part, rest, color in ((hidden, ~(seen | hidden), "cornflowerblue"), (seen, ~seen, "darkorange")):
         picture[part & binary_dilation(rest, iterations=2)] = np.round(255 * np.array(to_rgb(color)))
     errors, close = frame.label_errors_px[number], frame.inliers[number]
     given = ~np.isnan(errors)
@@ -158,5 +152,5 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     outline = "outline not compared" if np.isnan(rms) else f"outline {rms:.1f} px rms"
     title = f"{given_camera.name}: {labels}\n{'no mask' if given_mask is None else outline}"
     dots = given_labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
-    colors = np.where(close[given, None], to_rgb(_INLIER_COLOR), to_rgb(_OUTLIER_COLOR))
+    colors = np.where(close[given, None], to_rgb("lime"), to_rgb(_OUTLIER_COLOR))
     return Panel(title, picture, dots, colors)

@@ -35,22 +35,19 @@ passing the lens."""
 
 @dataclass(frozen=True)
 class InsertedLens:
-    """A lens in its rim; mm in the world's frame."""
+    """A lens of a `material` in its `rim`, on `side` 0, the wearer's left, or 1; mm in the world's frame.
+
+    `vertices` (R + 1, 3), the centre first, rim points moved into their seat, and `faces` (R, 3) are its
+    mesh, which `caster` casts rays at. `optics` is in the plane nearest to the rim, towards the viewer.
+    """
 
     side: int
-    """0 is the wearer's left, 1 the right."""
     material: LensMaterial
-    """Power, tint and reflection."""
     rim: LensRim
-    """The edge that it fills."""
     vertices: FloatArray
-    """(R + 1, 3), the centre first; rim points moved into their seat."""
     faces: IntArray
-    """(R, 3)."""
     optics: ThinLens
-    """In the plane nearest to the rim; the normal towards the viewer of the front."""
     caster: RayCaster
-    """Of the lens alone."""
 
     @property
     def name(self) -> str:
@@ -68,14 +65,11 @@ def insert_lens(
     center: FloatArray | None = None,
     seat_mm: float = 0.0,
 ) -> InsertedLens:
-    """Return the lens that fills one rim of a frame; lengths in mm.
+    """Return the lens that fills one rim of a frame, whose key points are needed; lengths in mm.
 
-    Of the key points (20, 3) those of the rim are needed, others may be NaN. The optical `center` (3,) is
-    moved into the lens plane along its normal; the outline's centroid when omitted. Points of
-    the outline that were measured move `seat_mm` outward, into the rim.
-
-    Raises EyeglassesError, naming the lens, when key points of the rim are missing, no rim is found, or its
-    size is not a lens's in mm.
+    The optical `center` (3,) is moved into the lens plane along its normal; the outline's centroid when
+    omitted. Points of the outline that were measured move `seat_mm` outward, into the rim. Raises
+    EyeglassesError, naming the lens, when key points are missing or no rim of a lens's size is found.
     """
     marks = rim_key_points(keypoints, side)
     top, bridge, inner, bottom, outer = marks
@@ -129,7 +123,7 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
 def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
     """Return unit vectors (3, 3) of a frame: to the wearer's left, up, to the front.
 
-    Of its rims, one at least; raises EyeglassesError, naming key points, when none is known.
+    Raises EyeglassesError, naming key points, when those of no rim are known.
     """
     front, up = np.zeros(3), np.zeros(3)
     faults = []
@@ -163,15 +157,8 @@ def lens_mesh(
     """Return vertices (R + 1, 3), `center` (3,) the first, and faces (R, 3) of a fan to the `rim` (R, 3).
 
     The rim, R >= 3, runs in order around the lens. Normals point to the side from which it runs
-    counterclockwise, the viewer's for `LensRim.points`; with `normal` the fan is turned so that they point
-    along it. EyeglassesError when the rim does not go around the centre once, so that the fan would fold;
-    ValueError when an array has the wrong shape or is not finite.
-
-    Examples
-    --------
-    >>> vertices, faces = lens_mesh([0, 0, 0], [[1, 0, 0], [0, 1, 0], [-1, -1, 0]])
-    >>> vertices.shape, faces.tolist()
-    ((4, 3), [[0, 1, 2], [0, 2, 3], [0, 3, 1]])
+    counterclockwise, or along `normal`. EyeglassesError when the fan would fold, as the rim does not go
+    around the centre once; ValueError when an array has the wrong shape or is not finite.
     """
     middle, outline = np.asarray(center, np.float64), np.asarray(rim, np.float64)
     if middle.shape != (3,) or outline.ndim != 2 or outline.shape[1] != 3 or len(outline) < 3:
@@ -225,38 +212,36 @@ def without_glass(
 
 @dataclass(frozen=True)
 class LensCrossings:
-    """M rays at one lens."""
+    """M rays at one lens; arrays are (M, 3), `ray` (M,) says which of the rays that were traced.
+
+    `position` is on the lens, mm; `direction` and `mirrored` are unit vectors of the ray that arrives and of
+    its reflection; the shares are those of tint (0 for filters) and reflection in the ray's colour.
+    """
 
     ray: IntArray
-    """(M,) which of the rays that were traced."""
     lens: InsertedLens
     position: FloatArray
-    """(M, 3) mm, on the lens."""
     direction: FloatArray
-    """(M, 3) unit, of the ray that arrives."""
     mirrored: FloatArray
-    """(M, 3) unit, of the reflection."""
     tint_share: FloatArray
-    """(M, 3) of the tint in the ray's colour; 0 for filters."""
     mirror_share: FloatArray
-    """(M, 3) of the reflection."""
 
 
 @dataclass
 class LensPaths:
-    """N rays behind all lenses they pass; changed while they are traced."""
+    """N rays behind all lenses they pass; changed while they are traced.
+
+    `rays` run from the last lens passed, or the camera; `share` (N, 3) is that of the scene behind the lenses
+    in the ray's colour, `first` (N,) the side of the first lens passed, -1 for none, `bent` (N,) whether a
+    lens changed the direction. For `glancing` rays, along a lens plane, that lens was left out.
+    """
 
     rays: SceneRays
-    """From the last lens passed, or the camera, to the scene."""
     share: FloatArray
-    """(N, 3) of the scene behind the lenses in the ray's colour."""
     first: IntArray
-    """(N,) side of the first lens passed; -1 for none."""
     bent: BoolArray
-    """(N,) whether a lens with power changed the direction."""
     crossings: list[LensCrossings] = field(default_factory=list)
     glancing: int = 0
-    """Rays along a lens plane, for which that lens was left out."""
 
 
 def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], rays: SceneRays) -> LensPaths:

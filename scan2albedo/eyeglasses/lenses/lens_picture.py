@@ -50,8 +50,7 @@ class LensPictureOptions:
     supersampling: int = 3
     """n x n rays for pixels on edges; one for all others."""
     light_count: int = 256
-    """Distant lights that stand for an environment, where it is bright; time grows with them, and edges of
-    shadows get softer."""
+    """Distant lights that stand for an environment; time grows with them, and shadows get softer."""
 
     def __post_init__(self) -> None:
         for name in ("supersampling", "light_count"):
@@ -61,10 +60,9 @@ class LensPictureOptions:
 
 @dataclass(frozen=True)
 class LensPicture:
-    """A picture with lenses in it."""
+    """A picture with lenses in it, `image_linear` (H, W, 3)."""
 
     image_linear: FloatArray
-    """(H, W, 3)."""
     without_lenses_linear: FloatArray
     """(H, W, 3): the photograph itself, or the scene with empty rims."""
     lens: NDArray[np.int8]
@@ -106,8 +104,7 @@ def insert_lenses(
     Parameters
     ----------
     frame : Surface
-        In its pose on the face, in mm. Glass of its own is left out where a lens goes, unless it is of one
-        piece with the rim; `notes` say so.
+        In its pose on the face, in mm. Glass of its own is left out, unless of one piece with the rim.
     keypoints : (20, 3) array_like of float
         Of the frame, as in `KEY_POINT_NAMES`; NaN but for those of each rim that gets a lens.
     lenses : LensMaterial, or (left, right) of LensMaterial or None
@@ -119,8 +116,8 @@ def insert_lenses(
     shape, picture_linear : (H, W), or (H, W, 3) array_like of float
         Of the picture to draw, or a linear photograph by this camera; one of them.
     environment_linear : (H, W, 3) array_like of float, optional
-        Radiance as in `environment_radiance`. Lights a drawn scene unless `lights` are given, stands behind
-        it, and is what lenses mirror; without it they mirror surfaces only, and black.
+        Radiance as in `environment_radiance`: lights a drawn scene unless `lights` are given, stands behind
+        it, and is what lenses mirror.
     lights : DistantLights, optional
         Only with `shape`.
     lens_centers : (2, 3) array_like of float, optional
@@ -130,21 +127,17 @@ def insert_lenses(
     Raises
     ------
     EyeglassesError
-        When a rim's key points are missing or no lens fits into it (the message names which), a surface or
-        the picture is not finite, or sizes are not millimetres.
+        When no lens fits into a rim, numbers are not finite, or sizes are not millimetres.
     ValueError
         When shapes do not fit together, or it is not clear what to draw under which light.
 
     Notes
     -----
-    - Linear in the light: under lights that are given, pictures under two environments add up to the picture
-      under their sum. A painted tint is a matte surface in the same light, in a photograph taken as it is.
+    - A painted tint is a matte surface in the same light; in a photograph it is taken as it is.
     - In drawn scenes surfaces and lenses cast shadows (a lens according to its shares, without bending
       light); in photographs none do, whose shadows stay, and whose background counts as far away.
     - What lenses mirror is seen past all lenses. Light does not bounce otherwise.
-    - 256 lights, without a size, are 1 % rms off a reference of 8,192 directions, 64 are 2.5 %.
-    - Cost: a ray for each pixel, n x n of them on edges, and shadow rays in proportion to the lights, which
-      neighbouring pixels share where the surface is flat and they agree.
+    - 256 lights are 1 % rms off a reference of 8,192 directions, 64 are 2.5 %; cost grows with them.
 
     Examples
     --------
@@ -152,15 +145,10 @@ def insert_lenses(
     >>> from scan2albedo.synthetic import eyeglasses
     >>> glasses = eyeglasses(seed=1)
     >>> wall = Surface([[-300, -300, -30], [300, -300, -30], [0, 500, -30]], [[0, 1, 2]])
+    >>> camera = look_at([0, 0, 600], [0, 0, 0], focal_px=200, shape=(48, 64))
     >>> picture = insert_lenses(
-    ...     Surface(glasses.vertices, glasses.faces),
-    ...     glasses.keypoints,
-    ...     (LensMaterial(dioptres=-4.0), LensMaterial(dioptres=-2.5)),
-    ...     surfaces=[wall],
-    ...     camera=look_at([0, 0, 600], [0, 0, 0], focal_px=200, shape=(48, 64)),
-    ...     shape=(48, 64),
-    ...     environment_linear=np.ones((8, 16, 3)),
-    ... )
+    ...     Surface(glasses.vertices, glasses.faces), glasses.keypoints, LensMaterial(dioptres=-4.0),
+    ...     surfaces=[wall], camera=camera, shape=(48, 64), environment_linear=np.ones((8, 16, 3)))
     >>> picture.image_linear.shape, np.unique(picture.lens).tolist(), picture.notes
     ((48, 64, 3), [-1, 0, 1], ())
     """
@@ -191,8 +179,19 @@ def insert_lenses(
         for side, material in enumerate(materials)
         if material is not None
     )
-    bare, notes = without_glass(frame, placed, marks)
-    scene, region = LensScene(bare, surfaces), _pixels_of_lenses(placed, matrix, (height, width))
+    bare, glass_notes = without_glass(frame, placed, marks)
+    scene, notes = LensScene(bare, surfaces), list(glass_notes)
+    # The rows and columns of the pixels that may see a lens, with one to spare around them.
+    size = np.array([width, height], np.float64)
+    low, high = np.zeros(2), np.zeros(2)
+    if placed:
+        pixels, depth = project(matrix, np.concatenate([lens.vertices for lens in placed]))
+        if (depth > 0).all():
+            low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
+        elif (depth > 0).any():
+            high = size
+    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
+    region = slice(top, bottom), slice(left, right)
     colors: SceneColors
     if photograph is not None:
         # Outside the lenses a photograph stays as it is.
@@ -207,15 +206,25 @@ def insert_lenses(
     made = _View(scene, placed, colors, matrix, region).pixels(window, options.supersampling)
     image, without = empty.copy(), empty.copy()
     unknown, seen = np.zeros((height, width), bool), np.full((height, width), -1, np.int8)
-    for whole, values in (
-        (image, made.shaded),
-        (without, made.bare),
-        (unknown, made.unknown),
-        (seen, made.lens),
-    ):
+    wholes = image, without, unknown, seen
+    for whole, values in zip(wholes, (made.shaded, made.bare, made.unknown, made.lens), strict=True):
         whole[window] = values.reshape(whole[window].shape)
-    notes += _notes(placed, seen, unknown, made.glancing, around is None)
-    return LensPicture(image, without, seen, unknown, placed, notes)
+    for lens in placed:
+        if lens.rim.gaps != "none":
+            source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
+            share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
+            notes.append(f"the {lens.name}: {share} of its rim come from {source}")
+        if not (seen == lens.side).any():
+            notes.append(f"the {lens.name}: no pixel sees it")
+    if made.glancing:
+        notes.append(f"{made.glancing} rays run along a lens and pass it as if it were not there")
+    if lost := int(unknown.sum()):
+        notes.append(f"{lost} pixels show in a lens what the photograph hides; their colours are guesses")
+    if not placed:
+        notes.append(f"no lens is given, neither {SIDES[0]} nor {SIDES[1]}")
+    if around is None and any(lens.material.beta > 0 or lens.material.fresnel for lens in placed):
+        notes.append("no environment is given: lenses mirror surfaces only, and black")
+    return LensPicture(image, without, seen, unknown, placed, tuple(notes))
 
 
 def checked_image(name: str, values: ArrayLike) -> FloatArray:
@@ -228,27 +237,11 @@ def checked_image(name: str, values: ArrayLike) -> FloatArray:
     return image
 
 
-def _pixels_of_lenses(lenses: Sequence[InsertedLens], camera: FloatArray, shape: tuple[int, int]) -> Window:
-    """Return the rows and columns of the pixels that may see a lens, with one to spare around them."""
-    if not lenses:
-        return slice(0, 0), slice(0, 0)
-    pixels, depth = project(camera, np.concatenate([lens.vertices for lens in lenses]))
-    if (depth <= 0).all():
-        return slice(0, 0), slice(0, 0)
-    size = np.array(shape[::-1])
-    low, high = np.zeros(2), size
-    if (depth > 0).all():
-        low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
-    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
-    return slice(top, bottom), slice(left, right)
-
-
 @dataclass(frozen=True)
 class _SeenRays:
-    """What N rays through pixels see: colours without lenses and with them, where these are guesses.
+    """What N rays see: colours without lenses and with them, where these are guesses, the first lens (or -1).
 
-    `lens` (N,) is the side of the first lens, -1 for none, `surface` (N,) the number of the surface at the
-    end, and `distance` (N,) mm how far it is; `glancing` rays left out a lens.
+    `surface` (N,) is the number of the surface at the end, `distance` (N,) mm how far it is.
     """
 
     bare: FloatArray
@@ -300,7 +293,6 @@ class _View:
         return once
 
     def _rays(self, pixels: FloatArray) -> _SeenRays:
-        """Return one ray through each of the pixels (N, 2)."""
         if len(pixels) > _BAND:
             parts = [self._rays(pixels[part]) for part in blocks(len(pixels), _BAND)]
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
@@ -340,25 +332,3 @@ class _View:
         distance[near] = np.linalg.norm(paths.rays.ends - center, axis=1)
         surface = np.where(face >= 0, scene.surface_of_face[face], -1)
         return _SeenRays(colors.bare.copy(), shaded, unknown, lens, surface, distance, paths.glancing)
-
-
-def _notes(
-    lenses: tuple[InsertedLens, ...], seen: NDArray[np.int8], unknown: BoolArray, glancing: int, dark: bool
-) -> tuple[str, ...]:
-    notes = []
-    for lens in lenses:
-        if lens.rim.gaps != "none":
-            source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
-            share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
-            notes.append(f"the {lens.name}: {share} of its rim come from {source}")
-        if not (seen == lens.side).any():
-            notes.append(f"the {lens.name}: no pixel sees it")
-    if glancing:
-        notes.append(f"{glancing} rays run along a lens and pass it as if it were not there")
-    if lost := int(unknown.sum()):
-        notes.append(f"{lost} pixels show in a lens what the photograph hides; their colours are guesses")
-    if not lenses:
-        notes.append(f"no lens is given, neither {SIDES[0]} nor {SIDES[1]}")
-    if dark and any(lens.material.beta > 0 or lens.material.fresnel for lens in lenses):
-        notes.append("no environment is given: lenses mirror surfaces only, and black")
-    return tuple(notes)

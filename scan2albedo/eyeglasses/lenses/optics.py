@@ -18,25 +18,20 @@ _GRAZING = 1e-9
 
 @dataclass(frozen=True)
 class ThinLens:
-    """An ideal thin lens: optical centre, axis and power."""
+    """An ideal thin lens: optical `center` (3,) mm, `normal` (3,) along the axis, of any length and sign."""
 
     center: ArrayLike
-    """(3,) mm."""
     normal: ArrayLike
-    """(3,) along the optical axis, of any length and either sign: a thin lens has no front."""
     dioptres: float
-    """1/m. Positive gathers light and enlarges what is behind it (for the farsighted), negative scatters it
-    and makes things smaller (for the shortsighted); 0 is window glass."""
+    """1/m, negative for the shortsighted: things behind the lens look smaller; 0 is window glass."""
 
 
 @dataclass(frozen=True)
 class RefractedRays:
-    """Rays on the far side of a lens."""
+    """Rays beyond a lens: `origins` (N, 3) mm in its plane, unit `directions` (N, 3) from the camera."""
 
     origins: FloatArray
-    """(N, 3) mm, in the lens plane."""
     directions: FloatArray
-    """(N, 3) unit vectors away from the camera."""
 
 
 def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRays:
@@ -47,8 +42,7 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         d' ~ (p - o) (1 + u P) - (c - o).
 
     This is the ray to the conjugate image of c (Hecht, "Optics", 5th ed., section 5.2.3; equations S11 and
-    S12 of Li et al., with f = 1 / P) times 1 + u P: it holds for P = 0, where it is the ray itself, for
-    1 + u P = 0, where all rays become parallel, and beyond, where the image lies in front.
+    S12 of Li et al., with f = 1 / P) times 1 + u P, so that it holds for P = 0 and 1 + u P = 0 too.
 
     Parameters
     ----------
@@ -56,14 +50,12 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     camera : (3,) or (N, 3) array_like of float
         Centre of projection, or one origin a ray; mm.
     points : (N, 3) array_like of float
-        Where each ray is heading, mm: any point on it but its origin, such as a hit on a lens mesh, which
-        need not be flat.
+        Where each ray is heading, mm: any point on it but its origin.
 
     Raises
     ------
     EyeglassesError
-        When numbers are not finite, the normal is zero, a camera lies in the lens plane, or a ray runs
-        along the plane or away from it.
+        When numbers are not finite, the normal is zero, or a camera or ray lies along the lens plane.
     ValueError
         When an array has the wrong shape.
 
@@ -118,9 +110,8 @@ def mirror_on_sphere(
 ) -> FloatArray:
     """Return unit directions (N, 3) of rays mirrored by a lens's front, a sphere that touches its plane.
 
-    Rays go along `directions` (N, 3) of any length and meet the lens at `points` (N, 3) mm; `center` and
-    `normal` (3,) are the lens's, toward the viewer, where the front bulges; its radius is infinite for a
-    flat one.
+    Rays meet the lens at `points` (N, 3) mm; `center` and `normal` (3,) are the lens's, toward the viewer,
+    where the front bulges; its radius is infinite for a flat one.
     """
     axis = normalized(np.asarray(normal, np.float64))
     # Divided by the radius, so that a flat front is not a special case.
@@ -135,28 +126,21 @@ class LensMaterial:
 
     The colour seen is (1 - alpha - beta) behind + alpha tint + beta reflected, as in Li et al. (supplement,
     equations S11 to S15). Raises EyeglassesError when a number is out of range or not finite.
-
-    Examples
-    --------
-    >>> shortsighted = LensMaterial(dioptres=-4.0, beta=0.04, fresnel=True)
-    >>> sunglasses = LensMaterial(tint_linear=(0.1, 0.07, 0.03), alpha=0.85, tinting="filter")
     """
 
     dioptres: float = 0.0
     """1/m, the optician's sign: negative for the shortsighted, 0 is plane."""
     tint_linear: ArrayLike = (0.0, 0.0, 0.0)
-    """(3,) linear colour of the glass."""
     alpha: float = 0.0
-    """Share of the tint."""
     beta: float = 0.0
-    """Share of the reflection; with `fresnel`, at right angles. alpha + beta is at most 1."""
+    """Shares of the tint (`alpha`), of colour `tint_linear` (3,), and of the reflection, with `fresnel` at
+    right angles; together at most 1."""
     front_radius_mm: float = 130.0
     """Of the sphere that mirrors; 130 mm is a usual front of 4 D, infinity a flat one."""
     fresnel: bool = False
     """Whether the reflection grows towards glancing angles (Schlick), at the cost of all other shares."""
     tinting: Literal["paint", "filter"] = "paint"
-    """`paint` adds the tint as a matte colour, the paper's way; `filter` multiplies the scene behind
-    by it, as dyed glass does."""
+    """`paint` adds the tint as a matte colour (the paper's); `filter` multiplies what is behind by it."""
 
     def __post_init__(self) -> None:
         tint = np.asarray(self.tint_linear, np.float64)

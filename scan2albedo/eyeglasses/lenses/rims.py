@@ -51,16 +51,15 @@ _PULL = 0.25
 
 @dataclass(frozen=True)
 class LensPlane:
-    """A plane through a lens centre; angles run from `across` to `up`, counterclockwise for the viewer."""
+    """A plane through a lens centre (3,), by unit vectors; the normal points towards the viewer.
+
+    Angles run from `across` to `up`, counterclockwise for the viewer.
+    """
 
     center: FloatArray
-    """(3,)"""
     across: FloatArray
-    """(3,) unit."""
     up: FloatArray
-    """(3,) unit."""
     normal: FloatArray
-    """(3,) unit, towards the viewer."""
 
     @classmethod
     def at(cls, center: FloatArray, normal: FloatArray) -> LensPlane:
@@ -109,8 +108,7 @@ def pane_faces(
 ) -> BoolArray:
     """Return (F,) True for the faces of parts that lie across the lens's axis, never all of them.
 
-    A lens of one piece with the rim is none. Without rim points (K, 3) a small lens is guessed from the
-    mesh's size.
+    Without rim points (K, 3) a small lens is guessed from the mesh's size.
     """
     if rim_points is None:
         radius = _GUESS * float(np.ptp(vertices[faces.ravel()], axis=0).max())
@@ -164,13 +162,11 @@ class LensRim:
     points: FloatArray
     """(R, 3) at even angles around the centre, counterclockwise seen from the viewer; in the frame's unit."""
     measured: BoolArray
-    """(R,) True where a ray hit the rim; the others are filled in."""
     gaps: Literal["none", "interpolated", "subdivided"]
-    """How gaps were filled: from the rim on both sides, or by subdivision of the rim's key points."""
+    """How points were filled in that no ray `measured` (R,): from both sides, or from key points."""
     center: FloatArray
-    """(3,)"""
     normal: FloatArray
-    """(3,) unit, towards the viewer."""
+    """`center` (3,) and unit `normal` (3,) of the lens plane, towards the viewer."""
 
 
 def find_lens_rim(
@@ -184,8 +180,8 @@ def find_lens_rim(
     """Return the inner edge of the rim around a lens centre.
 
     Rays from the axis outward meet the rim's inner edge. Gaps of up to 30 degrees are bridged between their
-    ends; wider ones, such as the open side of a half-rimless frame, take their shape from the rim's key
-    points, shifted so that it joins what was measured. Lenses that are parts of their own are looked through.
+    ends; wider ones take their shape from the rim's key points. Lenses that are parts of their own are looked
+    through.
 
     Parameters
     ----------
@@ -197,21 +193,19 @@ def find_lens_rim(
     rim_points : (K, 3) array_like of float, optional
         Three or more key points on or at the rim, in any order.
     normal : (3,) array_like of float, optional
-        Of the lens plane to some degrees, towards the viewer. Otherwise of the plane nearest to the rim
-        points, away from the temples.
+        Of the lens plane, towards the viewer; otherwise of the plane nearest to the rim points.
 
     Raises
     ------
     EyeglassesError
-        When the mesh is empty or not finite, neither rim points nor a normal are given, or too little of
-        a rim lies around the centre to do without rim points.
+        When the mesh is empty or not finite, or rim points are needed and not given.
     ValueError
         When an array has the wrong shape.
 
     Notes
     -----
-    MEGANE's supplement subdivides from the key points throughout, which stops a tube's radius off the inner
-    edge; here that is the fallback. Cost: some 130 rays a point.
+    MEGANE's supplement subdivides from the key points throughout; here that is the fallback. Cost: some 130
+    rays a point.
 
     Examples
     --------
@@ -268,29 +262,35 @@ def shoot_rim(
 ) -> FloatArray:
     """Return the profile (2, R) of the inner edge at ascending even angles (R,), NaN where there is none.
 
-    A single ray in the plane would meet a curved rim anywhere on its flank. Rays leave at several heights,
-    and the one that meets the rim first meets its inner edge; then the heights next to it are searched. The
-    lens radius is roughly known, or else the median of what rays in the plane hit.
+    Of rays at several heights the one that meets the rim first meets its inner edge; then the heights next to
+    it are searched. The lens radius is roughly known, or the median of what rays in the plane hit.
     """
     if lens_radius is None:
         flat = caster.first_hit(np.tile(plane.center, (len(angles), 1)), plane.directions(angles)).distance
         if not np.isfinite(flat).any():
             return np.full((2, len(angles)), np.nan)
         lens_radius = float(np.median(flat[np.isfinite(flat)]))
-    level = np.zeros(len(angles))
+    count = len(angles)
+    half = max(1, round(_WINDOW_RAD * count / (2 * np.pi)))
+    level = np.zeros(count)
     radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH)
     # A plane some degrees off leaves the rim on two sides: sweep again around the tilt that was found.
     known = np.isfinite(radius)
-    if known.sum() >= len(angles) / 2:
-        basis = np.stack([np.ones(len(angles)), np.cos(angles), np.sin(angles)], 1)
+    if known.sum() >= count / 2:
+        basis = np.stack([np.ones(count), np.cos(angles), np.sin(angles)], 1)
         level = basis @ np.linalg.lstsq(basis[known], height[known], rcond=None)[0]
     radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH)
+    around = (np.arange(count)[:, None] + np.arange(-half, half + 1)) % count
+    opposite = around[:, ::-1]
     for reach in _REFINEMENTS:
-        level = _local_median(height, np.isfinite(radius))
+        # Medians of means of two known heights at equal distance leave a steady slope unchanged.
+        known = np.isfinite(radius)
+        lacking = ~(known[around] & known[opposite])
+        pairs = np.ma.masked_array((height[around] + height[opposite]) / 2, lacking)
+        level = np.ma.median(pairs, axis=1).filled(0.0)
         radius, height = _nearest(caster, plane, angles, level, lens_radius, reach)
     found = np.isfinite(radius)
     # Hits on pieces that less than half the window sees are something in the way.
-    count, half = len(angles), _half_window(len(angles))
     outline = np.where(found, radius, np.nan)
     steepest = lens_radius * max(_STEP, 2 * np.pi / count)
     starts: IntArray = np.flatnonzero(~(np.abs(outline - np.roll(outline, 1)) <= steepest))
@@ -309,38 +309,17 @@ def shoot_rim(
 
 
 def _nearest(
-    caster: RayCaster,
-    plane: LensPlane,
-    angles: FloatArray,
-    level: FloatArray,
-    lens_radius: float,
-    reach: float,
+    caster: RayCaster, plane: LensPlane, angles: FloatArray, level: FloatArray, radius: float, reach: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least distance (R,) within `reach` of heights `level` (R,), inf for none, and its height."""
-    heights = level[:, None] + lens_radius * np.linspace(-reach, reach, _HEIGHTS)
+    heights = level[:, None] + radius * np.linspace(-reach, reach, _HEIGHTS)
     origins = plane.center + heights[..., None] * plane.normal
     headings = np.repeat(plane.directions(angles), _HEIGHTS, axis=0)
     distance = caster.first_hit(origins.reshape(-1, 3), headings).distance.reshape(heights.shape)
     # What is far too near is in the way: the rim may be seen past it at other heights.
-    distance[(distance < _INNER * lens_radius) | (distance > _OUTER * lens_radius)] = np.inf
+    distance[(distance < _INNER * radius) | (distance > _OUTER * radius)] = np.inf
     first = distance.argmin(1)[:, None]
     return np.take_along_axis(distance, first, 1)[:, 0], np.take_along_axis(heights, first, 1)[:, 0]
-
-
-def _local_median(values: FloatArray, known: BoolArray) -> FloatArray:
-    """Return (R,) medians of means of two known values at equal distance; 0 where there are none.
-
-    Pairs leave a steady slope unchanged, beside gaps too.
-    """
-    half = _half_window(len(values))
-    around = (np.arange(len(values))[:, None] + np.arange(-half, half + 1)) % len(values)
-    opposite = around[:, ::-1]
-    pairs = np.ma.masked_array((values[around] + values[opposite]) / 2, ~(known[around] & known[opposite]))
-    return np.ma.median(pairs, axis=1).filled(0.0)
-
-
-def _half_window(count: int) -> int:
-    return max(1, round(_WINDOW_RAD * count / (2 * np.pi)))
 
 
 def subdivide_rim(
@@ -349,9 +328,8 @@ def subdivide_rim(
     """Return the profile (2, R) of an outline through rim points (K, 3), K >= 3, at ascending angles (R,).
 
     Each level puts a point into the middle of every edge, by the four-point rule (9 (b + c) - a - d) / 16
-    [1]_, and moves it to the closest vertex of the frame if there is one near; where the frame is open the
-    curve stays round. It follows whichever side of the rim's tube the vertices are on: up to 4.5 mm off on
-    synthetic frames. Rays are better wherever they hit.
+    [1]_, and moves it to the closest vertex of the frame if there is one near: up to 4.5 mm off the inner
+    edge on synthetic frames.
 
     .. [1] N. Dyn, D. Levin, J. A. Gregory, "A 4-point interpolatory subdivision scheme for curve design",
        Computer Aided Geometric Design 4, 1987, equation 1.2 with w = 1/16.

@@ -18,6 +18,7 @@ from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rasterization import bilinear
+from scan2albedo.geometry.rays import RayHits
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap
@@ -38,14 +39,14 @@ which they are the same: embree's float32 picks a neighbouring face at times."""
 
 @dataclass(frozen=True)
 class RayColors:
-    """Linear colours of N rays."""
+    """Linear colours (N, 3) of rays: without lenses, and with the light that they keep off the surfaces.
+
+    `unknown` (N,) is True where the colour is a guess.
+    """
 
     bare: FloatArray
-    """(N, 3) without any lenses in the scene."""
     shaded: FloatArray
-    """(N, 3) with the light that lenses keep from the surfaces taken off."""
     unknown: BoolArray
-    """(N,) True where the colour is a guess."""
 
     @classmethod
     def known(cls, linear: FloatArray, unknown: BoolArray | None = None) -> RayColors:
@@ -57,9 +58,8 @@ class RayColors:
 class _PixelShadows(ShadowMap):
     """Shadows of points that `pixels` (N, 2) see; neighbours share them.
 
-    Of whole pixels those of even rows and columns shoot rays to all lights, then those of odd ones, then the
-    rest, of the parts of a pixel the first: where the surface is flat, points that lie between others shoot
-    rays only to the lights about which these disagree.
+    Pixels of even rows and columns shoot rays to all lights, then those of odd ones, then the rest: where the
+    surface is flat, points between others shoot rays only to the lights about which these disagree.
     """
 
     pixels: FloatArray
@@ -146,8 +146,7 @@ class LitScene:
 
         radiance = sum over lights k of E_k V_k (albedo f_d / pi + specular f_s)
 
-    with visibility V from rays, f_d of Oren and Nayar and f_s of Phong. Lenses take their share of light that
-    passes them on its way to a surface, but do not bend it.
+    with visibility V from rays, f_d of Oren and Nayar and f_s of Phong. Lenses dim light, but do not bend it.
     """
 
     def __init__(
@@ -165,7 +164,17 @@ class LitScene:
         """Return the colours of straight rays, of those behind a lens, and of sets that lenses mirror."""
         sets = [straight, bent, *mirrored]
         ends = np.cumsum([len(rays.origins) for rays in sets])[:-1]
-        colors = self.seen(SceneRays.joined(sets))
+        # All at once, with their pixels moved apart: those of two sets are no neighbours.
+        hits = ((rays.hits.face, rays.hits.barycentric, rays.hits.distance) for rays in sets)
+        pixels = [rays.pixels for rays in sets if rays.pixels is not None]
+        width = 2 * np.ceil(max(p[:, 0].max(initial=0) for p in pixels)) + 4
+        together = SceneRays(
+            np.concatenate([rays.origins for rays in sets]),
+            np.concatenate([rays.directions for rays in sets]),
+            RayHits(*map(np.concatenate, zip(*hits, strict=True))),
+            np.concatenate([p + [number * width, 0] for number, p in enumerate(pixels)]),
+        )
+        colors = self.seen(together)
         parts = (np.split(values, ends) for values in (colors.bare, colors.shaded, colors.unknown))
         return [RayColors(*part) for part in zip(*parts, strict=True)]
 
@@ -224,10 +233,8 @@ class LitScene:
 class PhotographedScene:
     """A linear photograph (H, W, 3) as the source of colours: points are looked up where the camera saw them.
 
-    The scene is as photographed, the frame without lenses included. Points that were not seen take the colour
-    of the nearest one of their surface among the pixels of `region`, or their albedo where there is none.
-    Nothing is taken from `fringe_px` pixels around the frame and of the background around surfaces. Mirrors
-    show the environment (H, W, 3) where they show no surface.
+    Points that were not seen take the colour of the nearest one of their surface among the pixels of
+    `region`, or their albedo where there is none. Nothing is taken from `fringe_px` pixels on fringes.
     """
 
     def __init__(
@@ -266,7 +273,16 @@ class PhotographedScene:
             known = sampled & (first.hits.distance >= distance - _SAME_POINT * self._scene.caster.size)
             for number in np.unique(surface[~known]).tolist():
                 lost = ~known & (surface == number)
-                tree, shown = self._shown(number)
+                if number not in self._known:
+                    # The points of the surface that pixels of the region show, and their colours.
+                    corner = [part.start or 0 for part in self._region]
+                    row, column = (np.argwhere(self._labels[self._region] == number) + corner).T
+                    way = pixel_directions(self._camera, np.stack([column, row], 1))
+                    ends = self._scene.rays(self._center, way)
+                    met = np.flatnonzero(ends.hits.face >= 0)
+                    colored = self._picture[row[met], column[met]]
+                    self._known[number] = cKDTree(ends.chosen(met).ends), colored
+                tree, shown = self._known[number]
                 if len(shown):
                     colors[lost] = shown[tree.query(position[lost])[1]]
                 else:
@@ -309,16 +325,6 @@ class PhotographedScene:
             for kind, others in ((frame, ~frame), (~away, away)):
                 label[binary_dilation(kind, np.ones((3, 3)), iterations=self._fringe_px) & others] = _MIXED
         return label
-
-    def _shown(self, number: int) -> tuple[cKDTree, FloatArray]:
-        """Return the points of a surface that pixels of the region show, and their colours."""
-        if number not in self._known:
-            corner = [part.start or 0 for part in self._region]
-            row, column = (np.argwhere(self._labels[self._region] == number) + corner).T
-            shown = self._scene.rays(self._center, pixel_directions(self._camera, np.stack([column, row], 1)))
-            on = np.flatnonzero(shown.hits.face >= 0)
-            self._known[number] = cKDTree(shown.chosen(on).ends), self._picture[row[on], column[on]]
-        return self._known[number]
 
     def _sample(self, pixels: FloatArray, labels: IntArray) -> tuple[FloatArray, BoolArray]:
         """Return bilinear colours (N, 3) from pixels of the given labels, and where there are any."""

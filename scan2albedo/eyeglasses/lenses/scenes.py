@@ -17,8 +17,7 @@ from scan2albedo.geometry.rays import RayCaster, RayHits
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 
 _SMOOTH = 0.3
-"""Cosine to its face below which a smoothed normal is replaced by the face's: its neighbours are wound in two
-ways."""
+"""Cosine to its face below which a smoothed normal is replaced by the face's: winding differs around it."""
 _LAMPS = (
     ((-0.6, 0.6, 0.7), 0.82, 7.0),
     ((0.9, 0.15, 0.6), 0.86, 1.6),
@@ -36,20 +35,17 @@ WHITE_SHOWN = 0.9
 class Surface:
     """A mesh with its colour, in mm in the world's frame.
 
-    Raises EyeglassesError when there are no faces or numbers are not finite; ValueError when an array has the
-    wrong shape, or the texture comes without `uv`.
+    Raises EyeglassesError when there are no faces or numbers are not finite; ValueError for a wrong shape.
     """
 
     vertices: ArrayLike
-    """(V, 3)."""
     faces: ArrayLike
-    """(F, 3) of any winding; both sides are seen."""
+    """(F, 3) of any winding, over `vertices` (V, 3); both sides are seen."""
     albedo_linear: ArrayLike = (0.5, 0.5, 0.5)
     """(3,) or (V, 3); ignored where there is a texture."""
     uv: ArrayLike | None = None
-    """(V, 2) of vertices or (F, 3, 2) of each face's corners; v = 0 is the bottom row."""
     texture_linear: ArrayLike | None = None
-    """(H, W, 3) albedo; needs `uv`."""
+    """(H, W, 3) albedo; needs `uv`, (V, 2) or (F, 3, 2) of each face's corners; v = 0 is the bottom row."""
     roughness_rad: float = 0.0
     """Oren and Nayar's sigma; 0 is Lambert."""
     specular: float = 0.0
@@ -83,34 +79,21 @@ class Surface:
 
 @dataclass(frozen=True)
 class SceneRays:
-    """N rays and where they end in the scene."""
+    """N rays from `origins` (N, 3) mm along unit `directions` (N, 3), and where they end in the scene.
+
+    `pixels` (N, 2) are those through which they are seen, if any.
+    """
 
     origins: FloatArray
-    """(N, 3) mm."""
     directions: FloatArray
-    """(N, 3) unit."""
     hits: RayHits
     pixels: FloatArray | None = None
-    """(N, 2) through which they are seen, if any."""
 
     def chosen(self, which: IntArray | BoolArray) -> SceneRays:
         """Return copies of some of the rays."""
         hits = RayHits(self.hits.face[which], self.hits.barycentric[which], self.hits.distance[which])
         pixels = None if self.pixels is None else self.pixels[which]
         return SceneRays(self.origins[which], self.directions[which], hits, pixels)
-
-    @classmethod
-    def joined(cls, sets: Sequence[SceneRays]) -> SceneRays:
-        """Return the rays of all sets, with their pixels moved apart: those of two sets are no neighbours."""
-        hits = ((rays.hits.face, rays.hits.barycentric, rays.hits.distance) for rays in sets)
-        pixels = [rays.pixels for rays in sets if rays.pixels is not None]
-        width = 2 * np.ceil(max(p[:, 0].max(initial=0) for p in pixels)) + 4
-        return cls(
-            np.concatenate([rays.origins for rays in sets]),
-            np.concatenate([rays.directions for rays in sets]),
-            RayHits(*map(np.concatenate, zip(*hits, strict=True))),
-            np.concatenate([p + [number * width, 0] for number, p in enumerate(pixels)]),
-        )
 
     @property
     def ends(self) -> FloatArray:
@@ -189,8 +172,7 @@ def radiance_at(environment_linear: FloatArray | None, directions: FloatArray) -
 def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
     """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
 
-    `axes` (3, 3) are those of `worn_axes`: lamps stand around whoever wears the frame, wherever a camera is,
-    the main one on the wearer's right, which pictures show on the left.
+    `axes` (3, 3) are those of `worn_axes`: lamps stand around the wearer, the main one on their right.
     """
     seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
     radiance = 0.4 + 0.2 * seen[..., 1]
@@ -203,9 +185,7 @@ def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
 def white_exposure(environment_linear: FloatArray, front: FloatArray) -> float:
     """Return the factor that shows a matte white plate facing `front` (3,) as `WHITE_SHOWN` of white.
 
-    Nothing hides the plate, so that an environment (H, W, 3) has one exposure for all cameras and heads.
-    Where it gets less light than a plate does on average over all directions, that average counts; 1 in the
-    dark.
+    It gets at least what a plate of any direction gets on average from the environment; 1 in the dark.
     """
     rows, columns = environment_linear.shape[:2]
     light = environment_linear.mean(2) * texel_solid_angles(rows, columns)[:, None]

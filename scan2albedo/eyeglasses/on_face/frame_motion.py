@@ -115,17 +115,13 @@ class FrameMotion:
         return np.asarray(_point_covariances(points.rest, points.weights, place, *self._placement, raw))
 
     def raw_sums(
-        self,
-        points: SkinnedPoints,
-        positions: FloatArray,
-        slopes: FloatArray,
-        values: FloatArray,
-        votes: FloatArray,
-        *,
-        with_matrix: bool = True,
+        self, points: SkinnedPoints, positions: FloatArray, *terms: FloatArray, with_matrix: bool = True
     ) -> tuple[FloatArray, FloatArray]:
-        """Return sums of vote value row and vote row row^T over N values, for `chained`."""
-        given = points.rest, points.weights, positions, slopes, values, votes
+        """Return sums of vote value row and vote row row^T over N values, for `chained`.
+
+        `terms` are slopes (N, 3), values (N,) and votes (N,).
+        """
+        given = points.rest, points.weights, positions, *terms
         gradient, matrix = _normal_sums(*given, *self._placement, with_matrix)
         return gradient, matrix
 
@@ -139,7 +135,6 @@ class FrameMotion:
 
     @property
     def _placement(self) -> tuple[FloatArray, ...]:
-        """The handles' turns, the key points without gaps, rotation and origin, as the loops take them."""
         filled = np.where(self.known[:, None], self.keypoints, self.center)
         turns = np.ascontiguousarray(self.handles[:, :3, :3])
         return turns, filled, self.state.rotation, self.state.origin
@@ -191,8 +186,7 @@ def _spin(matrices: FloatArray) -> FloatArray:
 def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     """Return residuals (N,) in standard deviations and their derivatives (N, 6 + 3 K).
 
-    Of each bone: its stretch, beside one that all have in common, and the turn of its two ends against each
-    other; then the six rigid motions within the shifts, which must be 0.
+    Of each bone: its stretch and the turn of its ends against each other; then the shifts' rigid motions.
     """
     bones = known_bones(motion.keypoints)
     bones = bones[bones[:, 0] < bones[:, 1]]
@@ -267,7 +261,6 @@ def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row
 
 @njit(cache=True, nogil=True)
 def _point_covariances(rest, weights, positions, turns, keypoints, rotation, origin, root):  # type: ignore[no-untyped-def]
-    """Return (N, 3, 3) covariances under that of parameters, root root^T, `root` (6 + 6 K, P)."""
     count, size, parameters = len(rest), 6 + 6 * weights.shape[1], root.shape[1]
     result = np.empty((count, 3, 3))
     row, place, axes = np.empty(size), np.empty(size, np.int64), np.eye(3)
@@ -297,10 +290,7 @@ def _normal_sums(  # type: ignore[no-untyped-def]
 ):
     """Return gradient (S,) and matrix (S, S), S = 6 + 6 K, of sum of vote value^2 / 2 over N points.
 
-    Derivatives are by the frame's turn and translation, by the key points' shifts at fixed turns of the
-    handles, and by these turns. Most weights are 0, so rows are summed without their zeros. Points are `rest`
-    (N, 3) at rest and `positions` (N, 3) in the world, where `slopes` (N, 3) are the values' derivatives;
-    `turns` (K, 3, 3) rotate the handles, `rotation` (3, 3) and `origin` (3,) take the frame to the world.
+    Derivatives are by turn and translation, by the shifts at fixed turns of the handles, and by these turns.
     """
     count, handles = weights.shape
     size = 6 + 6 * handles

@@ -50,10 +50,9 @@ class RegisteredEyeglasses:
     faces: IntArray
     weights: FloatArray
     keypoints: FloatArray
-    """(20, 3) in the world as `vertices` (V, 3), NaN where the frame lacks them; `faces` (F, 3) and `weights`
-    (V, 20) are as given."""
     world_from_glasses: FloatArray
-    """(4, 4) rigid, the bend left aside."""
+    """(4, 4) rigid, without the bend, into the world of `vertices` (V, 3) and `keypoints` (20, 3), NaN where
+    the frame lacks them; `faces` (F, 3) and `weights` (V, 20) are as given."""
     handle_transforms: FloatArray
     """(20, 4, 4) from the glasses at rest to the world, bend included, for `skin`."""
     bend: FloatArray
@@ -61,36 +60,31 @@ class RegisteredEyeglasses:
     visible: BoolArray
     """(C, V) vertices in the picture that the head does not hide, whether the frame hides them or not."""
     deviation: FloatArray
-    """(V,) root mean square distance that each vertex may be off: two in three lie nearer, 19 in 20 within
-    twice as much."""
+    """(V,) root mean square distance that each vertex may be off."""
     observed: BoolArray
     """(V,) visible in a view, known to `OBSERVED_MM`, and not contradicted by a mask; none where more than a
     third of the labels do not fit, or the budget ended before the bend was found."""
     keypoint_deviation: FloatArray
-    """(20,) as `deviation`, NaN where the frame lacks them."""
     keypoints_observed: BoolArray
-    """(20,) key points that the head leaves visible in a view and that are known to `OBSERVED_MM`."""
+    """(20,) key points that the head leaves visible in a view and whose `keypoint_deviation` (20,), NaN where
+    the frame lacks them, is at most `OBSERVED_MM`."""
     depth_deviation: float
-    """Root mean square of the standard deviations along the line of sight, over key points in view."""
     depth_observed: bool
-    """Whether that is known to `OBSERVED_MM`: one view hardly sees depth."""
+    """Whether `depth_deviation`, the root mean square standard deviation along the line of sight over key
+    points in view, is at most `OBSERVED_MM`: one view hardly sees depth."""
     label_errors_px: FloatArray
-    """(C, 20); NaN where there is no label."""
     inliers: BoolArray
-    """(C, 20) labels within three times `options.label_noise_px`."""
+    """(C, 20) labels whose error, `label_errors_px`, is within three times `options.label_noise_px`."""
     outline_rms_px: FloatArray
     """(C,) distance of the outline from the mask's, where they can be compared; NaN without a mask."""
     iou: FloatArray
-    """(C,) of the frame's mask and the given one; NaN without. High values are no evidence of a good fit in
-    space: frames millimetres off reach 0.97."""
+    """(C,) of the frame's mask and the given one; NaN without. Frames millimetres off reach 0.97."""
     converged: bool
-    """False when the budget ended first or outlines did not settle."""
     iterations: int
-    """Evaluations of the objective."""
+    """Evaluations of the objective; not `converged`: the budget ended first or outlines did not settle."""
     plan: Plan
-    """Steps that ran or were left out, and why."""
     trace: Trace = Trace()
-    """Errors in pixels."""
+    """Errors in pixels; `plan` says which steps ran or were left out, and why."""
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -187,7 +181,8 @@ def checked_inputs(
     skull = None
     if head is not None:
         points, index = (head.vertices, head.faces) if hasattr(head, "vertices") else head
-        skull = checked_mesh(points, index, "the head")
+        points, index = checked_mesh(points, index, "the head")
+        skull = points / unit, index
     pose = None
     if start is not None:
         pose = np.array(start, np.float64)
@@ -196,18 +191,8 @@ def checked_inputs(
         if not is_rigid(pose):
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
-    return RegistrationInputs(
-        vertices=vertices / unit,
-        faces=faces,
-        keypoints=keypoints / unit,
-        weights=weights,
-        views=tuple(views),
-        masks=tuple(checked),
-        head=None if skull is None else (skull[0] / unit, skull[1]),
-        start=pose,
-        unit=unit,
-        plan=tuple(plan),
-    )
+    frame = vertices / unit, faces, keypoints / unit, weights
+    return RegistrationInputs(*frame, tuple(views), tuple(checked), skull, pose, unit, tuple(plan))
 
 
 def is_rigid(pose: FloatArray) -> bool:
@@ -218,7 +203,6 @@ def is_rigid(pose: FloatArray) -> bool:
 
 
 def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray | None]:
-    """Return vertices, faces, key points and weights: a tuple of four for the one caller."""
     if hasattr(glasses, "vertices"):
         parts = [glasses.vertices, glasses.faces, glasses.keypoints, getattr(glasses, "weights", None)]
     elif isinstance(glasses, tuple | list) and len(glasses) in (3, 4):

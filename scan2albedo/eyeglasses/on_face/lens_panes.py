@@ -26,10 +26,9 @@ _FEWEST = 40
 
 @dataclass(frozen=True)
 class RimOpening:
-    """The opening of one rim: of the wearer's left (0) or right `side` (1).
+    """The opening of a rim of key points `rim` (5,), on the wearer's left (0) or right `side` (1).
 
-    `rim` (5,) are the numbers of its key points, `panes` (P,) the faces of the mesh's own lens; it is
-    `sealed` where the mesh covers it by a surface of one piece with the rim.
+    `panes` (P,) are the faces of the mesh's own lens; `sealed` says that one of one piece covers it.
     """
 
     side: int
@@ -56,29 +55,16 @@ def rim_openings(vertices: FloatArray, faces: IntArray, keypoints: FloatArray) -
     return found
 
 
-@dataclass(frozen=True)
-class ShownFrame:
-    """A frame as each view's mask shows it, by the faces in `shown`.
-
-    Behind the vertices and faces of the given `mesh` are those of lenses that were put in.
-    """
-
-    mesh: FrameMesh
-    shown: tuple[IntArray, ...]
-    steps: tuple[PlanStep, ...]
-
-
 def fit_lenses_to_masks(
     mesh: FrameMesh,
     motion: FrameMotion,
     cameras: Sequence[FloatArray],
     masks: Sequence[BoolArray | None],
     head: RayCaster | None,
-) -> ShownFrame:
-    """Return the frame with lenses in the views whose masks (H, W) show them, and without in the others.
+) -> tuple[FrameMesh, tuple[IntArray, ...], list[PlanStep]]:
+    """Return the mesh with lenses that only masks (H, W) show behind it, each view's faces, and steps.
 
-    The mesh's own lenses are parts of their own across a rim's opening; where masks show lenses that the mesh
-    does not have, flat ones that fill the rim are put in.
+    Views whose masks show no lens do without the mesh's own.
     """
     steps, added, count = [], mesh, len(cameras)
     kept = [np.ones(len(mesh.faces), bool) for _ in cameras]
@@ -138,7 +124,7 @@ def fit_lenses_to_masks(
     faces_of = tuple(np.concatenate([mesh.faces[kept[n]], *extra[n]]) for n in range(count))
     if not steps:
         steps = [PlanStep("glasses.lenses", False, "masks and mesh agree on lenses, or have none")]
-    return ShownFrame(added, faces_of, tuple(steps))
+    return added, faces_of, steps
 
 
 def _views(which: BoolArray) -> str:

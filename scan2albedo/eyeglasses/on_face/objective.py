@@ -27,8 +27,7 @@ from scan2albedo.optimization.least_squares import Damping, NormalEquations, min
 _BEHIND = 1e6
 """Squared error in standard deviations of a point behind a camera."""
 _ROBUST = 2.0
-"""Standard deviations from which the error of a label counts less and less (Cauchy), and that of an outline
-by its size alone (Huber)."""
+"""Standard deviations from which labels count less and less (Cauchy), outlines by their size (Huber)."""
 _OFFSET_MM = 0.5
 """How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
 _BIAS_PX = 1.0
@@ -46,8 +45,7 @@ _FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES
 class Linearization:
     """The objective at a state: cost, half gradient (P,) and Gauss-Newton matrix (P, P).
 
-    `labels_px` (C, K) and `outline_px` (N,) are the errors, NaN where there are no labels, or samples do not
-    count.
+    `labels_px` (C, K) and `outline_px` (N,) are the errors, NaN where there are none.
     """
 
     cost: float
@@ -119,8 +117,7 @@ class RegistrationObjective:
     outlines: sum of Huber's function of the mask's distance at the sample's place, less a bias of each mask,
               + squares of the biases
     bend:     sum of squares of `bend_prior`
-    contact:  square of the frame's distance in mm, which is the usual one, from the nose, where there is a
-              `contact`
+    contact:  square of the frame's distance from the nose in mm, where there is a `contact`
 
     Offsets and biases are those that make the sum least; gradient and matrix are those of what is left.
     """
@@ -152,8 +149,7 @@ class RegistrationObjective:
     ) -> Linearization:
         """Return the objective at a state, with outlines where there are `samples`.
 
-        `rigid`: of turn and translation alone, without a prior. Without `with_matrix` labels and outlines add
-        to cost and gradient alone.
+        `rigid`: of turn and translation alone, without a prior. Without `with_matrix` data do not add to it.
         """
         motion = self.motion(state)
         sums = _Sums(motion, with_matrix)
@@ -211,7 +207,8 @@ class RegistrationObjective:
         return errors
 
     def _add_outlines(self, samples: OutlineSamples, sums: _Sums) -> FloatArray:
-        place, noise = sums.motion.positions(samples.points), self.options.outline_noise_px
+        motion, noise = sums.motion, self.options.outline_noise_px
+        place = motion.positions(samples.points)
         pixels, slopes, _ = projected(self._cameras[samples.view], place)
         error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
         for number, view in enumerate(self.views):
@@ -238,7 +235,11 @@ class RegistrationObjective:
             weight = _VOTE * _huber_weights(residual[mine])
             error[mine] -= noise * bias
             sums.cost += tight * bias**2
-            sums.take_common(samples.points[mine], place[mine], slope[mine] / noise, weight, tight)
+            if sums.with_matrix:
+                # What the bias takes from the matrix: all values may be off by one amount.
+                terms = slope[mine] / noise, np.ones(len(weight)), weight
+                common, _ = motion.raw_sums(samples.points[mine], place[mine], *terms, with_matrix=False)
+                sums.matrix -= np.outer(common, common) / (weight.sum() + tight)
         size = np.abs(residual)
         cost = np.where(size > _ROBUST, _ROBUST * (2 * size - _ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
@@ -258,29 +259,17 @@ class _Sums:
     def __init__(self, motion: FrameMotion, with_matrix: bool) -> None:
         size = RIGID + 6 * len(motion.keypoints)
         self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
-        self.motion, self._with_matrix = motion, with_matrix
+        self.motion, self.with_matrix = motion, with_matrix
 
     def add(self, points: SkinnedPoints, place: FloatArray, *terms: FloatArray) -> None:
         """Add slopes, values and votes of points at their places."""
-        gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self._with_matrix)
+        gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self.with_matrix)
         self.gradient += gradient
         self.matrix += matrix
 
-    def take_common(
-        self, points: SkinnedPoints, place: FloatArray, slopes: FloatArray, votes: FloatArray, tight: float
-    ) -> None:
-        """Take from the matrix what N values say that may all be off by one amount of precision `tight`."""
-        if self._with_matrix:
-            ones = np.ones(len(votes))
-            common, _ = self.motion.raw_sums(points, place, slopes, ones, votes, with_matrix=False)
-            self.matrix -= np.outer(common, common) / (votes.sum() + tight)
-
 
 def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return pixels (N, 2), NaN behind the camera, and their derivatives; which points lie in front (N,).
-
-    Each point is seen by its own camera; the derivatives are (N, 2, 3).
-    """
+    """Return pixels (N, 2) of points, NaN behind their camera, derivatives (N, 2, 3), which lie in front."""
     image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
     front = image[:, 2] > 0
     depth = np.where(front, image[:, 2], np.nan)
@@ -327,8 +316,7 @@ def descend(
 ) -> FrameEstimate:
     """Return the best state that `steps` Levenberg-Marquardt steps from `state` reach.
 
-    It ends early when a step lowers the cost by less than the part `tolerance`, or with the meter's budget,
-    which records `error` of every improvement.
+    It ends early when a step lowers the cost by less than the part `tolerance`, or with the budget.
     """
     found = minimize(
         _Point(linearize, state, meter),

@@ -20,8 +20,7 @@ from scan2albedo.geometry.rays import RayCaster
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
 _NEAR_PX = 5.0
-"""Nearer ones are left out where the frame's place is known better: beyond these pixels, for noise and what
-weights cannot bend, and three standard deviations."""
+"""Nearer ones are left out where the frame's place is known better: beyond this and three deviations."""
 _MARGIN_PX = 96
 """How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
@@ -78,9 +77,8 @@ def search_edges(
 ) -> FloatArray:
     """Return (N,) signed distances along `outward` (N, 2) from `pixels` to the mask's edge; NaN for none.
 
-    The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask, at
-    a cosine of 0.3 or more to the mask's own outward direction. Distances to the mask's nearest border
-    would find the sides of a bar, never its end.
+    The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask at
+    a cosine of 0.3 or more to the mask's own. The mask's nearest border would never be the end of a bar.
     """
     result = np.full(len(pixels), np.nan)
     if not len(pixels):
@@ -122,7 +120,7 @@ class OutlineSamples:
     """Points of the frame that make its outlines, and the `view` (N,) of each.
 
     `edges` (N, 2) are pixels where the mask ends beside the sample, NaN where its distance to the mask
-    counts, `outward` (N, 2) unit vectors in the picture, away from the frame.
+    counts, `outward` (N, 2) unit vectors away from the frame.
     """
 
     view: IntArray
@@ -152,10 +150,9 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
 
 @dataclass(frozen=True)
 class Outline:
-    """Pixels of a mask that touch the outside, and the surface points at their centres.
+    """Pixels (N, 2) of a mask that touch the outside, and the surface points at their centres.
 
-    `pixels` (N, 2) are column and row, `face` (N,) and `barycentric` (N, 3) the points, perspective taken
-    out, `outward` (N, 2) unit vectors in the picture, away from the mask.
+    `face` (N,) and `barycentric` (N, 3) are the points, `outward` (N, 2) unit vectors away from the mask.
     """
 
     pixels: IntArray
@@ -167,10 +164,9 @@ class Outline:
 def cover(
     pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
 ) -> NDArray[np.int32]:
-    """Return (H, W) the foremost face at each pixel's centre, -1 for none.
+    """Return (H, W) the foremost face in front of the camera at each pixel's centre, -1 for none.
 
-    `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane; faces with vertices
-    behind the camera (NaN) are left out.
+    `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane.
     """
     return nearest_faces(pixels, 1 / np.where(depth > 0, depth, np.nan), faces, shape)
 
@@ -255,13 +251,52 @@ class OutlineSampler:
 
         `deviation_mm` (K,) says how well the key points are known so far: an uncertain one reaches far.
         """
-        vertices = motion.positions(self.mesh.points)
+        points = self.mesh.points
+        vertices = motion.positions(points)
         # View, places at rest, weights, edges, outward.
-        none = np.zeros(0, np.int64), np.zeros((0, 3)), self.mesh.points.weights[:0], *np.zeros((2, 0, 2))
+        none = np.zeros(0, np.int64), np.zeros((0, 3)), points.weights[:0], *np.zeros((2, 0, 2))
         parts: list[tuple[NDArray[Any], ...]] = [none]
-        for number, view in enumerate(self.views):
-            if view.distance is not None and view.shape is not None:
-                parts.append(self._of_view(number, view.distance, view.shape, vertices, deviation_mm))
+        for number, (view, faces) in enumerate(zip(self.views, self.shown, strict=True)):
+            if view.distance is None or view.shape is None:
+                continue
+            camera = view.camera
+            pixels, depth = project(camera, vertices)
+            covered = cover(pixels, depth, faces, view.shape)
+            outline = trace_outline(covered, pixels, depth, faces)
+            foremost = faces[outline.face, 0]
+            px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
+            reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
+            reach = np.minimum(_NEAR_PX + reach, REACH_PX)
+            # Where the nearest border of the mask has its outside on the same side, its distance counts;
+            # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
+            place = outline.pixels.astype(np.float64)
+            distance, slope = view.distance.sample(place)
+            facing = np.einsum("ni,ni->n", slope, outline.outward)
+            # Points nearer to the picture's border than to the observed outline may have it outside.
+            border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
+            limit = np.minimum(reach, border + 0.5)
+            with np.errstate(invalid="ignore"):
+                near = np.abs(distance) <= limit
+                near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
+            edges, lost = np.full((len(place), 2), np.nan), np.flatnonzero(~near)
+            way = search_edges(view.distance, place[lost], outline.outward[lost], limit[lost])
+            edges[lost] = place[lost] + way[:, None] * outline.outward[lost]
+            kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
+            # Points that the head hides, or a ray some pixels beside them.
+            corners, share = faces[outline.face[kept]], outline.barycentric[kept]
+            world = np.einsum("nk,nki->ni", share, vertices[corners])
+            if self.head is not None and len(kept):
+                hidden = hidden_by(self.head, camera, world)
+                center = camera_centers(camera[None])[0]
+                far = np.linalg.norm(world - center, axis=1)[:, None]
+                for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                    ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
+                    hidden |= hidden_by(self.head, camera, center + far * ray)
+                corners, share, kept = corners[~hidden], share[~hidden], kept[~hidden]
+            rest, weights = (
+                np.einsum("nk,nki->ni", share, a[corners]) for a in (points.rest, points.weights)
+            )
+            parts.append((np.full(len(kept), number), rest, weights, edges[kept], outline.outward[kept]))
         number_of, rest, weights, edges, outward = (np.concatenate(part) for part in zip(*parts, strict=True))
         return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward)
 
@@ -278,50 +313,3 @@ class OutlineSampler:
         owner = np.full(view.shape, -1, np.int64)
         owner[at[seen, 1], at[seen, 0]] = face[seen]
         return owner >= 0, owner
-
-    def _of_view(
-        self,
-        number: int,
-        mask: MaskDistance,
-        shape: tuple[int, int],
-        vertices: FloatArray,
-        deviation_mm: FloatArray,
-    ) -> tuple[NDArray[Any], ...]:
-        mesh, faces, camera = self.mesh, self.shown[number], self.views[number].camera
-        pixels, depth = project(camera, vertices)
-        covered = cover(pixels, depth, faces, shape)
-        outline = trace_outline(covered, pixels, depth, faces)
-        foremost = faces[outline.face, 0]
-        px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
-        reach = 3 * mesh.points.weights[foremost] @ deviation_mm * px_per_mm
-        reach = np.minimum(_NEAR_PX + reach, REACH_PX)
-        # Where the nearest border of the mask has its outside on the same side, its distance counts;
-        # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
-        place = outline.pixels.astype(np.float64)
-        distance, slope = mask.sample(place)
-        facing = np.einsum("ni,ni->n", slope, outline.outward)
-        # Points nearer to the picture's border than to the observed outline may have it outside.
-        border = np.minimum(place, [shape[1] - 1, shape[0] - 1] - place).min(1)
-        limit = np.minimum(reach, border + 0.5)
-        with np.errstate(invalid="ignore"):
-            near = np.abs(distance) <= limit
-            near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
-        edges, lost = np.full((len(place), 2), np.nan), np.flatnonzero(~near)
-        way = search_edges(mask, place[lost], outline.outward[lost], limit[lost])
-        edges[lost] = place[lost] + way[:, None] * outline.outward[lost]
-        kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
-        # Points that the head hides, or a ray some pixels beside them.
-        corners, share = faces[outline.face[kept]], outline.barycentric[kept]
-        world = np.einsum("nk,nki->ni", share, vertices[corners])
-        if self.head is not None and len(kept):
-            hidden = hidden_by(self.head, camera, world)
-            center = camera_centers(camera[None])[0]
-            far = np.linalg.norm(world - center, axis=1)[:, None]
-            for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
-                hidden |= hidden_by(self.head, camera, center + far * ray)
-            corners, share, kept = corners[~hidden], share[~hidden], kept[~hidden]
-        rest, weights = (
-            np.einsum("nk,nki->ni", share, a[corners]) for a in (mesh.points.rest, mesh.points.weights)
-        )
-        return np.full(len(kept), number), rest, weights, edges[kept], outline.outward[kept]

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
@@ -38,8 +37,8 @@ from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
 _RESOLUTION_MM = 2.0
-"""Deviation of depth up to which a frame need not rest on the nose (one view leaves far more open), and cells
-in which the head's vertices are joined: finer ones hide the same and cost more."""
+"""Deviation of depth up to which a frame need not rest on the nose, and cells in which the head's vertices
+are joined."""
 
 
 def register_on_face(
@@ -62,29 +61,26 @@ def register_on_face(
         sum rho(project(x_k) - l_ck) + sum rho(d_c(project(y_i))) + bend's prior,
 
     l_ck the labels, y_i the points that make the frame's outline in view c, d_c the distance from the outline
-    of its mask; first the pose alone on the labels, then bent, then with the outlines, which are traced anew
-    as the frame moves. Steps are Levenberg-Marquardt's, with all derivatives in closed form.
+    of its mask; first the pose alone on the labels, then bent, then with the outlines.
 
     Parameters
     ----------
     glasses : object or tuple
-        With attributes vertices (V, 3), faces (F, 3), keypoints (20, 3) and maybe weights (V, 20), such as
-        `CanonicalEyeglasses`; or a tuple of these, in the cameras' unit. Key points in the order of
-        `KEY_POINT_NAMES`, NaN for those that the frame lacks.
+        With attributes vertices (V, 3), faces (F, 3), keypoints (20, 3), NaN for those that it lacks, and
+        maybe weights (V, 20), such as `CanonicalEyeglasses`; or a tuple of these, in the cameras' unit.
     keypoints_2d : (C, 20, 2) array_like of float
         Labels in pixels (column, row), centres of pixels at integers; NaN for missing ones.
     masks : sequence of C (H, W) array_like, or None
-        Nonzero where a view shows the frame, with lenses or without, whether the mesh has them or not: the
-        plan says what was left out or put in. None, also for a single view, where there is no segmentation.
-        An empty one does not count.
+        Nonzero where a view shows the frame, with lenses or without, whether the mesh has them or not. None,
+        also for a single view, where there is no segmentation. An empty one does not count.
     cameras : (C, 3, 4) array_like of float
         Projection matrices of any scale and sign.
     budget : Budget or float, optional
-        Seconds, or evaluations of the objective. When it ends the best pose and bend so far are returned.
-        Seconds end the search with outlines; labels alone take well under a second and are always used.
+        Seconds, or evaluations of the objective. When it ends the best pose and bend so far are returned;
+        labels are always used.
     head : optional
         What may hide the frame, such as the fitted face: an object with vertices and faces, or a tuple of
-        them, in the cameras' frame. Without it hidden temples are taken for wrongly placed ones.
+        them, in the cameras' frame.
     start : (4, 4) array_like, optional
         `world_from_glasses`, about; needed only where the labels fix no pose.
     shapes : sequence of C (H, W), optional
@@ -96,20 +92,17 @@ def register_on_face(
     Raises
     ------
     EyeglassesError
-        When the labels fix no pose and there is no start, left and right are exchanged, units differ,
-        labels lie outside their pictures, weights cannot be solved, or numbers are not finite.
+        When labels fix no pose, lie outside their pictures, or have left and right exchanged, units differ,
+        weights cannot be solved, or numbers are not finite.
     ValueError
         When shapes do not fit together.
 
     Notes
     -----
-    What the pictures do not determine is reported: `observed`, `deviation`, `unobserved`. Deviations hold for
-    a mesh of the frame itself, true to about a percent: a canonical frame has the measures of the mean. They
-    count labels that miss the key point alike in all views (0.5 mm) and masks that are too wide or too narrow
-    throughout (1 px). Masks that contradict good labels are left aside.
-
-    Li et al. (supplement, equation S3) minimise a rendered segmentation with Adam, some thousand renderings;
-    this takes about a hundred evaluations.
+    Deviations hold for a mesh of the frame itself, true to about a percent. They count labels that miss the
+    key point alike in all views (0.5 mm) and masks that are too wide or too narrow throughout (1 px). Masks
+    that contradict good labels are left aside. Li et al. (supplement, equation S3) minimise a rendered
+    segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
 
     Examples
     --------
@@ -130,14 +123,33 @@ def register_on_face(
 
 
 class _Registration:
-    """One registration: what its stages share. Raises EyeglassesError when weights cannot be solved."""
+    """One registration: what its stages share."""
 
     def __init__(self, given: RegistrationInputs, options: FaceRegistrationOptions, meter: Meter) -> None:
         self.given, self.options, self.meter = given, options, meter
         self.steps: list[PlanStep] = list(given.plan)
         self.bend_found = True
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
-        mesh = FrameMesh(SkinnedPoints(given.vertices, self._weights()), given.faces)
+        if given.weights is not None:
+            self._note("weights", False, "the glasses bring their own")
+            weights = given.weights
+        elif not options.bend:
+            self._note("weights", False, "the frame stays as it is")
+            weights = np.eye(1, len(given.keypoints), int(np.argmax(given.known)))
+            weights = weights.repeat(len(given.vertices), 0)
+        else:
+            seconds = meter.budget.seconds
+            left = None if seconds is None else Budget(seconds=max(seconds - meter.elapsed_s, 1e-3))
+            marks = given.keypoints[given.known]
+            try:
+                solved = solve_weights(given.vertices, given.faces, marks, budget=left)
+            except EyeglassesError as error:
+                raise EyeglassesError(f"the glasses' weights: {error}") from error
+            evidence = f"{solved.node_count} nodes, {meter.elapsed_s:.2f} s"
+            self._note("weights", True, "the glasses bring none", evidence)
+            weights = np.zeros((len(given.vertices), len(given.keypoints)))
+            weights[:, given.known] = solved.weights
+        mesh = FrameMesh(SkinnedPoints(given.vertices, weights), given.faces)
         occluder = None
         if given.head is not None:
             coarse = thinned(*given.head, _RESOLUTION_MM)
@@ -146,7 +158,6 @@ class _Registration:
         self.sampler = OutlineSampler(mesh, given.views, occluder)
 
     def run(self) -> RegisteredEyeglasses:
-        """Run the stages that the input asks for; raises as `register_on_face`."""
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
         return report(
             self.given,
@@ -161,28 +172,7 @@ class _Registration:
     def _note(self, step: str, ran: bool, reason: str, evidence: str = "") -> None:
         self.steps.append(PlanStep(f"{self.meter.stage}.{step}", ran, reason, evidence))
 
-    def _weights(self) -> FloatArray:
-        given = self.given
-        if given.weights is not None:
-            self._note("weights", False, "the glasses bring their own")
-            return given.weights
-        if not self.options.bend:
-            self._note("weights", False, "the frame stays as it is")
-            return np.eye(1, len(given.keypoints), int(np.argmax(given.known))).repeat(len(given.vertices), 0)
-        seconds = self.meter.budget.seconds
-        left = None if seconds is None else Budget(seconds=max(seconds - self.meter.elapsed_s, 1e-3))
-        try:
-            solved = solve_weights(given.vertices, given.faces, given.keypoints[given.known], budget=left)
-        except EyeglassesError as error:
-            raise EyeglassesError(f"the glasses' weights: {error}") from error
-        evidence = f"{solved.node_count} nodes, {self.meter.elapsed_s:.2f} s"
-        self._note("weights", True, "the glasses bring none", evidence)
-        weights = np.zeros((len(given.vertices), len(given.keypoints)))
-        weights[:, given.known] = solved.weights
-        return weights
-
     def _find_pose(self) -> FrameEstimate:
-        """The pose alone, from the best of several starts."""
         given, options = self.given, self.options
         starts = starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
         rigid = partial(self.objective.linearize, samples=None, rigid=True)
@@ -200,7 +190,6 @@ class _Registration:
         return found
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
-        """The pose and the bend that the labels ask for."""
         if not (self.options.bend and self.given.labelled):
             reason = "no key point is labelled" if self.options.bend else "the frame stays as it is"
             self._note("key_points", False, reason)
@@ -216,7 +205,6 @@ class _Registration:
         return found
 
     def _rest_on_nose(self, before: FrameEstimate) -> FrameEstimate:
-        """The frame on the nose, where the labels do not determine its depth."""
         motion = self.objective.motion(before.state)
         depth = depth_open(self.given, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"
@@ -251,7 +239,6 @@ class _Registration:
         return found
 
     def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
-        """The frame whose outlines meet those of the masks, traced anew until they settle."""
         if not any(view.distance is not None for view in self.given.views):
             self._note("outlines", False, "no view has a mask")
             return before
@@ -262,9 +249,10 @@ class _Registration:
         views = self.given.views
         masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
         motion, cameras = self.objective.motion(before.state), [view.camera for view in views]
-        frame = fit_lenses_to_masks(self.sampler.mesh, motion, cameras, masks, self.sampler.head)
-        self.steps += frame.steps
-        self.sampler = OutlineSampler(frame.mesh, views, self.sampler.head, frame.shown)
+        given = self.sampler.mesh, motion, cameras, masks, self.sampler.head
+        mesh, shown, steps = fit_lenses_to_masks(*given)
+        self.steps += steps
+        self.sampler = OutlineSampler(mesh, views, self.sampler.head, shown)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
         known = self.given.known

@@ -193,7 +193,6 @@ def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Lineariz
 
 
 def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) -> BoolArray:
-    """Return (N,) True for points in the picture that the head does not hide."""
     pixels, depth = project(view.camera, points)
     inside = depth > 0
     if view.shape is not None:
@@ -219,10 +218,9 @@ def _depth_deviation(
 def compare_masks(
     sampler: OutlineSampler, motion: FrameMotion, number: int, mask: BoolArray, noise_px: float
 ) -> tuple[float, FloatArray]:
-    """Return how a view's mask (H, W) agrees with the pixels that the frame covers, the head in front.
+    """Return the intersection over the union of a view's mask (H, W) and the frame's, the head in front.
 
-    The intersection over the union, and (K,) pixels of either mask away from the other, by the key point of
-    the vertex nearest in the picture.
+    Also (K,) pixels of either mask away from the other, by the key point of the nearest vertex.
     """
     vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
     view, faces = sampler.views[number], sampler.shown[number]

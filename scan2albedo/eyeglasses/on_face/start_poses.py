@@ -16,11 +16,7 @@ from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import is_posable
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
-from scan2albedo.eyeglasses.on_face.objective import (
-    RegistrationObjective,
-    descend,
-    projected,
-)
+from scan2albedo.eyeglasses.on_face.objective import RegistrationObjective, descend, projected
 from scan2albedo.eyeglasses.on_face.outline import ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 from scan2albedo.geometry.rigid import compose, procrustes
@@ -37,8 +33,7 @@ def starting_poses(
 ) -> list[FrameState]:
     """Return at least one unbent state to start from, of a frame with key points (K, 3) at rest.
 
-    Poses come from triangulated key points, from each view alone, and from the caller (`given`). Raises
-    EyeglassesError when there is none, or the units of frame and cameras differ.
+    Raises EyeglassesError when there is none, or the units of frame and cameras differ.
     """
     poses = [] if given is None else [given]
     labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
@@ -76,10 +71,7 @@ def starting_poses(
 
 
 def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -> FloatArray | None:
-    """Return the pose that most labels of one view agree with, by RANSAC over perspective-n-point.
-
-    None where fewer than four are labelled, which fix no pose.
-    """
+    """Return the pose that most labels of one view agree with, by RANSAC; None for fewer than four."""
     seen = np.isfinite(view.labels).all(1) & np.isfinite(keypoints).all(1)
     if seen.sum() < 4:
         return None
@@ -115,10 +107,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -
 
 
 def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptions, error_px: float) -> None:
-    """Raise EyeglassesError where exchanging left and right explains the labels far better.
-
-    `error_px` is their error as they are, at the best pose.
-    """
+    """Raise EyeglassesError where exchanging left and right explains labels far better than `error_px`."""
     views = tuple(replace(view, labels=view.labels[list(MIRROR)]) for view in given.views)
     objective = RegistrationObjective(given.keypoints, views, options)
     rigid = partial(objective.linearize, samples=None, rigid=True)
@@ -143,10 +132,8 @@ class TriangulatedPoints:
     points: FloatArray
     """(K, 3) in the unit of the cameras; NaN rows where fewer than two views see a point."""
     errors_px: FloatArray
-    """(C, K) distances of labels from the reprojected points; NaN where one is missing, infinite where a
-    point lies behind the camera."""
     inliers: BoolArray
-    """(C, K) labels within three times the noise of their point."""
+    """(C, K) labels whose distance from their reprojected point, `errors_px`, is within thrice the noise."""
 
 
 def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2.0) -> TriangulatedPoints:
@@ -156,9 +143,8 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
 
         sum over c of rho(|project(P_c, x) - l_c|),  rho(r) = log(1 + (r / 2 s)^2),
 
-    the Cauchy loss, under which labels many s off hardly pull. Starts are the linear solutions of all pairs
-    of views that lie in front of both cameras (Hartley, Zisserman, "Multiple View Geometry", section 12.2);
-    the one of least loss is refined by damped Gauss-Newton steps on the reweighted reprojection errors.
+    the Cauchy loss. Of the linear solutions of all pairs of views (Hartley, Zisserman, "Multiple View
+    Geometry", section 12.2) the one of least loss is refined by damped Gauss-Newton steps.
 
     Parameters
     ----------
@@ -176,8 +162,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
 
     Notes
     -----
-    Two views that contradict each other have no majority: the point's errors show it. Views from one centre
-    see no depth: their points are NaN. Cost: C (C - 1) / 2 linear systems a point.
+    Views from one centre see no depth: their points are NaN. Cost: C (C - 1) / 2 linear systems a point.
 
     Examples
     --------
@@ -199,29 +184,23 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         seen = np.flatnonzero(np.isfinite(labels[:, k]).all(1))
         if len(seen) < 2:
             continue
-        if (found := _placed(labels[seen, k], matrices[seen], noise_px)) is not None:
+        own, cams = labels[seen, k], matrices[seen]
+        starts = []
+        for pair in map(list, itertools.combinations(range(len(seen)), 2)):
+            # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
+            rows = (own[pair][:, :, None] * cams[pair][:, 2:] - cams[pair][:, :2]).reshape(-1, 4)
+            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
+            place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
+            if rank == 3 and (cams[pair][:, 2, :3] @ place + cams[pair][:, 2, 3] > 0).all():
+                starts.append(_Point(place, own, cams, noise_px))
+        if starts:
+            nearest = min(starts, key=lambda point: point.cost)
+            least = 1e-12 * (1 + float(np.linalg.norm(nearest.place)))
+            found = minimize(nearest, trials=50, step_tolerance=least, damping=_DAMPING).best
             points[k], errors[seen, k] = found.place, np.linalg.norm(found.errors, axis=-1)
     with np.errstate(invalid="ignore"):
         inliers = errors <= 3 * noise_px
     return TriangulatedPoints(points, errors, inliers)
-
-
-def _placed(labels: FloatArray, cameras: FloatArray, noise_px: float) -> _Point | None:
-    """Return the point of labels (C, 2), None where no pair of views gives one."""
-    starts = []
-    for pair in itertools.combinations(range(len(labels)), 2):
-        # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
-        own, seen = cameras[list(pair)], labels[list(pair)]
-        rows = (seen[:, :, None] * own[:, 2:] - own[:, :2]).reshape(-1, 4)
-        rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
-        place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
-        if rank == 3 and (own[:, 2, :3] @ place + own[:, 2, 3] > 0).all():
-            starts.append(place)
-    if not starts:
-        return None
-    nearest = min((_Point(place, labels, cameras, noise_px) for place in starts), key=lambda p: p.cost)
-    least = 1e-12 * (1 + float(np.linalg.norm(nearest.place)))
-    return minimize(nearest, trials=50, step_tolerance=least, damping=_DAMPING).best
 
 
 class _Point:

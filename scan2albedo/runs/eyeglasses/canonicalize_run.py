@@ -121,15 +121,14 @@ def canonicalize_frames(
 ) -> CanonicalFiles:
     """Take poses and bends away; frames go where their mean lies, or an earlier `mean_keypoints.json`.
 
-    New failures are added to `failures` of reading. Raises EyeglassesError when no frame can be done, or
-    `mean` cannot be read.
+    Adds to the `failures`. Raises EyeglassesError when no frame can be done, or `mean` cannot be read.
     """
     begun, spend, mean_mm = time.perf_counter(), Budget.of(budget), None
     if mean is not None:
-        given = read_keypoints_with_unit(mean)
-        if given.unit == "unknown":
+        given, unit = read_keypoints_with_unit(mean)
+        if unit == "unknown":
             raise EyeglassesError(f"key points {mean} do not say their unit; a mean needs one: mm, cm or m")
-        mean_mm = given.points * MM_PER_UNIT[given.unit]
+        mean_mm = given * MM_PER_UNIT[unit]
     result = canonicalize(
         [frame.scan for frame in frames],
         [frame.keypoints for frame in frames],

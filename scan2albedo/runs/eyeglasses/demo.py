@@ -61,9 +61,9 @@ class GlassesDemoReport:
     placed: PlacedFrame
     head: Head
     errors: Mapping[str, float]
-    """Lengths in mm and shares of the vertices: of those that the true head leaves visible in a view or more
-    (`seen`), of `all`, of those called `observed`, and of the key points; `depth_error_mm` is along the line
-    of sight, in the view where it is least. Deviations are the registration's own estimate."""
+    """Lengths in mm and shares of the vertices: of those that a view truly sees (`seen`), of `all`, of those
+    called `observed`, and of the key points; `depth_error_mm` is along the line of sight, in the view where
+    it is least. Deviations are the registration's own estimate."""
 
     def figures(self) -> dict[str, Any]:
         """Return the figures as plain values for JSON."""
@@ -140,10 +140,9 @@ def run_glasses_demo(
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
 
     Then lenses are put into the registered frame and drawn in the middle view, into `LENSES`. `out` gets the
-    results, and in `INPUT` the files they were made from. The head is "fitted": the face that `register` and
-    `fit` find in a raw scan of the person, brought into the cameras' frame by the scan's true pose, as a
-    calibrated rig knows it; or "none", and no lenses. A `person` takes the place of that of `seed`. `say` is
-    called with lines on the lenses.
+    results, and in `INPUT` the files they were made from. The head is "fitted", the face that `register` and
+    `fit` find in a raw scan, placed by the scan's true pose; or "none", and no lenses. A `person` takes the
+    place of that of `seed`. `say` is called with lines on the lenses.
     """
     folder = Path(out)
     check_writable(folder)
@@ -177,9 +176,7 @@ def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
 def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
     """Write the data of a wearer into ``out / INPUT`` and return what `read_registration` reads there.
 
-    They are the frame before it was bent, its key points, cameras, labels, masks, and the head if any. Raises
-    OutputError, naming folder and cause, also where another file is in the way: neither the same nor listed
-    by the record in `out`.
+    Raises OutputError, naming folder and cause, also where a file that no run wrote is in the way.
     """
     folder, glasses = out / INPUT, person.glasses
     _, height, width = person.masks.shape

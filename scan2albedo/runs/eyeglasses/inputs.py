@@ -23,7 +23,7 @@ from scan2albedo.eyeglasses import (
     read_registered,
     read_start,
 )
-from scan2albedo.eyeglasses.frame_files import KeyPoints, read_keypoints_with_unit
+from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM
 from scan2albedo.eyeglasses.view_files import mask_path
@@ -33,12 +33,7 @@ from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan, load_scan_with
 from scan2albedo.io.records import Record
 from scan2albedo.io.result_records import SHA256
-from scan2albedo.io.units import (
-    MM_PER_UNIT,
-    PLAUSIBLE_GLASSES_MM,
-    check_unit,
-    glasses_millimetres_per_unit,
-)
+from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_GLASSES_MM, check_unit, glasses_millimetres_per_unit
 
 if TYPE_CHECKING:
     from scan2albedo.io.parsed_mesh import ParsedMesh
@@ -60,17 +55,17 @@ class FileRecord(Record):
 
 @dataclass(frozen=True)
 class GlassesFrame:
-    """A frame as read: mesh and key points (20, 3) in mm, NaN for missing ones."""
+    """A frame as read: mesh and key points (20, 3) in mm, NaN for missing ones, weights (V, 20) if any.
+
+    `mm_per_unit` is that of the mesh's file; `files` are "mesh" and, where it is a file, "keypoints".
+    """
 
     name: str
     scan: RawScan
     keypoints: FloatArray
     mm_per_unit: float
-    """Of the mesh's file."""
     files: Mapping[str, FileRecord]
-    """"mesh" and, where it is a file of its own, "keypoints", as they were read."""
     weights: FloatArray | None = None
-    """(V, 20), when it brings them."""
 
     @property
     def missing_key_points(self) -> tuple[str, ...]:
@@ -81,24 +76,22 @@ class GlassesFrame:
 
 @dataclass(frozen=True)
 class GlassesInput:
-    """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm."""
+    """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm.
+
+    `files` are named "mesh", "cameras", "mask <camera>", "picture <camera>" and others; `labels` (C, 20, 2)
+    are NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` and `environment` are linear.
+    """
 
     frame: GlassesFrame
     cameras: tuple[Camera, ...]
     head: RawScan | None
     files: Mapping[str, FileRecord]
-    """By what they are: "mesh", "cameras", "mask <camera>", "picture <camera>" and others."""
     notes: tuple[str, ...] = ()
-    """What reading decided, repaired and did not find."""
     labels: FloatArray | None = None
-    """(C, 20, 2) pixels, NaN for missing ones."""
     masks: tuple[BoolArray | None, ...] = ()
     start: FloatArray | None = None
-    """(4, 4) `world_from_glasses`."""
     pictures: tuple[FloatArray, ...] | None = None
-    """(H, W, 3) linear, one a camera."""
     environment: FloatArray | None = None
-    """(H, W, 3)."""
 
 
 def keypoints_beside(mesh: Path) -> Path:
@@ -114,51 +107,45 @@ def read_frame(
 ) -> GlassesFrame:
     """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
 
-    The unit is the mesh's. "auto" is the one in which the key points lie on the mesh, when their file states
-    its own unit; otherwise both are in one unit, which the size of glasses decides. Other `widths_mm` of
-    fronts admit other sizes in proportion. Raises EyeglassesError or ScanError, naming the file, when one
-    cannot be read or the size is that of no glasses; ValueError for an unknown unit.
+    The mesh's unit "auto" is the one in which the key points lie on it, when their file states their own;
+    otherwise the size of glasses decides, in proportion to `widths_mm`. Raises EyeglassesError or ScanError,
+    naming the file, when one cannot be read or has another size; ValueError for an unknown unit.
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
-    marks = read_keypoints_with_unit(marks_file)
+    marks, marks_unit = read_keypoints_with_unit(marks_file)
     low, high = (np.array(PLAUSIBLE_GLASSES_MM) * widths_mm / WIDTHS_MM).tolist()
     mm_per_unit = 0.0
 
     def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
         nonlocal mm_per_unit
-        if marks.unit == "unknown":
-            mm_per_unit, note = glasses_millimetres_per_unit(marks.points, unit, mesh.name, (low, high))
+        if marks_unit == "unknown":
+            mm_per_unit, note = glasses_millimetres_per_unit(marks, unit, mesh.name, (low, high))
             return mm_per_unit, note
-        _, size = glasses_millimetres_per_unit(marks.points, marks.unit, marks_file.name, (low, high))
-        mm_per_unit = MM_PER_UNIT.get(unit, 0.0)
-        note = f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
-        if unit == "auto":
-            mm_per_unit, note = _unit_on_which_key_points_lie(parsed, marks, mesh.name)
-        return mm_per_unit, note
+        _, size = glasses_millimetres_per_unit(marks, marks_unit, marks_file.name, (low, high))
+        if unit != "auto":
+            mm_per_unit = MM_PER_UNIT[unit]
+            return mm_per_unit, f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
+        # The unit in which the key points lie on the mesh: units are factors of ten apart.
+        known = marks[np.isfinite(marks).all(1)] * MM_PER_UNIT[marks_unit]
+        surface = ClosestPointQuery(parsed.vertices, parsed.faces)
+        off = {u: mm * float(np.median(surface.query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
+        found = min(off, key=lambda u: off[u])
+        # Farther off than a tenth of their size, key points are those of another mesh.
+        if not 10 * off[found] <= float(np.ptp(known, axis=0).max()):
+            raise EyeglassesError(
+                f"{mesh.name}: in no unit do the key points lie on the mesh: at best, in {found}, they are "
+                f"{off[found]:.3g} mm off; check that they belong to this mesh and that their file says "
+                "their unit"
+            )
+        evidence = f"median distance {off[found]:.2g} mm of the key points, which are in {marks_unit}"
+        mm_per_unit = MM_PER_UNIT[found]
+        return mm_per_unit, f"unit: {found}, decided from where the key points lie ({evidence})"
 
     scan = load_scan_with(mesh, decide)
-    factor = mm_per_unit if marks.unit == "unknown" else MM_PER_UNIT[marks.unit]
+    factor = mm_per_unit if marks_unit == "unknown" else MM_PER_UNIT[marks_unit]
     files = {"mesh": _hashed(mesh, mesh=True), "keypoints": _hashed(marks_file)}
-    return GlassesFrame(scan.name, scan, marks.points * factor, mm_per_unit, files)
-
-
-def _unit_on_which_key_points_lie(mesh: ParsedMesh, marks: KeyPoints, name: str) -> tuple[float, str]:
-    """Return the unit in which key points of a known unit lie on the mesh: units are factors of ten apart."""
-    known = marks.points[np.isfinite(marks.points).all(1)] * MM_PER_UNIT[marks.unit]
-    surface, size = ClosestPointQuery(mesh.vertices, mesh.faces), float(np.ptp(known, axis=0).max())
-    off = {
-        unit: mm * float(np.median(surface.query(known / mm).distance)) for unit, mm in MM_PER_UNIT.items()
-    }
-    unit = min(off, key=lambda u: off[u])
-    # Farther off than a tenth of their size, key points are those of another mesh.
-    if not 10 * off[unit] <= size:
-        raise EyeglassesError(
-            f"{name}: in no unit do the key points lie on the mesh: at best, in {unit}, they are "
-            f"{off[unit]:.3g} mm off; check that they belong to this mesh and that their file says their unit"
-        )
-    evidence = f"median distance {off[unit]:.2g} mm of the key points, which are in {marks.unit}"
-    return MM_PER_UNIT[unit], f"unit: {unit}, decided from where the key points lie ({evidence})"
+    return GlassesFrame(scan.name, scan, marks * factor, mm_per_unit, files)
 
 
 def read_registration(
@@ -174,11 +161,10 @@ def read_registration(
 ) -> GlassesInput:
     """Read the files of a registration.
 
-    `mesh` has key points beside it, or is the `canonical.npz` of a canonical frame; `masks` is a folder of
-    masks named after the cameras, `head` a mesh in the cameras' frame, `start` a pose or the `registered.npz`
-    of an earlier run; the unit is that of the mesh. Raises EyeglassesError or ScanError, naming the file,
-    when one cannot be read or they do not belong together; ValueError for an unknown unit, or key points that
-    the frame already has.
+    `mesh` has key points beside it, or is a `canonical.npz`; `masks` is a folder of masks named after the
+    cameras, `head` a mesh in the cameras' frame, `start` a pose or a `registered.npz`; the unit is that of
+    the mesh. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit;
+    ValueError for an unknown unit, or key points that the frame already has.
     """
     views = read_cameras(cameras)
     files = {"cameras": _hashed(cameras), "labels": _hashed(labels)}
@@ -253,9 +239,8 @@ def read_lens_scene(
     """Read the files of a rendering; the unit is that of both meshes, and "auto" decides for each.
 
     Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
-    name cameras, all when there are none; `pictures`, one a view, are named after their cameras or in the
-    views' order. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not
-    fit the others.
+    name cameras, all when there are none; `pictures`, one a view, are named after them or in their order.
+    Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
     """
     by_name = {camera.name: camera for camera in read_cameras(cameras)}
     if strange := [name for name in views if name not in by_name]:
@@ -319,8 +304,7 @@ def material_pair(
 ) -> tuple[LensMaterial, LensMaterial]:
     """Return the left and the right lens of the command's options.
 
-    Raises ValueError when a text is not a number or holds too many or too few, EyeglassesError when one is
-    out of range.
+    Raises ValueError for a text that is not as many numbers, EyeglassesError for one out of range.
     """
     powers = numbers("--dioptres", dioptres, 1, 2)
     glass = _SUNGLASSES

@@ -126,7 +126,7 @@ class RenderedLenses:
     environment: Literal["given", "built-in", "none"]
     from_photographs: bool
     exposure: float
-    """Factor on linear colours for previews, the same for all views: `white_exposure`, 1 for photographs."""
+    """Factor on linear colours for previews: `white_exposure`, 1 for photographs."""
 
     @property
     def lenses(self) -> tuple[InsertedLens, ...]:
@@ -164,10 +164,9 @@ def render_lenses(
 ) -> RenderedLenses:
     """Put lenses into a frame that sits on a head, and show them to one camera or more.
 
-    Frame, key points (20, 3) and head are in one world, in mm, such as ``Surface(registered.vertices,
-    faces)`` of a `RegisteredEyeglasses`. Lenses, photographs (one a camera) and environment are those of
-    `insert_lenses`; drawn views without an environment get `soft_environment`. `on_view` is called with each
-    view when it is done. Raises EyeglassesError as from `insert_lenses`, and when frame and head lie apart;
+    Frame, key points (20, 3) and head are in one world, in mm. Lenses, photographs (one a camera) and
+    environment are those of `insert_lenses`; drawn views without one get `soft_environment`. `on_view` is
+    called with each view. Raises EyeglassesError as from `insert_lenses`, and when frame and head lie apart;
     ValueError when there is no camera, or not a picture of its shape for each.
     """
     if not cameras:
@@ -268,6 +267,21 @@ def run_lenses(
         raise EyeglassesError(f"{files['mesh'].file} with {files['keypoints'].file}: {error}") from error
     for note in rendered.notes:
         say(f"{frame.name}: {note}")
+    records = []
+    for lens in rendered.lenses:
+        material, rim = asdict(lens.material), lens.rim
+        if not math.isfinite(material["front_radius_mm"]):
+            material["front_radius_mm"] = None
+        material |= {
+            "side": SIDES[lens.side],
+            "tint_linear": _vector(lens.material.tint_linear),
+            "center_mm": _vector(lens.optics.center),
+            "normal": _vector(rim.normal),
+            "mean_radius_mm": float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
+            "measured": float(rim.measured.mean()),
+            "gaps": rim.gaps,
+        }
+        records.append(LensRecord.model_validate(material))
     with RunFolder(out, FILES).publishing() as staging:
         panels = []
         for view in rendered.views:
@@ -305,7 +319,7 @@ def run_lenses(
             environment=files.get("environment"),
             light=rendered.environment,
             exposure=rendered.exposure,
-            lenses=tuple(_lens_record(lens) for lens in rendered.lenses),
+            lenses=tuple(records),
             views=tuple(
                 LensViewRecord(
                     name=view.camera.name,
@@ -322,24 +336,6 @@ def run_lenses(
         )
     say(f"{frame.name}: files in {out}")
     return record
-
-
-def _lens_record(lens: InsertedLens) -> LensRecord:
-    material, rim = asdict(lens.material), lens.rim
-    if not math.isfinite(material["front_radius_mm"]):
-        material["front_radius_mm"] = None
-    return LensRecord.model_validate(
-        material
-        | {
-            "side": SIDES[lens.side],
-            "tint_linear": _vector(lens.material.tint_linear),
-            "center_mm": _vector(lens.optics.center),
-            "normal": _vector(rim.normal),
-            "mean_radius_mm": float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
-            "measured": float(rim.measured.mean()),
-            "gaps": rim.gaps,
-        }
-    )
 
 
 def _vector(values: ArrayLike) -> tuple[float, float, float]:

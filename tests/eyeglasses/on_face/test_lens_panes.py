@@ -75,17 +75,17 @@ def test_each_view_and_each_lens_is_judged_by_itself():
     half = empty.copy()
     half[:, 128:] = True  # the wearer's left
     eyes = ((0, 0, 600.0),) * 3
-    found = shown_frame(SLAB, [full, empty, half], eyes)
+    _, shown, steps = shown_frame(SLAB, [full, empty, half], eyes)
     glass = int(SLAB.glass.sum())
-    assert [len(SLAB.faces) - len(faces) for faces in found.shown] == [0, glass, glass // 2]
-    assert found.steps[0].reason.startswith("the mask of view 1 shows no left lens")
-    assert found.steps[1].reason.startswith("the masks of views 1, 2 show no right lens")
-    put_in = shown_frame(BARE, [full, empty, half], eyes)
-    added = [len(faces) - len(BARE.faces) for faces in put_in.shown]
+    assert [len(SLAB.faces) - len(faces) for faces in shown] == [0, glass, glass // 2]
+    assert steps[0].reason.startswith("the mask of view 1 shows no left lens")
+    assert steps[1].reason.startswith("the masks of views 1, 2 show no right lens")
+    mesh, shown, _ = shown_frame(BARE, [full, empty, half], eyes)
+    added = [len(faces) - len(BARE.faces) for faces in shown]
     assert added[1] == 0
     assert added[0] == 2 * added[2] > 0
-    assert len(put_in.mesh.points.rest) > len(BARE.vertices)
-    np.testing.assert_allclose(put_in.mesh.points.weights.sum(1), 1)
+    assert len(mesh.points.rest) > len(BARE.vertices)
+    np.testing.assert_allclose(mesh.points.weights.sum(1), 1)
 
 
 def test_glass_of_one_piece_with_the_rim_is_told():
@@ -96,6 +96,6 @@ def test_glass_of_one_piece_with_the_rim_is_told():
     joined = np.arange(len(SLAB.vertices))
     joined[outline] = np.where(distance.min(1) < 1e-6, rim[distance.argmin(1)], outline)
     welded = type(SLAB)("welded", SLAB.vertices, joined[SLAB.faces], SLAB.glass, SLAB.keypoints)
-    steps = shown_frame(welded, [np.zeros((256, 256), bool)]).steps
+    _, _, steps = shown_frame(welded, [np.zeros((256, 256), bool)])
     assert [step.ran for step in steps] == [False, False]
     assert "cut it out" in steps[0].reason
