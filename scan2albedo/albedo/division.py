@@ -117,7 +117,14 @@ def divide_light(
         lit, dim = usable & (lead_light > _DIM * typical), usable & (lead_light < _DIM * typical)
         limit = max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2) if lit.any() and dim.any() else None
         usual = Usual(noise.lead, noise.ratio, typical, limit)
-    grain = _kept_grain(filtered[..., noise.lead], lead_light, usable, skin, grain_window, usual)
+    # Texture is as rough in the dark as in the light, relative to its mean. What is rougher in the dark is
+    # noise that the quotient amplifies, or a line along a shadow: Wiener's filter draws it toward the mean.
+    grain = np.ones(mask.shape)
+    dark = np.clip((_DIM - lead_light / usual.light) / (_DIM - _DARKER), 0.0, 1.0) * usable
+    if usual.rough is not None and dark.any():
+        rough = np.maximum(_roughness(filtered[..., noise.lead], known, grain_window), 1e-12)
+        sure = dark if skin is None else dark * skin
+        grain = 1 - sure * (1 - np.clip(usual.rough / rough, 0.0, 1.0))
     own = np.where(usable, leading.own * grain, 0.0)
     if (grain < 1).any():
         smooth = np.stack([window_mean(c, known, grain_window) for c in np.moveaxis(filtered, -1, 0)], -1)
@@ -127,28 +134,6 @@ def divide_light(
     deviation = np.sqrt(leading.variance + own * noise.rounding) / np.maximum(leading.field, _BLACK)
     deviation = np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0)
     return Division(albedo, own, deviation, usual)
-
-
-def _kept_grain(
-    value: FloatArray,
-    light: FloatArray,
-    usable: BoolArray,
-    skin: NDArray | None,
-    window: int,
-    usual: Usual,
-) -> FloatArray:
-    """Return (H, W) the part that a texel in the dark keeps of its difference from the mean around it.
-
-    Texture is as rough in the dark as in the light, relative to its mean. What is rougher in the dark is
-    noise that the quotient amplifies, correlated from texel to texel where a photograph was resampled, or a
-    line along a shadow: Wiener's filter draws it toward the mean. `value` (H, W) is the albedo's.
-    """
-    dim = np.clip((_DIM - light / usual.light) / (_DIM - _DARKER), 0.0, 1.0) * usable
-    if usual.rough is None or not dim.any():
-        return np.ones(value.shape)
-    kept = np.clip(usual.rough / np.maximum(_roughness(value, usable.astype(float), window), 1e-12), 0.0, 1.0)
-    sure = dim if skin is None else dim * skin
-    return np.asarray(1 - sure * (1 - kept))
 
 
 def _roughness(value: FloatArray, known: FloatArray, window: int) -> FloatArray:

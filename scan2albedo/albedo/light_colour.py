@@ -117,7 +117,9 @@ def solve_colours(
     gain = 1 - sum(fit.residual for fit in fits) / before if before > 0 else 0.0
     ratio = np.maximum(cells.columns @ found, _BLACK) / cells.light[:, None]
     limits = np.quantile(ratio, _LIMITS, axis=0)
-    effect = _effect(np.clip(ratio, *limits))
+    # The largest standard deviation of the log ratio of two channels.
+    log_ratio = np.log(np.clip(ratio, *limits))
+    effect = float((log_ratio - np.roll(log_ratio, 1, axis=1)).std(0).max())
     limits_text = " or ".join(f"{100 * least:g} and {100 * change:g} %" for least, change in _LEAST)
     evidence = (
         f"colour lowers the residual of the channels by {100 * gain:.1f} % and changes their ratio over the "
@@ -135,12 +137,6 @@ def solve_colours(
 def _white(intensities: FloatArray, step: PlanStep) -> LightColours:
     shape = len(intensities), 3
     return LightColours(np.repeat(intensities[:, None], 3, 1), np.ones(shape), step)
-
-
-def _effect(ratio: FloatArray) -> float:
-    """Return the largest standard deviation of the log ratio of two channels."""
-    log_ratio = np.log(ratio)
-    return float((log_ratio - np.roll(log_ratio, 1, axis=1)).std(0).max())
 
 
 class _Cells:

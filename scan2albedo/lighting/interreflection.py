@@ -118,10 +118,6 @@ class Patches:
     def seen_from(self, position: FloatArray, normal: FloatArray) -> Bounce:
         """Return the bounce onto and from N points."""
         up = self.lookup.weights(position, normal)
-        return Bounce(self.factors, up, _averages(up))
-
-
-def _averages(weights: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Return (M, N) what averages values at N points around each of M, from the interpolation (N, M)."""
-    total = np.maximum(np.asarray(weights.sum(0)).ravel(), 1e-9)
-    return sparse.diags(1 / total) @ weights.T
+        # What averages values at the points around each patch.
+        total = np.maximum(np.asarray(up.sum(0)).ravel(), 1e-9)
+        return Bounce(self.factors, up, sparse.diags(1 / total) @ up.T)

@@ -46,7 +46,21 @@ def accepted(
     best, name, chance = candidates[0], scan.raw.name, probability(candidates)
     figures = _cues_text(best)
     if not meter.exhausted:
-        _refuse_inside_out(scan, template, best, options, meter)
+        # Fitting and shading go wrong where all triangles face inward. The reversed scan is searched
+        # where the best pose is in doubt and the surface does not bulge outward: sum a n.(p - c) / sum a
+        # |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
+        samples = scan.samples
+        offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
+        outward = samples.areas @ np.einsum("ij,ij->i", offset, samples.normals)
+        clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ np.linalg.norm(offset, axis=1))
+        if best.log_odds < CONVINCING and not (best.log_odds > 0 and clearly):
+            # The turned scan is another problem than the scan, so its rows stay out of the trace.
+            turned, unseen = scan.inside_out(), meter.untraced()
+            poses = coarse_poses(turned, template, options, unseen, 0)
+            other = every_candidate(turned, template, poses, options, unseen)[0]
+            meter.count(unseen.evaluations)
+            if other.log_odds > max(best.log_odds, 0.0):
+                raise _inside_out_error(scan, other)
         if chance < LEAST_PROBABILITY:
             raise NoFaceError(
                 f"{name}: no face found. The best of {len(candidates)} poses is one with a probability of "
@@ -83,30 +97,6 @@ def accepted(
         )
         steps.append(PlanStep.doubt("register.second_face", text))
     return Plan(tuple(steps))
-
-
-def _refuse_inside_out(
-    scan: PreparedScan, template: Template, best: Candidate, options: RegistrationOptions, meter: Meter
-) -> None:
-    """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
-
-    The reversed scan is searched where the best pose is in doubt and the surface does not bulge outward: sum
-    a n.(p - c) / sum a |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
-    """
-    samples = scan.samples
-    offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
-    outward = samples.areas @ np.einsum("ij,ij->i", offset, samples.normals)
-    clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ np.linalg.norm(offset, axis=1))
-    if (best.log_odds > 0 and clearly) or best.log_odds >= CONVINCING:
-        return
-    turned = scan.inside_out()
-    # The turned scan is another problem than the scan, so its rows stay out of the trace.
-    unseen = meter.untraced()
-    poses = coarse_poses(turned, template, options, unseen, 0)
-    other = every_candidate(turned, template, poses, options, unseen)[0]
-    meter.count(unseen.evaluations)
-    if other.log_odds > max(best.log_odds, 0.0):
-        raise _inside_out_error(scan, other)
 
 
 def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
