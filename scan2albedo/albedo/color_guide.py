@@ -64,8 +64,6 @@ def color_guide(
     value, is taken off first, and the colours are divided by `tint` (N, 3), which coloured light gave them.
     A guide that explains less than `min_explained` of the local change of V predicts nothing.
 
-    References
-    ----------
     .. [1] B. Funt, M. Drew, M. Brockington, "Recovering shading from color images", ECCV 1992.
     .. [2] N. Tsumura, H. Haneishi, Y. Miyake, "Independent-component analysis of skin color image",
        JOSA A 16(9), 1999: log reflectance of skin is linear in two pigments.

@@ -71,26 +71,13 @@ def divide_light(
     The quotient, relative to its mean nearby, is filtered in its leading channel and in the others'
     differences from it: noise that the channels share is in the first alone, noise of one channel in both.
 
-    Parameters
-    ----------
-    texture : (H, W) or (H, W, C) float
-        Linear.
-    light : (H, W) or of the texture's shape
-        I_a + I_d > 0.
-    specular : (H, W) float
-        I_s: highlights are white.
-    mask, usable : (H, W) bool
-        Texels of the surface, and those that were measured; the others keep the plain quotient.
-    skin : (H, W) float, optional
-        How surely a texel is skin: what is rougher in the dark than in the light is noise there, but may be a
-        beard elsewhere. None is skin everywhere.
-    shrink : bool
-        False keeps it everywhere; confidence and deviation are the same.
-    side : int, optional
-        Texels along the side of a chart of the whole face with texels of this size; that of the mask when
-        omitted.
-    usual : Usual, optional
-        That of another part of the same image, so that parts join without a seam.
+    `texture` is linear, (H, W) or (H, W, C), `light` I_a + I_d > 0 (H, W) or of the texture's shape, and
+    `specular` (H, W) I_s: highlights are white. `mask` and `usable` (H, W) are the texels of the surface and
+    those that were measured; the others keep the plain quotient, as all do without `shrink`. `skin` (H, W)
+    says how surely a texel is skin, everywhere when None: what is rougher in the dark than in the light is
+    noise there, but may be a beard elsewhere. `side` is that of a chart of the whole face in such texels, the
+    mask's when omitted, and `usual` that of another part of the same image, so that parts join without a
+    seam.
     """
     channels = texture.reshape(*mask.shape, -1).astype(np.float64) - specular[..., None]
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)

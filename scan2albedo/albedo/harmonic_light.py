@@ -27,8 +27,6 @@ def fit_harmonic_light(
     Minimises sum rho(w (T - a_b Y c) / mean T) over c, with the block albedos a_b eliminated and rho the soft
     L1 loss. The colours of light and albedo cannot be separated: hence the mean of 1.
 
-    References
-    ----------
     .. [1] R. Basri, D. Jacobs, "Lambertian reflectance and linear subspaces", IEEE TPAMI 25(2), 2003.
     """
     assert image.texture_linear is not None

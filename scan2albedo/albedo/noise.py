@@ -68,15 +68,9 @@ def channel_noise(
     Where all channels are equal, noise that does not depend on the light is all that can be found
     (`additive_deviation`).
 
-    Parameters
-    ----------
-    relative : (H, W, C) float64
-        The quotient divided by `around`.
-    texture, around, light : (H, W, C) float64
-        Linear texture without highlights, the quotient's local mean, and the light.
-    usable : (H, W) bool
-    lead, ratio : int and float, optional
-        Those of the whole image, where this is a part of it.
+    `relative` (H, W, C) is the quotient divided by `around` (H, W, C), its local mean; `texture` and `light`
+    (H, W, C) are the linear texture without highlights, and the light; `usable` is (H, W). `lead` and `ratio`
+    are those of the whole image, where this is a part of it.
     """
     if lead is None:
         lead = int(np.argmax(around[usable].mean(0))) if usable.any() else 0
@@ -119,8 +113,6 @@ def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
     through lags 1 and 2 is noise. Stripes fall short of it at lag 3, or along one of the two axes; lone lines
     and points do where g is estimated robustly [1]_. The least of all counts.
 
-    References
-    ----------
     .. [1] N. Cressie, D. Hawkins, "Robust estimation of the variogram", Mathematical Geology 12, 1980.
     """
     least, field = np.full(field.shape, np.inf), np.ascontiguousarray(field)

@@ -41,8 +41,6 @@ def rectify(
     `albedo` and `light` (H, W) are V of the albedo and I_a + I_d; `shadow` (H, W) is 1 where a cast shadow
     cuts any light off; `usable` (H, W) marks texels with a trustworthy albedo.
 
-    References
-    ----------
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.2.3.
     """

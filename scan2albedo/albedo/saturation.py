@@ -117,8 +117,6 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     when there are too few texels of `source` (H, W), are left as they are. Sums over windows come from tables
     of running sums: the cost is linear in the texels of the bounding box.
 
-    References
-    ----------
     .. [1] K. He, J. Sun, X. Tang, "Guided image filtering", ECCV 2010.
     """
     touched = any_channel(lost)

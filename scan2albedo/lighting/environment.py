@@ -110,24 +110,10 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     its cell. Their `environment_weights` are alike: no light is much stronger than the others, and the edge
     of its shadow hardly shows.
 
-    Parameters
-    ----------
-    environment_linear : (H, W, 3) array_like of float
-        As in `environment_weights`.
-    count : int
-        K, 1 or more.
+    The map and its errors are those of `environment_weights`; ValueError when `count` K is below 1.
 
-    Raises
-    ------
-    ValueError
-        As `environment_weights`, and when `count` is below 1.
-
-    References
-    ----------
     .. [1] P. Debevec, "A median cut algorithm for light probe sampling", SIGGRAPH 2005 poster.
 
-    Examples
-    --------
     >>> sun = np.ones((8, 16, 3))
     >>> sun[2, 4] = 1000.0
     >>> toward = important_directions(sun, 50)

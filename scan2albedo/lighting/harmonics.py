@@ -35,12 +35,8 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
     phase. ValueError for another shape, or values that are not finite. Cost: about six operations a harmonic.
     Agrees with `scipy.special.sph_harm_y` to 1e-14, at the poles too.
 
-    References
-    ----------
     .. [1] P.-P. Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2(2), 2013.
 
-    Examples
-    --------
     >>> harmonics([0.0, 0.0, 1.0], order=2).round(3).tolist()
     [0.282, 0.0, 0.489, 0.0, 0.0, 0.0, 0.631, 0.0, 0.0]
     """

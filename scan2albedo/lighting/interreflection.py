@@ -64,8 +64,6 @@ class Bounce:
     hidden part of the hemisphere, and N points take part through `up` (N, M) and `down` (M, N). The factors
     are float32: their product takes most of the search's time on soft light.
 
-    References
-    ----------
     .. [1] C. Goral, K. Torrance, D. Greenberg, B. Battaile, "Modeling the interaction of light between
        diffuse surfaces", SIGGRAPH 1984.
     """

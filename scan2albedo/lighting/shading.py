@@ -98,8 +98,6 @@ def shade_points(
     length, points toward the viewer, and `specular_scale` (N,) multiplies I_s. ValueError for shapes that do
     not fit, points, normals or a `specular_scale` that are not finite, or a zero `view_direction`.
 
-    References
-    ----------
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
        modeling and relighting with application to face recognition", section 3.2.1.
     """

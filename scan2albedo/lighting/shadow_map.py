@@ -187,8 +187,6 @@ def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> Float
     >>> cone_directions(50, (0, 0, 1), 1.0)[:, 2].min() > 0.54
     np.True_
 
-    References
-    ----------
     .. [1] R. Swinbank, R. J. Purser, "Fibonacci grids", Q. J. R. Meteorol. Soc. 132, 2006.
     """
     along = 1 - (1 - math.cos(half_angle_rad)) * (np.arange(count) + 0.5) / count

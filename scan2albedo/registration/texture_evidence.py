@@ -199,16 +199,8 @@ def texture_evidence(
 ) -> TextureEvidence | None:
     """Return what a scan's colours say of one pose, None without any; for several see `ColourScorer`.
 
-    Parameters
-    ----------
-    scan : RawScan
-        mm, with a texture or vertex colours.
-    model : AnnotatedFaceModel
-        With landmarks.
-    model_from_scan : (4, 4) array
-        Rigid, mm.
-    face_scale : float
-        Size of the face relative to the model's, which keeps the place of its front.
+    The scan is in mm, the model has landmarks, `model_from_scan` (4, 4) is rigid, and `face_scale` the face's
+    size relative to the model's, which keeps the place of its front.
     """
     witness = ColourScorer.of(scan, model)
     return None if witness is None else witness.evidence(model_from_scan, face_scale)

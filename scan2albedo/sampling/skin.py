@@ -44,24 +44,12 @@ def skin_weight(
 ) -> NDArray[np.float32]:
     """Return (H, W) how surely a texel is skin, 0 to 1; 0 where the surface was not seen.
 
-    Parameters
-    ----------
-    position, normal : (H, W, 3) float64
-        Millimetres; unit vectors.
-    seen : (H, W) bool
-        Texels of the surface with texture, or with scan near; the others are not read.
-    texture_linear : (H, W, 3) float32, optional
-        Linear colour, compared with that of the face's own skin; the other sources decide without it.
-    prior : (H, W) float, optional
-        How probably the region of a texel is skin; `SURE` everywhere when None.
-    anchor : (H, W) bool, optional
-        Texels that are skin on most faces (cheeks, nose, forehead): the skin's colour is learned there, from
-        all texels when None.
-    residual_mm : (H, W) float, optional
-        Distance of the fitted surface to the scan; NaN where there is no scan.
+    `position` in mm and unit `normal` are (H, W, 3). `seen` (H, W) are texels of the surface with texture, or
+    with scan near; the others are not read. Linear colour `texture_linear` (H, W, 3) is compared with that of
+    the face's own skin, which is learned where `anchor` (H, W) is skin on most faces, from all texels when
+    None. `prior` (H, W) is how probably the region of a texel is skin, `SURE` when None, and `residual_mm`
+    (H, W) the distance of the fitted surface to the scan, NaN where there is no scan.
 
-    Notes
-    -----
     Log odds of the region, less those of colour, grain, darkness and relief, at texels of `TEXEL_MM`.
     Islands of the size of moles become skin. O(H W); 0.1 s at 512 x 512.
     """
