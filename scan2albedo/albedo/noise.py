@@ -116,24 +116,22 @@ def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
     .. [1] N. Cressie, D. Hawkins, "Robust estimation of the variogram", Mathematical Geology 12, 1980.
     """
     least, field = np.full(field.shape, np.inf), np.ascontiguousarray(field)
+    if min(field.shape) <= 3:
+        return np.zeros(field.shape)
     for axis in (0, 1):
-        lags = [_structure(field, usable, lag, axis) for lag in (1, 2, 3)]
+        # g along the axis over a window, by mean squares and robustly; 0 from too few texels.
+        lags = []
+        for lag in (1, 2, 3):
+            down, across = (lag, 0) if axis == 0 else (0, lag)
+            pairs, squares, roots = (_sum(part, WINDOW) for part in _steps(field, usable, down, across))
+            share = np.where(pairs >= _LEAST_PAIRS, 1 / np.maximum(pairs, 1.0), 0.0)
+            # The mean of the root of a normal deviate's size, to the fourth power, is 0.457 of its variance.
+            robust = (share * np.maximum(roots, 0.0)) ** 2
+            lags.append((share * squares, robust * robust / 0.457))
         for (first, second, third), slack in zip(zip(*lags, strict=True), (1.0, _HEAVY), strict=True):
             white = np.minimum(2 * first - second, np.minimum(second, third))
             least = np.minimum(least, slack * white)
     return least
-
-
-def _structure(field: FloatArray, usable: BoolArray, lag: int, axis: int) -> tuple[FloatArray, FloatArray]:
-    """Return g(lag) along an axis over a window, by mean squares and robustly; 0 from too few texels."""
-    if min(field.shape) <= 3:
-        return np.zeros(field.shape), np.zeros(field.shape)
-    down, across = (lag, 0) if axis == 0 else (0, lag)
-    pairs, squares, roots = (_sum(part, WINDOW) for part in _steps(field, usable, down, across))
-    share = np.where(pairs >= _LEAST_PAIRS, 1 / np.maximum(pairs, 1.0), 0.0)
-    # The mean of the root of a normal deviate's size, to the fourth power, is 0.457 of its variance.
-    robust = (share * np.maximum(roots, 0.0)) ** 2
-    return share * squares, robust * robust / 0.457
 
 
 @njit(cache=True, nogil=True)

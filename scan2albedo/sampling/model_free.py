@@ -9,12 +9,7 @@ from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.geometry.mesh import (
-    face_areas,
-    normalized,
-    turned_against_neighbours,
-    vertex_normals,
-)
+from scan2albedo.geometry.mesh import face_areas, normalized, turned_against_neighbours, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
