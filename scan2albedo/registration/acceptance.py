@@ -48,8 +48,8 @@ def accepted(
     if found is not None:
         figures = (
             f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm "
-            f"{found.relief.local:.2f}, {found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face with "
-            f"{found.relief.noise_mm:.1f} mm of noise"
+            f"{found.relief.local:.2f}, {found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face "
+            f"with {found.relief.noise_mm:.1f} mm of noise"
         )
         for cue, odds in (("colours", best.color_log_odds), ("landmarks", best.landmark_log_odds)):
             if odds:
