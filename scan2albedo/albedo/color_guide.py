@@ -64,8 +64,6 @@ def color_guide(
     value, is taken off first, and the colours are divided by `tint` (N, 3), which coloured light gave them.
     A guide that explains less than `min_explained` of the local change of V predicts nothing.
 
-    References
-    ----------
     .. [1] B. Funt, M. Drew, M. Brockington, "Recovering shading from color images", ECCV 1992.
     .. [2] N. Tsumura, H. Haneishi, Y. Miyake, "Independent-component analysis of skin color image",
        JOSA A 16(9), 1999: log reflectance of skin is linear in two pigments.
@@ -88,44 +86,29 @@ def color_guide(
     noise = variance / (np.maximum(color, least) ** 2 * level.weight[:, None])
     shared = np.where(np.arange(len(bright)) == np.abs(color - value[:, None]).argmin(1)[:, None], noise, 0.0)
     side = float(level.cell.max() + 1)
-    octaves, slow = _octaves(level, logs, _WIDEST * side)
+    # Log ratios, log V, and the part of white noise's variance between two Gaussians, the finest first.
+    octaves, smoothed, sigma = [], 0.0, 1.0
+    while sigma <= max(_WIDEST * side, 1.0):
+        smooth, wider = local_mean(level, logs, sigma), math.hypot(smoothed, sigma)
+        band, inner, outer = logs - smooth, smoothed**2, wider**2
+        passed = 1 - 3 / (4 * math.pi * outer)
+        if inner > 0:
+            passed = (1 / inner + 1 / outer - 4 / (inner + outer)) / (4 * math.pi)
+        octaves.append((band[:, 1:-1] - band[:, :1], band[:, -1], passed))
+        logs, smoothed, sigma = smooth, wider, 2 * sigma
     predicted, slope, clear = np.zeros(len(value)), np.zeros(len(bright) - 1), 0.0
     for octave in octaves:
         if clear < _CLEAR:
-            slope, clear = _robust_slope(octave, noise, shared, value)
-        predicted += octave.ratios @ slope
-    change = np.sum([octave.value for octave in octaves], 0)
+            slope, clear = _robust_slope(*octave, noise, shared, value)
+        predicted += octave[0] @ slope
+    change = np.sum([octave[1] for octave in octaves], 0)
     before, after = (float(value @ np.abs(d)) for d in (change, change - predicted))
     explained = 1 - after / before if before > 0 else 0.0
     if explained < min_explained:
         return ColorGuide.none(len(value))
-    wide = slow - local_mean(level, slow, _LOWEST * side)
+    wide = logs - local_mean(level, logs, _LOWEST * side)
     predicted += (wide[:, 1:-1] - wide[:, :1]) @ slope
     return ColorGuide(np.exp(np.clip(predicted, -_LARGEST, _LARGEST)), explained)
-
-
-@dataclass(frozen=True)
-class _Octave:
-    """Between two Gaussians: log ratios (N, C - 1), log V (N,), the part of white noise's variance."""
-
-    ratios: FloatArray
-    value: FloatArray
-    noise: float
-
-
-def _octaves(level: Level, logs: FloatArray, widest: float) -> tuple[list[_Octave], FloatArray]:
-    """Return the octaves of log channels and log V (N, C + 1), finest first, and what is slower."""
-    octaves, smoothed, sigma = [], 0.0, 1.0
-    while sigma <= max(widest, 1.0):
-        smooth, wider = local_mean(level, logs, sigma), math.hypot(smoothed, sigma)
-        band, inner, outer = logs - smooth, smoothed**2, wider**2
-        # The part of white noise's variance between two Gaussians.
-        passed = 1 - 3 / (4 * math.pi * outer)
-        if inner > 0:
-            passed = (1 / inner + 1 / outer - 4 / (inner + outer)) / (4 * math.pi)
-        octaves.append(_Octave(band[:, 1:-1] - band[:, :1], band[:, -1], passed))
-        logs, smoothed, sigma = smooth, wider, 2 * sigma
-    return octaves, logs
 
 
 def _noise_variance(level: Level, color: FloatArray) -> float:
@@ -151,13 +134,17 @@ def _noise_variance(level: Level, color: FloatArray) -> float:
 
 
 def _robust_slope(
-    octave: _Octave, noise: FloatArray, shared: FloatArray, brightness: FloatArray
+    ratios: FloatArray,
+    value: FloatArray,
+    passed: float,
+    noise: FloatArray,
+    shared: FloatArray,
+    brightness: FloatArray,
 ) -> tuple[FloatArray, float]:
     """Return (C - 1,) the slope of log V over the log ratios, and how much of its prediction is not noise.
 
     `noise`, `shared` (N, C): variances of the noise in the log channels, covariances with log V.
     """
-    ratios, value, passed = octave.ratios, octave.value, octave.noise
     slope, rest, clear = np.zeros(ratios.shape[1]), value, 0.0
     for _ in range(_ROUNDS):
         weight = brightness / np.hypot(rest, _ROBUST)

@@ -71,26 +71,13 @@ def divide_light(
     The quotient, relative to its mean nearby, is filtered in its leading channel and in the others'
     differences from it: noise that the channels share is in the first alone, noise of one channel in both.
 
-    Parameters
-    ----------
-    texture : (H, W) or (H, W, C) float
-        Linear.
-    light : (H, W) or of the texture's shape
-        I_a + I_d > 0.
-    specular : (H, W) float
-        I_s: highlights are white.
-    mask, usable : (H, W) bool
-        Texels of the surface, and those that were measured; the others keep the plain quotient.
-    skin : (H, W) float, optional
-        How surely a texel is skin: what is rougher in the dark than in the light is noise there, but may be a
-        beard elsewhere. None is skin everywhere.
-    shrink : bool
-        False keeps it everywhere; confidence and deviation are the same.
-    side : int, optional
-        Texels along the side of a chart of the whole face with texels of this size; that of the mask when
-        omitted.
-    usual : Usual, optional
-        That of another part of the same image, so that parts join without a seam.
+    `texture` is linear, (H, W) or (H, W, C), `light` I_a + I_d > 0 (H, W) or of the texture's shape, and
+    `specular` (H, W) I_s: highlights are white. `mask` and `usable` (H, W) are the texels of the surface and
+    those that were measured; the others keep the plain quotient, as all do without `shrink`. `skin` (H, W)
+    says how surely a texel is skin, everywhere when None: what is rougher in the dark than in the light is
+    noise there, but may be a beard elsewhere. `side` is that of a chart of the whole face in such texels, the
+    mask's when omitted, and `usual` that of another part of the same image, so that parts join without a
+    seam.
     """
     channels = texture.reshape(*mask.shape, -1).astype(np.float64) - specular[..., None]
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
@@ -117,7 +104,14 @@ def divide_light(
         lit, dim = usable & (lead_light > _DIM * typical), usable & (lead_light < _DIM * typical)
         limit = max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2) if lit.any() and dim.any() else None
         usual = Usual(noise.lead, noise.ratio, typical, limit)
-    grain = _kept_grain(filtered[..., noise.lead], lead_light, usable, skin, grain_window, usual)
+    # Texture is as rough in the dark as in the light, relative to its mean. What is rougher in the dark is
+    # noise that the quotient amplifies, or a line along a shadow: Wiener's filter draws it toward the mean.
+    grain = np.ones(mask.shape)
+    dark = np.clip((_DIM - lead_light / usual.light) / (_DIM - _DARKER), 0.0, 1.0) * usable
+    if usual.rough is not None and dark.any():
+        rough = np.maximum(_roughness(filtered[..., noise.lead], known, grain_window), 1e-12)
+        sure = dark if skin is None else dark * skin
+        grain = 1 - sure * (1 - np.clip(usual.rough / rough, 0.0, 1.0))
     own = np.where(usable, leading.own * grain, 0.0)
     if (grain < 1).any():
         smooth = np.stack([window_mean(c, known, grain_window) for c in np.moveaxis(filtered, -1, 0)], -1)
@@ -127,28 +121,6 @@ def divide_light(
     deviation = np.sqrt(leading.variance + own * noise.rounding) / np.maximum(leading.field, _BLACK)
     deviation = np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0)
     return Division(albedo, own, deviation, usual)
-
-
-def _kept_grain(
-    value: FloatArray,
-    light: FloatArray,
-    usable: BoolArray,
-    skin: NDArray | None,
-    window: int,
-    usual: Usual,
-) -> FloatArray:
-    """Return (H, W) the part that a texel in the dark keeps of its difference from the mean around it.
-
-    Texture is as rough in the dark as in the light, relative to its mean. What is rougher in the dark is
-    noise that the quotient amplifies, correlated from texel to texel where a photograph was resampled, or a
-    line along a shadow: Wiener's filter draws it toward the mean. `value` (H, W) is the albedo's.
-    """
-    dim = np.clip((_DIM - light / usual.light) / (_DIM - _DARKER), 0.0, 1.0) * usable
-    if usual.rough is None or not dim.any():
-        return np.ones(value.shape)
-    kept = np.clip(usual.rough / np.maximum(_roughness(value, usable.astype(float), window), 1e-12), 0.0, 1.0)
-    sure = dim if skin is None else dim * skin
-    return np.asarray(1 - sure * (1 - kept))
 
 
 def _roughness(value: FloatArray, known: FloatArray, window: int) -> FloatArray:

@@ -38,11 +38,8 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
     >>> albedo_error([[0.2, 0.4]], [[0.1, 0.2]], [[True, True]]).mse_percent
     0.0
     """
-    ours, true, chosen = (
-        np.asarray(estimate, np.float64),
-        np.asarray(truth, np.float64),
-        np.asarray(mask, bool),
-    )
+    ours, true = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
+    chosen = np.asarray(mask, bool)
     if ours.shape != true.shape or ours.shape[: chosen.ndim] != chosen.shape or not chosen.any():
         raise ValueError(
             f"estimate {ours.shape}, truth {true.shape} and mask {chosen.shape} "

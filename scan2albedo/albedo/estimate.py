@@ -8,7 +8,6 @@ from dataclasses import replace
 from numbers import Integral
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
@@ -20,7 +19,7 @@ from scan2albedo.albedo.model_selection import limits_step
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.albedo.outlines import seen_outlines
 from scan2albedo.albedo.paper_search import paper_search
-from scan2albedo.albedo.rectification import rectified
+from scan2albedo.albedo.rectification import rectify
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.albedo.texel_light import light_on_texels
@@ -195,9 +194,12 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     albedo = value = value_channel(division.albedo)
     if rectification is None:
         forced = options.choice("albedo.rectification") is True
-        albedo, rectification = rectified(albedo, light, cast, usable, forced=forced)
+        albedo, rectification = rectify(albedo, light, cast, usable, force=forced)
     limits = limits_step(found.solution, value[usable])
-    color = recolor(division.albedo, value, albedo)
+    # Hue and saturation stay; black turns grey.
+    ratio, black = albedo / np.maximum(value, 1e-9), value <= 1e-9
+    color = (division.albedo * ratio[..., None]).astype(np.float32)
+    color[black] = albedo[black, None]
     inpainting = _left_out("albedo.inpainting", options, late)
     if inpainting is None:
         color, inpainting = inpainted(color, image, usable, options, seed)
@@ -262,15 +264,6 @@ def _left_out(stage: str, options: EstimateOptions, late: bool) -> PlanStep | No
     if choice is False:
         return PlanStep(stage, False, "left out by the caller")
     return PlanStep(stage, False, "the budget ended before it") if late and choice is None else None
-
-
-def recolor(texture_linear: NDArray, value: NDArray, wanted: NDArray) -> NDArray[np.float32]:
-    """Return (H, W, 3) the texture scaled to V = `wanted`: hue and saturation stay; black turns grey."""
-    ratio = wanted / np.maximum(value, 1e-9)
-    color = (texture_linear * ratio[..., None]).astype(np.float32)
-    black = value <= 1e-9
-    color[black] = wanted[black, None]
-    return color
 
 
 def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:

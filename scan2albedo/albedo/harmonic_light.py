@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -29,8 +27,6 @@ def fit_harmonic_light(
     Minimises sum rho(w (T - a_b Y c) / mean T) over c, with the block albedos a_b eliminated and rho the soft
     L1 loss. The colours of light and albedo cannot be separated: hence the mean of 1.
 
-    References
-    ----------
     .. [1] R. Basri, D. Jacobs, "Lambertian reflectance and linear subspaces", IEEE TPAMI 25(2), 2003.
     """
     assert image.texture_linear is not None
@@ -45,7 +41,22 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
     """Return (9,) the coefficients of one channel."""
     basis = harmonics(level.normal, 2)
     mean = np.average(basis, axis=0, weights=level.weight)
-    residual = _residual(level, basis, mean, meter)
+    root, (blocks, count) = np.sqrt(level.weight), level.blocks(_BLOCK_AREA)
+
+    def complete(free: FloatArray) -> FloatArray:
+        # The constant is chosen so that the mean shading is 1.
+        return np.concatenate([[(1 - mean[1:] @ free) / mean[0]], free])
+
+    def residual(free: FloatArray) -> FloatArray:
+        meter.count()
+        light = np.maximum(basis @ complete(free), _LIGHT_FLOOR)
+        parts = []
+        for block in blocks:
+            top = np.bincount(block, level.weight * level.value * light, count)
+            bottom = np.bincount(block, level.weight * light**2, count)
+            parts.append(root * (level.value - light * (top / np.maximum(bottom, 1e-12))[block]))
+        return np.concatenate(parts)
+
     free = np.zeros(basis.shape[1] - 1)
     for _ in range(_ROUNDS):
         # A few steps at a time, so that a budget can end the fit between them.
@@ -59,31 +70,7 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
         meter.record(float(np.mean(np.abs(step.fun))))
         if moved < 1e-5:
             break
-    return _complete(free, mean)
-
-
-def _complete(free: FloatArray, mean: FloatArray) -> FloatArray:
-    """Return (9,) coefficients with the constant chosen so that the mean shading is 1."""
-    return np.concatenate([[(1 - mean[1:] @ free) / mean[0]], free])
-
-
-def _residual(
-    level: Level, basis: FloatArray, mean: FloatArray, meter: Meter
-) -> Callable[[FloatArray], FloatArray]:
-    root, floor = np.sqrt(level.weight), 1e-12
-    blocks, count = level.blocks(_BLOCK_AREA)
-
-    def residual(free: FloatArray) -> FloatArray:
-        meter.count()
-        light = np.maximum(basis @ _complete(free, mean), _LIGHT_FLOOR)
-        parts = []
-        for block in blocks:
-            top = np.bincount(block, level.weight * level.value * light, count)
-            bottom = np.bincount(block, level.weight * light**2, count)
-            parts.append(root * (level.value - light * (top / np.maximum(bottom, floor))[block]))
-        return np.concatenate(parts)
-
-    return residual
+    return complete(free)
 
 
 def harmonic_shading(image: GeometryImage, coefficients: FloatArray) -> FloatArray:

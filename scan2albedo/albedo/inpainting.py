@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _NEIGHBOURS = 14
 _PROBES = 12
@@ -70,13 +70,16 @@ def resynthesize(
     field = np.zeros((*inside.shape, 3), np.float32)
     field[reach:-reach, reach:-reach] = np.log(np.maximum(albedo[window].astype(np.float32), _FLOOR))
     order, layers = _order(inside, around)
+    # Offsets of neighbours without (0, 0), the nearest first.
+    offsets = np.stack([grid.ravel() for grid in np.indices((2 * reach + 1, 2 * reach + 1)) - reach], 1)
+    offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")[1:]]
     rng = np.random.default_rng(seed)
     filled, came_from = _fill(
         field,
         order,
         copies,
         around,
-        _near_offsets(reach),
+        offsets,
         np.argwhere(copies),
         rng.integers(-radius, radius + 1, (len(order), _PROBES, 2), np.int32),
         np.float32(1 / max(_variance(field, copies), 1e-6)),
@@ -97,14 +100,6 @@ def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:
         at = np.flatnonzero(region.any(axis))
         boxes.append(slice(max(0, int(at[0]) - margin), int(at[-1]) + margin + 1))
     return boxes[0], boxes[1]
-
-
-def _near_offsets(reach: int) -> IntArray:
-    """Return (K, 2) offsets without (0, 0), nearest first."""
-    axis = np.arange(-reach, reach + 1)
-    rows, columns = (grid.ravel() for grid in np.meshgrid(axis, axis, indexing="ij"))
-    order = np.argsort(rows**2 + columns**2, kind="stable")[1:]
-    return np.stack([rows, columns], 1)[order]
 
 
 @njit(cache=True, nogil=True)

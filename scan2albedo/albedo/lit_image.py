@@ -140,8 +140,6 @@ def shading_direction(level: Level) -> FloatArray:
 
     V ~ a + b . n in L1, reweighted a few times [1]_.
 
-    References
-    ----------
     .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
     """
     basis = np.column_stack([np.ones(len(level.normal)), level.normal])

@@ -114,11 +114,22 @@ def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) ->
     strongest, and its direction is known.
     """
     gain = cost_removed(more.cost, fewer.cost)
-    intensities = more.hypothesis.rows[:, 4]
+    rows = more.hypothesis.rows
+    intensities, toward = rows[:, 4], rows[:, :3]
     share = float(intensities.min() / intensities.max())
-    effect, lit = albedo_change(problem, more, fewer), _lit_share(problem, more)
-    closest, (spread, unsure) = _smallest_angle(more), _lamp_deviations(problem, more)
-    nearness = more.model.radius_mm * float(more.hypothesis.rows[:, 3].max())
+    effect = albedo_change(problem, more, fewer)
+    # The part of the cells that the lamp lights which lights the fewest.
+    lamps = problem.at(more.model, more.x).lamps / rows[:, 4:]
+    lit = float(np.average(lamps > _LIT_COSINE, axis=1, weights=problem.level.weight).min())
+    closest = math.pi
+    if len(rows) > 1:
+        cosine = (toward @ toward.T)[np.triu_indices(len(rows), 1)]
+        closest = float(np.arccos(np.clip(cosine.max(), -1, 1)))
+    # Standard deviations of the weakest lamp's direction and log intensity.
+    k = 3 * int(np.argmin(intensities))
+    variance = np.maximum(np.diag(covariance(problem, more)), 0.0)
+    spread, unsure = math.sqrt(float(variance[k : k + 2].mean())), math.sqrt(float(variance[k + 2]))
+    nearness = more.model.radius_mm * float(rows[:, 3].max())
     worth_it = (
         gain >= LIGHT_GAIN
         and share >= _LIGHT_SHARE
@@ -144,37 +155,9 @@ def light_evidence(problem: ResidualProblem, more: Solution, fewer: Solution) ->
     return LightEvidence(gain, worth_it and not one_or_two, one_or_two, evidence)
 
 
-def _smallest_angle(solution: Solution) -> float:
-    """Return the smallest angle [rad] between two lights; pi where there is one."""
-    rows = solution.hypothesis.rows[:, :3]
-    if len(rows) < 2:
-        return math.pi
-    cosine = (rows @ rows.T)[np.triu_indices(len(rows), 1)]
-    return float(np.arccos(np.clip(cosine.max(), -1, 1)))
-
-
-def _gain(more: Solution, fewer: Solution) -> float:
-    """Return the part of the cost that a part of the model removes."""
-    return cost_removed(more.cost, fewer.cost)
-
-
 def environment_gain(more: Solution, fewer: Solution) -> float:
     """Return the part of the cost that an environment removes; see `ENVIRONMENT_FLOOR`."""
     return cost_removed(more.cost + ENVIRONMENT_FLOOR, fewer.cost + ENVIRONMENT_FLOOR)
-
-
-def _lit_share(problem: ResidualProblem, solution: Solution) -> float:
-    """Return the part of the cells that the lamp lights which lights the fewest."""
-    rows = solution.hypothesis.rows[:, 4:]
-    lamps = problem.at(solution.model, solution.x).lamps / rows
-    return float(np.average(lamps > _LIT_COSINE, axis=1, weights=problem.level.weight).min())
-
-
-def _lamp_deviations(problem: ResidualProblem, solution: Solution) -> tuple[float, float]:
-    """Return the standard deviations of the weakest lamp's direction [rad] and log intensity."""
-    k = 3 * int(np.argmin(solution.hypothesis.rows[:, 4]))
-    variance = np.maximum(np.diag(covariance(problem, solution)), 0.0)
-    return math.sqrt(float(variance[k : k + 2].mean())), math.sqrt(float(variance[k + 2]))
 
 
 def covariance(problem: ResidualProblem, solution: Solution) -> FloatArray:
@@ -339,19 +322,6 @@ def limits_step(solution: Solution, albedo: FloatArray) -> PlanStep:
     light at all. Light that is not part of the model stays in the albedo: the row also says where the
     brightest 0.2 % of `albedo` (N,), its V where it was measured, is many times the median.
     """
-    found = _at_end(solution)
-    median, brightest = np.percentile(albedo, (50, _BRIGHTEST))
-    if brightest > _GLARING * median > 0:
-        found.append(
-            f"the brightest {100 - _BRIGHTEST:.1f} % of the albedo is {brightest / median:.0f} times its "
-            "median: is a lamp too near to be modelled, or white on black?"
-        )
-    if not found:
-        return PlanStep("albedo.limits", False, "the light lies within what is searched", "no limit reached")
-    return PlanStep.doubt("albedo.limits", "the light lies at an end of what is searched", "; ".join(found))
-
-
-def _at_end(solution: Solution) -> list[str]:
     model, x = solution.model, solution.x
     lower, upper = model.bounds
     margin = _NEAR * (upper - lower)
@@ -370,4 +340,12 @@ def _at_end(solution: Solution) -> list[str]:
         i = model.position_of("near")
         if x[i] >= upper[i] * (1 - _NEAR):
             found.append(f"the lights have the least distance, {model.radius_mm / upper[i]:.3g} mm")
-    return found
+    median, brightest = np.percentile(albedo, (50, _BRIGHTEST))
+    if brightest > _GLARING * median > 0:
+        found.append(
+            f"the brightest {100 - _BRIGHTEST:.1f} % of the albedo is {brightest / median:.0f} times its "
+            "median: is a lamp too near to be modelled, or white on black?"
+        )
+    if not found:
+        return PlanStep("albedo.limits", False, "the light lies within what is searched", "no limit reached")
+    return PlanStep.doubt("albedo.limits", "the light lies at an end of what is searched", "; ".join(found))

@@ -68,15 +68,9 @@ def channel_noise(
     Where all channels are equal, noise that does not depend on the light is all that can be found
     (`additive_deviation`).
 
-    Parameters
-    ----------
-    relative : (H, W, C) float64
-        The quotient divided by `around`.
-    texture, around, light : (H, W, C) float64
-        Linear texture without highlights, the quotient's local mean, and the light.
-    usable : (H, W) bool
-    lead, ratio : int and float, optional
-        Those of the whole image, where this is a part of it.
+    `relative` (H, W, C) is the quotient divided by `around` (H, W, C), its local mean; `texture` and `light`
+    (H, W, C) are the linear texture without highlights, and the light; `usable` is (H, W). `lead` and `ratio`
+    are those of the whole image, where this is a part of it.
     """
     if lead is None:
         lead = int(np.argmax(around[usable].mean(0))) if usable.any() else 0
@@ -119,29 +113,25 @@ def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
     through lags 1 and 2 is noise. Stripes fall short of it at lag 3, or along one of the two axes; lone lines
     and points do where g is estimated robustly [1]_. The least of all counts.
 
-    References
-    ----------
     .. [1] N. Cressie, D. Hawkins, "Robust estimation of the variogram", Mathematical Geology 12, 1980.
     """
     least, field = np.full(field.shape, np.inf), np.ascontiguousarray(field)
+    if min(field.shape) <= 3:
+        return np.zeros(field.shape)
     for axis in (0, 1):
-        lags = [_structure(field, usable, lag, axis) for lag in (1, 2, 3)]
+        # g along the axis over a window, by mean squares and robustly; 0 from too few texels.
+        lags = []
+        for lag in (1, 2, 3):
+            down, across = (lag, 0) if axis == 0 else (0, lag)
+            pairs, squares, roots = (_sum(part, WINDOW) for part in _steps(field, usable, down, across))
+            share = np.where(pairs >= _LEAST_PAIRS, 1 / np.maximum(pairs, 1.0), 0.0)
+            # The mean of the root of a normal deviate's size, to the fourth power, is 0.457 of its variance.
+            robust = (share * np.maximum(roots, 0.0)) ** 2
+            lags.append((share * squares, robust * robust / 0.457))
         for (first, second, third), slack in zip(zip(*lags, strict=True), (1.0, _HEAVY), strict=True):
             white = np.minimum(2 * first - second, np.minimum(second, third))
             least = np.minimum(least, slack * white)
     return least
-
-
-def _structure(field: FloatArray, usable: BoolArray, lag: int, axis: int) -> tuple[FloatArray, FloatArray]:
-    """Return g(lag) along an axis over a window, by mean squares and robustly; 0 from too few texels."""
-    if min(field.shape) <= 3:
-        return np.zeros(field.shape), np.zeros(field.shape)
-    down, across = (lag, 0) if axis == 0 else (0, lag)
-    pairs, squares, roots = (_sum(part, WINDOW) for part in _steps(field, usable, down, across))
-    share = np.where(pairs >= _LEAST_PAIRS, 1 / np.maximum(pairs, 1.0), 0.0)
-    # The mean of the root of a normal deviate's size, to the fourth power, is 0.457 of its variance.
-    robust = (share * np.maximum(roots, 0.0)) ** 2
-    return share * squares, robust * robust / 0.457
 
 
 @njit(cache=True, nogil=True)

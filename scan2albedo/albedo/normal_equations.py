@@ -60,8 +60,6 @@ def normal_equations(  # type: ignore[no-untyped-def]
     `albedo`, `mass` from `block_albedos`; `blocks` (S, N) are int32. `matrix` (P, P) and `gradient` (P,) are
     filled; the step that solves ``matrix step = -gradient`` lessens the cost.
 
-    References
-    ----------
     .. [1] G. Golub, V. Pereyra, "Separable nonlinear least squares: the variable projection method and its
        applications", Inverse Problems 19(2), 2003.
     """

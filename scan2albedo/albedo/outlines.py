@@ -37,12 +37,23 @@ def seen_outlines(light: FloatArray, value: FloatArray, usable: BoolArray) -> tu
     log_light, log_value = (np.log(np.maximum(field, _DARK)) for field in (light, value))
     sharp, clear = (step * _SIDE / max(light.shape) for step in (_SHARP, _CLEAR))
     steps = forward_differences(log_light)
-    ends = [_ends(axis) for axis in (1, 0)]
+    # Slices of the first and the second texels of the pairs along each axis.
+    every, before, after = slice(None), slice(None, -1), slice(1, None)
+    ends = [((every, before), (every, after)), ((before, every), (after, every))]
     both = [usable[first] & usable[second] for first, second in ends]
     edges = [pair & (np.abs(step) > clear) for pair, step in zip(both, steps, strict=True)]
     if not any(edge.any() for edge in edges):
         return light, PlanStep(stage, False, "the light has no sharp outline", "0 texels")
-    seen = _seen_share(steps, forward_differences(log_value), edges, light.shape)
+    # The slope, from 0 to 1, of the texture's steps over the light's around each texel.
+    common, square = np.zeros(light.shape), np.zeros(light.shape)
+    for (first, _), s, t, edge in zip(ends, steps, forward_differences(log_value), edges, strict=True):
+        # A step of the texture far larger than the light's is another thing: a hair, a rim.
+        limited = np.clip(t, -2 * np.abs(s), 2 * np.abs(s))
+        common[first] += np.where(edge, s * limited, 0)
+        square[first] += np.where(edge, s * s, 0)
+    sigma = _AROUND * max(light.shape)
+    common, square = (gaussian_filter(field, sigma, mode="constant") for field in (common, square))
+    seen = np.clip(common / np.maximum(square, 1e-12), 0, 1)
     shares = [0.5 * (seen[first] + seen[second]) for first, second in ends]
     unseen = [
         edge & (share < np.where(np.abs(step) > sharp, _SEEN, _HINTED))
@@ -64,29 +75,3 @@ def seen_outlines(light: FloatArray, value: FloatArray, usable: BoolArray) -> tu
     spread = integrate_gradients(log_light, band, usable & ~band, wanted[0], wanted[1])
     reason = "outlines that the texture does not show are spread"
     return np.where(band, np.exp(spread), light), PlanStep(stage, True, reason, evidence)
-
-
-def _seen_share(
-    light: tuple[FloatArray, FloatArray],
-    texture: tuple[FloatArray, FloatArray],
-    edges: list[BoolArray],
-    shape: tuple[int, ...],
-) -> FloatArray:
-    """Return (H, W) the slope, from 0 to 1, of the texture's steps over the light's around each texel."""
-    common, square = np.zeros(shape), np.zeros(shape)
-    for axis, s, t, edge in zip((1, 0), light, texture, edges, strict=True):
-        first, _ = _ends(axis)
-        # A step of the texture far larger than the light's is another thing: a hair, a rim.
-        limited = np.clip(t, -2 * np.abs(s), 2 * np.abs(s))
-        common[first] += np.where(edge, s * limited, 0)
-        square[first] += np.where(edge, s * s, 0)
-    sigma = _AROUND * max(shape)
-    common, square = (gaussian_filter(field, sigma, mode="constant") for field in (common, square))
-    return np.asarray(np.clip(common / np.maximum(square, 1e-12), 0, 1))
-
-
-def _ends(axis: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Return the slices of the first and the second texels of the pairs along an axis."""
-    if axis == 1:
-        return (slice(None), slice(None, -1)), (slice(None), slice(1, None))
-    return (slice(None, -1), slice(None)), (slice(1, None), slice(None))

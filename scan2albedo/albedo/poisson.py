@@ -27,8 +27,6 @@ def integrate_gradients(
     (H, W - 1) and `down` (H - 1, W) are the wanted forward differences; with channels (..., C), all share one
     factorisation.
 
-    References
-    ----------
     .. [1] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
     """
     if not region.any():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.ndimage import binary_dilation, label, maximum_filter
 
@@ -23,26 +21,6 @@ _STEP = 0.05
 """Jump of log light between neighbours that makes an outline."""
 
 
-@dataclass(frozen=True)
-class Rectification:
-    """`albedo` (H, W), whether it was `changed`, and the figure behind the decision."""
-
-    albedo: FloatArray
-    changed: bool
-    evidence: str
-
-
-def rectified(
-    albedo: FloatArray, light: FloatArray, shadow: FloatArray, usable: BoolArray, *, forced: bool
-) -> tuple[FloatArray, PlanStep]:
-    """Return V of the albedo (H, W) rectified along cast shadows, or as it is, and the plan's row."""
-    result = rectify(albedo, light, shadow, usable, force=forced)
-    reason = "shadow outlines left lines in the albedo" if result.changed else "shadow outlines left no lines"
-    if result.changed and forced:
-        reason = "asked for"
-    return result.albedo, PlanStep("albedo.rectification", result.changed, reason, result.evidence)
-
-
 def rectify(
     albedo: FloatArray,
     light: FloatArray,
@@ -50,8 +28,8 @@ def rectify(
     usable: BoolArray,
     *,
     force: bool = False,
-) -> Rectification:
-    """Limit the gradients of log albedo in a band around shadow outlines to what is usual beside it.
+) -> tuple[FloatArray, PlanStep]:
+    """Limit the gradients of log albedo in a band around shadow outlines to what is usual beside it; the row.
 
     Where the estimated outline misses the real one, by a penumbra or a small error of the light, the quotient
     holds a bright or dark line: the albedo steps up where the light steps down. Connected pieces of the
@@ -63,14 +41,13 @@ def rectify(
     `albedo` and `light` (H, W) are V of the albedo and I_a + I_d; `shadow` (H, W) is 1 where a cast shadow
     cuts any light off; `usable` (H, W) marks texels with a trustworthy albedo.
 
-    References
-    ----------
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.2.3.
     """
+    stage, no_lines = "albedo.rectification", "shadow outlines left no lines"
     outline = shadow_outline(light, shadow, usable)
     if not outline.any():
-        return Rectification(albedo, False, "no shadow outline")
+        return albedo, PlanStep(stage, False, no_lines, "no shadow outline")
     width = max(1, round(_BAND * max(albedo.shape)))
     band = binary_dilation(outline, iterations=width) & usable
     log_albedo = np.log(np.maximum(albedo, 1e-6))
@@ -80,19 +57,29 @@ def rectify(
         f"{100 * wrong.sum() / band.sum():.0f} % of their length has lines"
     )
     if not (force or wrong.any()):
-        return Rectification(albedo, False, evidence)
+        return albedo, PlanStep(stage, False, no_lines, evidence)
     beside = binary_dilation(band, iterations=3 * width) & usable & ~band
     band = band if force else wrong
-    cut, fall = [], _largest_fall(light, shadow, usable, 2 * width + 1)
+    # The largest step of log light across an outline within a square window.
+    log_light, fall = np.log(np.maximum(light, 1e-6)), np.zeros(light.shape)
+    for axis in (0, 1):
+        step = np.abs(np.diff(log_light, axis=axis)) * outline_pairs(light, shadow, usable, axis)
+        rest = [slice(None)] * 2
+        for part in (slice(None, -1), slice(1, None)):
+            rest[axis] = part
+            fall[tuple(rest)] = np.maximum(fall[tuple(rest)], step)
+    fall, cut = maximum_filter(fall, 2 * width + 1), []
     for axis, gradient in zip((1, 0), forward_differences(log_albedo), strict=True):
         outside = _pairs(beside, axis)
         if outside.sum() < 20:
-            return Rectification(albedo, False, "too few texels beside the outlines")
+            return albedo, PlanStep(stage, False, no_lines, "too few texels beside the outlines")
         limit = float(np.quantile(np.abs(gradient[outside]), _TAIL))
-        steep = (np.abs(gradient) > limit) & (np.abs(gradient) < _LARGEST * pair_max(fall, axis))
+        ends = (fall[:, :-1], fall[:, 1:]) if axis == 1 else (fall[:-1], fall[1:])
+        steep = (np.abs(gradient) > limit) & (np.abs(gradient) < _LARGEST * np.maximum(*ends))
         cut.append(np.where(steep, np.clip(gradient, -limit, limit), gradient))
     repaired = integrate_gradients(log_albedo, band, usable & ~band, *cut)
-    return Rectification(np.where(band, np.exp(repaired), albedo), True, evidence)
+    reason = "asked for" if force else "shadow outlines left lines in the albedo"
+    return np.where(band, np.exp(repaired), albedo), PlanStep(stage, True, reason, evidence)
 
 
 def _outlines_with_lines(
@@ -122,23 +109,6 @@ def _outlines_with_lines(
     guilty = votes > np.maximum(_SHARE * total, 2 * np.sqrt(np.maximum(total * _SHARE, 1)))
     guilty[0] = False
     return float(votes.sum() / max(total.sum(), 1)), guilty[piece]
-
-
-def _largest_fall(light: FloatArray, shadow: FloatArray, usable: BoolArray, window: int) -> FloatArray:
-    """Return (H, W) the largest step of log light across an outline within a square window."""
-    log_light, fall = np.log(np.maximum(light, 1e-6)), np.zeros(light.shape)
-    for axis in (0, 1):
-        step = np.abs(np.diff(log_light, axis=axis)) * outline_pairs(light, shadow, usable, axis)
-        rest = [slice(None)] * 2
-        for part in (slice(None, -1), slice(1, None)):
-            rest[axis] = part
-            fall[tuple(rest)] = np.maximum(fall[tuple(rest)], step)
-    return maximum_filter(fall, window)
-
-
-def pair_max(field: FloatArray, axis: int) -> FloatArray:
-    """Return the larger of a texel's value and its next one's along `axis`."""
-    return np.maximum(field[:, :-1], field[:, 1:]) if axis == 1 else np.maximum(field[:-1], field[1:])
 
 
 def shadow_outline(light: FloatArray, shadow: FloatArray, usable: BoolArray) -> BoolArray:

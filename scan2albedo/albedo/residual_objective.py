@@ -197,8 +197,6 @@ class Residual:
         weights of reweighting to the loss's own curvature. Use it on a residual without `outlines`: where
         exactly they run depends on the mesh's every edge.
 
-        References
-        ----------
         .. [1] H. White, "Maximum likelihood estimation of misspecified models", Econometrica 50(1), 1982.
         """
         matrix = self.normal_equations().matrix * self.problem.total

@@ -129,18 +129,16 @@ class ShadowLattice:
         # Contiguous whatever the number of lights: the shading is compiled for one layout.
         return np.ascontiguousarray(blended[:, 0]), np.ascontiguousarray(blended[:, 1:])
 
-    def _steps(self, model: LightModel) -> tuple[float, float, float]:
-        """Return the lattice's spacing along its axes: wide for lamps whose shadows are soft."""
-        step = max(self._least_step, _OF_RADIUS * math.radians(model.radius_deg))
-        return step, step, _NEARNESS * step
-
     def _blended(self, model: LightModel, light: tuple[float, float, float]) -> Visibility:
         """Return (3, N) the visibility of a light and its derivatives by two of its three coordinates."""
+        assert self._rays is not None
         ends, shares = list[tuple[int, ...]](), list[tuple[float, float]]()
-        steps = self._steps(model)
-        for value, step in zip(light, steps, strict=True):
-            low = math.floor(value / step)
-            part = value / step - low
+        # The lattice's spacing along its axes is wide for lamps whose shadows are soft.
+        step = max(self._least_step, _OF_RADIUS * math.radians(model.radius_deg))
+        steps = step, step, _NEARNESS * step
+        for value, side in zip(light, steps, strict=True):
+            low = math.floor(value / side)
+            part = value / side - low
             # On a node, such as that of distant lights, the next one has no share.
             ends.append((low, low + 1) if part > 0 or len(ends) < 2 else (low,))
             shares.append((1 - part, part))
@@ -148,20 +146,16 @@ class ShadowLattice:
         slope = -1 / steps[0], 1 / steps[0]
         table = (across, along, near), (slope, along, near), (across, slope, near)
         weights = [[a * b * c for a, b, c in product(p, q, r[: len(ends[2])])] for p, q, r in table]
-        nodes = [self._node(model, *node) for node in product(*ends)]
+        nodes = []
+        for column, row, nearness in product(*ends):
+            key = column, row, nearness, model.radius_deg
+            if key not in self._known:
+                direction = model.direction(column * steps[0], row * steps[1])
+                distance = model.radius_mm / (nearness * steps[2]) if nearness > 0 else math.inf
+                visible = self._rays.reached(direction, distance, model.radius_deg).astype(np.float32)
+                # Turned away at the node, a cell may face the light itself: no cast shadow's outline there.
+                nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
+                visible[self._normal @ direction <= nearer] = 1
+                self._known[key] = visible
+            nodes.append(self._known[key])
         return np.asarray(np.array(weights, np.float32) @ np.stack(nodes))
-
-    def _node(self, model: LightModel, column: int, row: int, nearness: int) -> Visibility:
-        """Return (N,) the visibility at a node of the lattice."""
-        assert self._rays is not None
-        key = column, row, nearness, model.radius_deg
-        if key not in self._known:
-            across, along, near = self._steps(model)
-            direction = model.direction(column * across, row * along)
-            distance = model.radius_mm / (nearness * near) if nearness > 0 else math.inf
-            visible = self._rays.reached(direction, distance, model.radius_deg).astype(np.float32)
-            # Turned away at the node, a cell may face the light itself: no outline of a cast shadow there.
-            nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
-            visible[self._normal @ direction <= nearer] = 1
-            self._known[key] = visible
-        return self._known[key]

@@ -55,13 +55,21 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     # In the order of the public lights, strongest first.
     colors[:count] = colors[np.argsort(-found.solution.hypothesis.rows[:, 4], kind="stable")]
     environment, light = _with_soft_light(scene, found, lit, colors)
+    # A colour's mean goes into the lamp's intensity.
+    coloured = list(lamps)
+    for k, color in enumerate(colors[: len(lamps)]):
+        mean = float(color.mean())
+        if (color != 1).any() and mean > 0:
+            red, green, blue = (color / mean).tolist()
+            intensity = lamps[k].intensity * mean
+            coloured[k] = replace(lamps[k], intensity=intensity, color_linear=(red, green, blue))
     return TexelLight(
         light.mean(-1),
         light,
         lit.shading.specular,
         lit.visible.min(0, initial=1),
         lit.cast.max(0, initial=0),
-        tuple(_coloured(lamp, color) for lamp, color in zip(lamps, colors, strict=False)),
+        tuple(coloured),
         environment,
         reflectance,
     )
@@ -92,12 +100,3 @@ def _with_soft_light(
         direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ state.harmonics
         change += state.bounce * terms.bounce(direct)[:, None] * colors[-1]
     return environment, np.maximum(light + along_surface(level, change, scene.image), DARKEST)
-
-
-def _coloured(lamp: PointLight, color: FloatArray) -> PointLight:
-    """Return the lamp in a colour (3,), whose mean goes into the intensity."""
-    mean = float(color.mean())
-    if (color == 1).all() or mean <= 0:
-        return lamp
-    red, green, blue = (color / mean).tolist()
-    return replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))

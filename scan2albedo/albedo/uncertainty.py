@@ -110,17 +110,10 @@ def expected_error(
 ) -> NDArray[np.float32]:
     """Return (H, W) the relative error that two texels in three stay below, in [0, 1]; 0 outside the mask.
 
-    Parameters
-    ----------
-    noise : (H, W) float
-        Relative standard deviation of the noise that is left, 1 where nothing was measured.
-    deviation : (H, W) float, optional
-        That of the albedo which follows from the light's uncertainty, where it is known.
-    light : (H, W) float
-        I: where it changes quickly, a fit that is off by part of a texel errs most.
-    mask : (H, W) bool
-    skin : (H, W) float, optional
-        How surely a texel is skin; None is skin everywhere.
+    `noise` (H, W) is the relative standard deviation of the noise that is left, 1 where nothing was measured,
+    `deviation` (H, W) that of the albedo which follows from the light's uncertainty, where it is known,
+    `light` (H, W) I: where it changes quickly, a fit that is off by part of a texel errs most. `skin` (H, W)
+    says how surely a texel is skin, everywhere when None.
     """
     level = np.log(np.where(mask & (light > 0), light, 1.0))
     squares = (_NOISE * noise) ** 2 + _ALWAYS**2

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rasterization import bilinear, rasterize
 from scan2albedo.geometry.rigid import transform_points
@@ -54,23 +54,19 @@ def front_picture(
     covered = raster.covered
     face, barycentric = used[raster.face[covered]], raster.barycentric[covered]
     looked = np.zeros((*shape, 4))
-    looked[covered, :3] = _colors(scan, face, barycentric)
+    if scan.uv is not None and scan.texture_linear is not None:
+        places = scan.uv[face]
+        places = places - np.floor(places.min(axis=1, keepdims=True) + _HAIR)  # by whole periods
+        u, v = np.einsum("nk,nkc->nc", barycentric, places).T % (1 + 2 * _HAIR)
+        height, width = scan.texture_linear.shape[:2]
+        pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
+        colors = bilinear(scan.texture_linear, pixels)
+    else:
+        assert scan.vertex_color_linear is not None
+        colors = np.einsum("nk,nkc->nc", barycentric, scan.vertex_color_linear[scan.faces[face]])
+    looked[covered, :3] = np.maximum(colors, 0)
     looked[covered, 3] = np.einsum("nk,nk->n", barycentric, vertices[scan.faces[face], 2])
     blocks = rows, 2, columns, 2
     count = covered.reshape(blocks).sum((1, 3))
     mean = looked.reshape(*blocks, 4).sum((1, 3)) / np.maximum(count, 1)[..., None]
     return FrontPicture(mean[..., :3], mean[..., 3], count > 0, low, step_mm)
-
-
-def _colors(scan: RawScan, face: IntArray, barycentric: FloatArray) -> FloatArray:
-    """Return the linear colours (N, 3), at least 0, of points of a scan's faces (N,)."""
-    if scan.uv is not None and scan.texture_linear is not None:
-        corners = scan.uv[face]
-        corners = corners - np.floor(corners.min(axis=1, keepdims=True) + _HAIR)  # by whole periods
-        u, v = np.einsum("nk,nkc->nc", barycentric, corners).T % (1 + 2 * _HAIR)
-        height, width = scan.texture_linear.shape[:2]
-        pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
-        return np.maximum(bilinear(scan.texture_linear, pixels), 0)
-    assert scan.vertex_color_linear is not None
-    colors = scan.vertex_color_linear[scan.faces[face]]
-    return np.maximum(np.einsum("nk,nkc->nc", barycentric, colors), 0)

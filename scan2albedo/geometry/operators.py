@@ -24,20 +24,6 @@ MAX_COTANGENT = 5.0
 """Cotangents are clipped to [0, MAX_COTANGENT], so slivers (angles below 11 degrees) stay harmless."""
 
 
-def corner_cotangents(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Return (F, 3) cotangents of the corner angles, clipped to [0, MAX_COTANGENT].
-
-    So every edge weight is non-negative, and the Laplacian an M-matrix whatever the triangles.
-    """
-    corners = vertices[faces]
-    u = corners[:, [1, 2, 0]] - corners
-    v = corners[:, [2, 0, 1]] - corners
-    sine = np.linalg.norm(np.cross(u, v), axis=2)
-    cosine = np.einsum("fij,fij->fi", u, v)
-    longest = np.maximum(np.einsum("fij,fij->fi", u, u), np.einsum("fij,fij->fi", v, v))
-    return np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT)
-
-
 def laplacian(
     vertices: FloatArray, faces: IntArray, face_weight: FloatArray | None = None
 ) -> sparse.csr_matrix:
@@ -48,7 +34,13 @@ def laplacian(
 
     .. [1] U. Pinkall, K. Polthier, "Computing Discrete Minimal Surfaces and Their Conjugates", 1993.
     """
-    weights = 0.5 * corner_cotangents(vertices, faces)
+    # Clipped cotangents of the corners: every edge weight is non-negative, L an M-matrix.
+    corners = vertices[faces]
+    u, v = corners[:, [1, 2, 0]] - corners, corners[:, [2, 0, 1]] - corners
+    sine = np.linalg.norm(np.cross(u, v), axis=2)
+    cosine = np.einsum("fij,fij->fi", u, v)
+    longest = np.maximum(np.einsum("fij,fij->fi", u, u), np.einsum("fij,fij->fi", v, v))
+    weights = 0.5 * np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT)
     if face_weight is not None:
         weights = weights * face_weight[:, None]
     start, end = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()

@@ -46,8 +46,6 @@ def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:
     The homogeneous linear equations of [1]_, section 7.1 (DLT), in coordinates of mean 0 and unit size. Where
     all points lie in a plane, many cameras do so, and one of them is returned.
 
-    References
-    ----------
     .. [1] R. Hartley, A. Zisserman, "Multiple View Geometry in Computer Vision", 2nd edition, 2004.
     """
     space, to_space = _centred(np.asarray(points, np.float64))

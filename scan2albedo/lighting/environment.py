@@ -110,24 +110,10 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     its cell. Their `environment_weights` are alike: no light is much stronger than the others, and the edge
     of its shadow hardly shows.
 
-    Parameters
-    ----------
-    environment_linear : (H, W, 3) array_like of float
-        As in `environment_weights`.
-    count : int
-        K, 1 or more.
+    The map and its errors are those of `environment_weights`; ValueError when `count` K is below 1.
 
-    Raises
-    ------
-    ValueError
-        As `environment_weights`, and when `count` is below 1.
-
-    References
-    ----------
     .. [1] P. Debevec, "A median cut algorithm for light probe sampling", SIGGRAPH 2005 poster.
 
-    Examples
-    --------
     >>> sun = np.ones((8, 16, 3))
     >>> sun[2, 4] = 1000.0
     >>> toward = important_directions(sun, 50)
@@ -136,7 +122,17 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     """
     image = _checked_map(environment_linear)
     even = distant_directions(count)
-    brightness = _resized(np.abs(image).mean(2))
+    brightness = np.abs(image).mean(2)
+    rows, columns = brightness.shape
+    # A fine map gets means of texels, a coarse one has each of them cut up.
+    if rows <= _FINEST_ROWS:
+        repeat = -(-_FINEST_ROWS // rows)
+        brightness = brightness.repeat(repeat, 0).repeat(repeat, 1)
+    else:
+        every = -(-rows // _FINEST_ROWS)
+        below, beside = np.arange(0, rows, every), np.arange(0, columns, every)
+        sums = np.add.reduceat(np.add.reduceat(brightness, below, 0), beside, 1)
+        brightness = sums / np.outer(np.diff(below, append=rows), np.diff(beside, append=columns))
     rows, columns = brightness.shape
     size = texel_solid_angles(rows, columns)[:, None]
     total = (brightness * size).sum()
@@ -144,7 +140,18 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
         return even
     share = (1 - _EVEN_SHARE) * brightness * size / total
     share += _EVEN_SHARE * size / (4 * np.pi)
-    toward = _warped(share, count)
+    # A lattice through the inverse distribution of the shares.
+    step = np.arange(count)
+    down, across = (step + 0.5) / count, (step * _GOLDEN + 0.5) % 1.0
+    of_rows = np.concatenate([[0.0], np.cumsum(share.sum(1))])
+    of_rows /= of_rows[-1]
+    row = np.interp(down, of_rows, np.arange(len(of_rows), dtype=np.float64))
+    of_columns = np.concatenate([np.zeros((rows, 1)), np.cumsum(share, 1)], 1)
+    of_columns /= of_columns[:, -1:]
+    places = np.arange(of_columns.shape[1], dtype=np.float64)
+    own = np.minimum(row.astype(np.int64), rows - 1)
+    column = np.array([np.interp(u, of_columns[r], places) for u, r in zip(across, own, strict=True)])
+    toward = _map_directions(row / rows, column / columns)
     texels, share = texel_directions((rows, columns)).reshape(-1, 3), share.ravel()
     for _ in range(_LLOYD_STEPS):
         nearest = cKDTree(toward).query(texels)[1]
@@ -153,34 +160,6 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
         length = np.linalg.norm(pulled, axis=1)
         toward = np.where(length[:, None] > 0, normalized(pulled), toward)
     return toward
-
-
-def _resized(brightness: FloatArray) -> FloatArray:
-    """Return a map (H, W) with means of texels if it is fine, with each of them cut up if it is coarse."""
-    rows, columns = brightness.shape
-    if rows <= _FINEST_ROWS:
-        repeat = -(-_FINEST_ROWS // rows)
-        return brightness.repeat(repeat, 0).repeat(repeat, 1)
-    step = -(-rows // _FINEST_ROWS)
-    down, across = np.arange(0, rows, step), np.arange(0, columns, step)
-    sums = np.add.reduceat(np.add.reduceat(brightness, down, 0), across, 1)
-    count = np.outer(np.diff(down, append=rows), np.diff(across, append=columns))
-    return np.asarray(sums / count)
-
-
-def _warped(share: FloatArray, count: int) -> FloatArray:
-    """Return (K, 3) directions that a lattice gets by the inverse distribution of shares (H, W) of a map."""
-    step = np.arange(count)
-    down, across = (step + 0.5) / count, (step * _GOLDEN + 0.5) % 1.0
-    of_rows = np.concatenate([[0.0], np.cumsum(share.sum(1))])
-    of_rows /= of_rows[-1]
-    row = np.interp(down, of_rows, np.arange(len(of_rows), dtype=np.float64))
-    of_columns = np.concatenate([np.zeros((len(share), 1)), np.cumsum(share, 1)], 1)
-    of_columns /= of_columns[:, -1:]
-    places = np.arange(of_columns.shape[1], dtype=np.float64)
-    own = np.minimum(row.astype(np.int64), len(share) - 1)
-    column = np.array([np.interp(u, of_columns[r], places) for u, r in zip(across, own, strict=True)])
-    return _map_directions(row / len(share), column / share.shape[1])
 
 
 def texel_directions(shape: tuple[int, int]) -> FloatArray:
@@ -237,24 +216,7 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     True
     """
     image = _checked_map(environment_linear)
-    return map_cells(_checked_directions(directions), image.shape[:2]).weights(image)
-
-
-@dataclass(frozen=True)
-class MapCells:
-    """Shares of a map's texels in the cells of directions, which serve any map of one size."""
-
-    shares: sparse.csr_matrix
-    """(K, H W) solid angles."""
-
-    def weights(self, environment_linear: FloatArray) -> FloatArray:
-        """Return (K, 3) integrals of a map (H, W, 3)."""
-        return np.asarray(self.shares @ environment_linear.reshape(-1, 3))
-
-
-def map_cells(directions: FloatArray, shape: tuple[int, int]) -> MapCells:
-    """Return the cells of unit directions (K, 3) in maps of a shape (H, W)."""
-    tree, (height, width) = cKDTree(directions), shape
+    tree, (height, width) = cKDTree(_checked_directions(directions)), image.shape[:2]
     repeat = max(1, -(-_FINEST_ROWS // height))
     rows, columns = height * repeat, width * repeat
     solid_angle = texel_solid_angles(rows, columns)
@@ -267,7 +229,8 @@ def map_cells(directions: FloatArray, shape: tuple[int, int]) -> MapCells:
     )
     # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.
     entries = np.repeat(solid_angle, columns), (nearest.ravel(), texel.ravel())
-    return MapCells(sparse.coo_matrix(entries, shape=(tree.n, height * width)).tocsr())
+    shares = sparse.coo_matrix(entries, shape=(tree.n, height * width)).tocsr()
+    return np.asarray(shares @ image.reshape(-1, 3))
 
 
 def _checked_map(environment_linear: ArrayLike) -> FloatArray:

@@ -21,13 +21,9 @@ _DIRECTIONS = 96
 def open_transfer(normal: FloatArray) -> FloatArray:
     """Return (N, 9) the light on points that nothing hides, by unit `normal` (N, 3), under each Y_k / Y_0.
 
-    References
-    ----------
     .. [1] R. Ramamoorthi, P. Hanrahan, "An efficient representation for irradiance environment maps",
        SIGGRAPH 2001.
 
-    Examples
-    --------
     >>> open_transfer(np.array([[0.0, 0.0, 1.0]]))[0, :3].round(3).tolist()
     [1.0, 0.0, 1.155]
     """
@@ -59,8 +55,6 @@ def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) ->
 
     Sums over rays err; only what is hidden is therefore taken from them, and the rest from `open_transfer`.
 
-    References
-    ----------
     .. [1] P.-P. Sloan, J. Kautz, J. Snyder, "Precomputed radiance transfer for real-time rendering in
        dynamic, low-frequency lighting environments", SIGGRAPH 2002.
     """

@@ -35,12 +35,8 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
     phase. ValueError for another shape, or values that are not finite. Cost: about six operations a harmonic.
     Agrees with `scipy.special.sph_harm_y` to 1e-14, at the poles too.
 
-    References
-    ----------
     .. [1] P.-P. Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2(2), 2013.
 
-    Examples
-    --------
     >>> harmonics([0.0, 0.0, 1.0], order=2).round(3).tolist()
     [0.282, 0.0, 0.489, 0.0, 0.0, 0.0, 0.631, 0.0, 0.0]
     """
@@ -75,7 +71,11 @@ def harmonics_gradient(direction: ArrayLike, order: int = 8) -> FloatArray:
     for m in range(order + 1):
         if m > 0:
             before, power = power, (x * power[0] - y * power[1], x * power[1] + y * power[0])
-        column, slope = _legendre_column(z, m, order), _legendre_slopes(z, m, order)
+        column, slope = _legendre_column(z, m, order), [np.zeros_like(z)]
+        for degree in range(m + 1, order + 1):
+            up, back = _recurrence(degree, m)
+            below = slope[-2] if len(slope) > 1 else 0.0
+            slope.append(up * (column[degree - m - 1] + z * slope[-1] - back * below))
         for degree in range(m, order + 1):
             legendre, along_z = column[degree - m], slope[degree - m]
             centre = degree * (degree + 1)
@@ -97,16 +97,6 @@ def _legendre_column(z: FloatArray, m: int, order: int) -> list[FloatArray]:
         below = column[-2] if len(column) > 1 else 0.0
         column.append(up * (z * column[-1] - back * below))
     return column
-
-
-def _legendre_slopes(z: FloatArray, m: int, order: int) -> list[FloatArray]:
-    """Return the derivatives by z of `_legendre_column`."""
-    column, slopes = _legendre_column(z, m, order), [np.zeros_like(z)]
-    for degree in range(m + 1, order + 1):
-        up, back = _recurrence(degree, m)
-        below = slopes[-2] if len(slopes) > 1 else 0.0
-        slopes.append(up * (column[degree - m - 1] + z * slopes[-1] - back * below))
-    return slopes
 
 
 def _recurrence(degree: int, m: int) -> tuple[float, float]:

@@ -64,8 +64,6 @@ class Bounce:
     hidden part of the hemisphere, and N points take part through `up` (N, M) and `down` (M, N). The factors
     are float32: their product takes most of the search's time on soft light.
 
-    References
-    ----------
     .. [1] C. Goral, K. Torrance, D. Greenberg, B. Battaile, "Modeling the interaction of light between
        diffuse surfaces", SIGGRAPH 1984.
     """
@@ -118,10 +116,6 @@ class Patches:
     def seen_from(self, position: FloatArray, normal: FloatArray) -> Bounce:
         """Return the bounce onto and from N points."""
         up = self.lookup.weights(position, normal)
-        return Bounce(self.factors, up, _averages(up))
-
-
-def _averages(weights: sparse.csr_matrix) -> sparse.csr_matrix:
-    """Return (M, N) what averages values at N points around each of M, from the interpolation (N, M)."""
-    total = np.maximum(np.asarray(weights.sum(0)).ravel(), 1e-9)
-    return sparse.diags(1 / total) @ weights.T
+        # What averages values at the points around each patch.
+        total = np.maximum(np.asarray(up.sum(0)).ravel(), 1e-9)
+        return Bounce(self.factors, up, sparse.diags(1 / total) @ up.T)

@@ -98,8 +98,6 @@ def shade_points(
     length, points toward the viewer, and `specular_scale` (N,) multiplies I_s. ValueError for shapes that do
     not fit, points, normals or a `specular_scale` that are not finite, or a zero `view_direction`.
 
-    References
-    ----------
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
        modeling and relighting with application to face recognition", section 3.2.1.
     """
@@ -108,7 +106,20 @@ def shade_points(
     seen = np.ones((len(lights), count), np.uint8) if visible is None else np.asarray(visible)
     scale = np.ones(count) if specular_scale is None else np.asarray(specular_scale, np.float64)
     view = np.asarray(view_direction, np.float64)
-    _check_points(xyz, unit, seen, scale, view, len(lights))
+    # Compiled loops would read past the end of other arrays, or turn them to NaN.
+    given = {"position": xyz, "normal": unit, "visible": seen, "specular_scale": scale}
+    shapes = (count, 3), (count, 3), (len(lights), count), (count,)
+    for (name, array), shape in zip(given.items(), shapes, strict=True):
+        if array.shape != shape:
+            raise ValueError(
+                f"{name} has shape {array.shape}, expected {shape} for {count} points, {len(lights)} lights"
+            )
+    for name in ("position", "normal", "specular_scale"):
+        bad = np.argwhere(~np.isfinite(given[name]))
+        if len(bad):
+            raise ValueError(f"{name} {bad[0, 0]} is not finite ({len(bad)} numbers are not); leave such out")
+    if view.shape not in ((3,), (count, 3)) or not np.isfinite(view).all() or not view.any(-1).all():
+        raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")
     colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
     toward = view / np.linalg.norm(view, axis=-1, keepdims=True)
     return shade_rows(xyz, unit, seen, light_rows(lights), toward, reflectance, scale, colors)
@@ -173,33 +184,3 @@ def lamp_factors(
         factors.highlight,
     )
     return factors
-
-
-def _check_points(
-    position: FloatArray,
-    normal: FloatArray,
-    visible: NDArray,
-    scale: FloatArray,
-    view: FloatArray,
-    lights: int,
-) -> None:
-    """Refuse what compiled loops would read past the end of, or turn to NaN."""
-    count = len(position)
-    shapes = {
-        "position": (count, 3),
-        "normal": (count, 3),
-        "visible": (lights, count),
-        "specular_scale": (count,),
-    }
-    given = {"position": position, "normal": normal, "visible": visible, "specular_scale": scale}
-    for name, array in given.items():
-        if array.shape != shapes[name]:
-            raise ValueError(
-                f"{name} has shape {array.shape}, expected {shapes[name]} for {count} points, {lights} lights"
-            )
-    for name in ("position", "normal", "specular_scale"):
-        bad = np.argwhere(~np.isfinite(given[name]))
-        if len(bad):
-            raise ValueError(f"{name} {bad[0, 0]} is not finite ({len(bad)} numbers are not); leave such out")
-    if view.shape not in ((3,), (count, 3)) or not np.isfinite(view).all() or not view.any(-1).all():
-        raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")

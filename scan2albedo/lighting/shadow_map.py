@@ -42,7 +42,8 @@ class ShadowMap:
     def __post_init__(self) -> None:
         origin, above = np.empty((0, 3), np.float32), 0.0
         if self.caster is not None:
-            origin, above = shadow_origins(self.caster, self.position, self.normal, self.offset_mm), math.inf
+            offset = shadow_offset_mm(self.caster.size, self.offset_mm)
+            origin, above = self.caster.to_local(self.position + offset * self.normal), math.inf
         known = np.full(len(self.position), above) if self.open_above is None else self.open_above
         object.__setattr__(self, "_origin", origin)
         object.__setattr__(self, "_above", known)
@@ -85,24 +86,20 @@ class ShadowMap:
         result = (cosine > self._above + spread).astype(np.float32)
         unsure = np.flatnonzero((result == 0) & (cosine > -spread))
         disc = disc_directions(direction, radius_deg, points)
-        result[unsure] = self._some(unsure)._parts(disc, distance_mm)
+        # The rim comes last; where it is hidden or seen as a whole, so is the rest.
+        inner, some = points - max(_RIM, points // 6), self._some(unsure)
+        seen, facing = some._seen(disc[inner:], distance_mm)
+        partly = np.flatnonzero((seen > 0) & (seen < facing))
+        more, most = some._some(partly)._seen(disc[:inner], distance_mm)
+        seen[partly] += more
+        facing[partly] += most
+        result[unsure] = np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0)
         return result
 
     def _some(self, index: NDArray[np.intp]) -> ShadowMap:
         """Return that of some points."""
         surface = self.position[index], self.normal[index]
         return ShadowMap(self.caster, *surface, self.offset_mm, self._above[index])
-
-    def _parts(self, directions: FloatArray, distance_mm: float) -> FloatArray:
-        """Return (N,) the part of the lamp's points in `directions` (K, 3), its rim last, that is seen."""
-        inner = len(directions) - max(_RIM, len(directions) // 6)
-        seen, facing = self._seen(directions[inner:], distance_mm)
-        # Where the rim is hidden or seen as a whole, so is the rest.
-        partly = np.flatnonzero((seen > 0) & (seen < facing))
-        more, most = self._some(partly)._seen(directions[:inner], distance_mm)
-        seen[partly] += more
-        facing[partly] += most
-        return np.divide(seen, facing, out=np.zeros_like(facing), where=facing > 0)
 
     def _seen(self, directions: FloatArray, distance_mm: float) -> tuple[FloatArray, FloatArray]:
         """Return (N,) the sums of the cosines to the points of a lamp that are seen, and to all."""
@@ -131,13 +128,6 @@ def disc_directions(direction: ArrayLike, radius_deg: float, count: int) -> Floa
     height = 1 - (step + 0.5) / count * (1 - math.cos(math.radians(radius_deg)))
     turn, across = step * math.pi * (3 - math.sqrt(5)), np.sqrt(1 - height**2)
     return np.stack([across * np.cos(turn), across * np.sin(turn), height], 1) @ frame
-
-
-def shadow_origins(
-    caster: RayCaster, position: FloatArray, normal: FloatArray, offset_mm: float
-) -> NDArray[np.float32]:
-    """Return (N, 3) where shadow rays start, for `RayCaster.occluded_local`; see `ShadowMap.offset_mm`."""
-    return caster.to_local(position + shadow_offset_mm(caster.size, offset_mm) * normal)
 
 
 def shadow_offset_mm(size: float, offset_mm: float) -> float:
@@ -197,8 +187,6 @@ def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> Float
     >>> cone_directions(50, (0, 0, 1), 1.0)[:, 2].min() > 0.54
     np.True_
 
-    References
-    ----------
     .. [1] R. Swinbank, R. J. Purser, "Fibonacci grids", Q. J. R. Meteorol. Soc. 132, 2006.
     """
     along = 1 - (1 - math.cos(half_angle_rad)) * (np.arange(count) + 0.5) / count

@@ -44,9 +44,35 @@ def accepted(
     there is a second face. Raises `RegistrationError` when there is no face, or it is inside out.
     """
     best, name, chance = candidates[0], scan.raw.name, probability(candidates)
-    figures = _cues_text(best)
+    figures, found = "nothing looked at", best.evidence
+    if found is not None:
+        figures = (
+            f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm "
+            f"{found.relief.local:.2f}, {found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face "
+            f"with {found.relief.noise_mm:.1f} mm of noise"
+        )
+        for cue, odds in (("colours", best.color_log_odds), ("landmarks", best.landmark_log_odds)):
+            if odds:
+                side = "for" if odds > 0 else "against"
+                figures += f", its {cue} speak {side} it by {abs(odds):.1f} in the log odds"
+        unlike = np.exp(np.abs(found.proportions)).max()
+        figures += f", proportions of width, height and depth {unlike:.2f} times the model's"
     if not meter.exhausted:
-        _refuse_inside_out(scan, template, best, options, meter)
+        # Fitting and shading go wrong where all triangles face inward. The reversed scan is searched
+        # where the best pose is in doubt and the surface does not bulge outward: sum a n.(p - c) / sum a
+        # |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
+        samples = scan.samples
+        offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
+        outward = samples.areas @ np.einsum("ij,ij->i", offset, samples.normals)
+        clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ np.linalg.norm(offset, axis=1))
+        if best.log_odds < CONVINCING and not (best.log_odds > 0 and clearly):
+            # The turned scan is another problem than the scan, so its rows stay out of the trace.
+            turned, unseen = scan.inside_out(), meter.untraced()
+            poses = coarse_poses(turned, template, options, unseen, 0)
+            other = every_candidate(turned, template, poses, options, unseen)[0]
+            meter.count(unseen.evaluations)
+            if other.log_odds > max(best.log_odds, 0.0):
+                raise _inside_out_error(scan, other)
         if chance < LEAST_PROBABILITY:
             raise NoFaceError(
                 f"{name}: no face found. The best of {len(candidates)} poses is one with a probability of "
@@ -85,30 +111,6 @@ def accepted(
     return Plan(tuple(steps))
 
 
-def _refuse_inside_out(
-    scan: PreparedScan, template: Template, best: Candidate, options: RegistrationOptions, meter: Meter
-) -> None:
-    """Refuse a face whose triangles all face inward: fitting and shading would go wrong with it.
-
-    The reversed scan is searched where the best pose is in doubt and the surface does not bulge outward: sum
-    a n.(p - c) / sum a |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
-    """
-    samples = scan.samples
-    offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
-    outward = samples.areas @ np.einsum("ij,ij->i", offset, samples.normals)
-    clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ np.linalg.norm(offset, axis=1))
-    if (best.log_odds > 0 and clearly) or best.log_odds >= CONVINCING:
-        return
-    turned = scan.inside_out()
-    # The turned scan is another problem than the scan, so its rows stay out of the trace.
-    unseen = meter.untraced()
-    poses = coarse_poses(turned, template, options, unseen, 0)
-    other = every_candidate(turned, template, poses, options, unseen)[0]
-    meter.count(unseen.evaluations)
-    if other.log_odds > max(best.log_odds, 0.0):
-        raise _inside_out_error(scan, other)
-
-
 def _inside_out_error(scan: PreparedScan, best: Candidate) -> RegistrationError:
     name, count = scan.raw.name, len(scan.raw.faces)
     if scan.turned_faces > _MIXED_SHARE * count:
@@ -141,22 +143,3 @@ def probability(candidates: Candidates) -> float:
         if other.is_apart(best) and _distance_mm(other, best) <= _OTHER_FACE_MM
     ]
     return float(best.person * expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
-
-
-def _cues_text(candidate: Candidate) -> str:
-    """Return the figures of the evidence for a message."""
-    found = candidate.evidence
-    if found is None:
-        return "nothing looked at"
-    text = (
-        f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm {found.relief.local:.2f}, "
-        f"{found.rms_mm:.1f} mm RMS over {100 * found.share:.0f} % of the face with "
-        f"{found.relief.noise_mm:.1f} mm of noise"
-    )
-    for cue, odds in (("colours", candidate.color_log_odds), ("landmarks", candidate.landmark_log_odds)):
-        if odds:
-            text += (
-                f", its {cue} speak {'for' if odds > 0 else 'against'} it by {abs(odds):.1f} in the log odds"
-            )
-    unlike = np.exp(np.abs(found.proportions)).max()
-    return text + f", proportions of width, height and depth {unlike:.2f} times the model's"

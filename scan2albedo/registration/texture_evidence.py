@@ -118,7 +118,12 @@ class ColourScorer:
         self._scan = scan
         self._stride = len(scan.faces) // _MOST_FACES + 1
         self._surface = NearestSurface(scan.vertices, scan.faces[:: self._stride])
-        self._points, self._front = _face_points(model, landmarks), model.front
+        # Points spread over the model between brows and mouth and somewhat beyond.
+        points, (sideways, up, down) = oriented_points(*model.surface(1), _SPACING_MM).points, _MARGINS_MM
+        low = landmarks[17:, :2].min(0) - [sideways, down]
+        high = landmarks[17:, :2].max(0) + [sideways, up]
+        inside = np.all((points[:, :2] > low) & (points[:, :2] < high), axis=1)
+        self._points, self._front = points[inside], model.front
         self._places = _places(self._points, landmarks)
         self._mirror: IntArray = cKDTree(self._points * [-1, 1, 1]).query(self._points)[1]
         x, y = self._points[:, 0] / 100, self._points[:, 1] / 100
@@ -160,7 +165,14 @@ class ColourScorer:
             values, floor = (redness, _TINT) if _FEATURES[name].red else (-light, _GRAIN)
             scores[name], weights[name] = _best(places, values, seen, floor)
         rough = light - self._smooth @ np.linalg.lstsq(self._smooth[seen], light[seen], rcond=None)[0]
-        scores["symmetry"], weights["symmetry"] = self._symmetry(rough, seen)
+        # The correlation with the mirror image, where enough of it is seen.
+        pairs = np.abs(self._points[:, 0]) > _MIDLINE_MM
+        both = pairs & seen & seen[self._mirror]
+        scores["symmetry"] = weights["symmetry"] = 0.0
+        if both.sum() >= _LEAST_PAIRS * pairs.sum():
+            here, there = rough[both], rough[self._mirror][both]
+            power = np.mean(here * here + there * there) / 2 + _GRAIN**2
+            scores["symmetry"], weights["symmetry"] = float(np.mean(here * there) / power), 1.0
         clear = float(np.clip((rough[seen].std() - _FAINT) / (_PLAIN - _FAINT), 0, 1))
         return scores, {name: clear * weight for name, weight in weights.items()}
 
@@ -181,43 +193,17 @@ class ColourScorer:
         # Black is what programs fill in where there is no picture.
         return color, (hits.distance < _NEAR_MM) & (color @ _BRIGHTNESS > 0)
 
-    def _symmetry(self, rough: FloatArray, seen: BoolArray) -> tuple[float, float]:
-        """Return the correlation of `rough` (N,) with its mirror image, and 1 or, hardly seen, 0."""
-        pairs = np.abs(self._points[:, 0]) > _MIDLINE_MM
-        both = pairs & seen & seen[self._mirror]
-        if both.sum() < _LEAST_PAIRS * pairs.sum():
-            return 0.0, 0.0
-        here, there = rough[both], rough[self._mirror][both]
-        return float(np.mean(here * there) / (np.mean(here * here + there * there) / 2 + _GRAIN**2)), 1.0
-
 
 def texture_evidence(
     scan: RawScan, model: AnnotatedSurface, model_from_scan: FloatArray, face_scale: float = 1.0
 ) -> TextureEvidence | None:
     """Return what a scan's colours say of one pose, None without any; for several see `ColourScorer`.
 
-    Parameters
-    ----------
-    scan : RawScan
-        mm, with a texture or vertex colours.
-    model : AnnotatedFaceModel
-        With landmarks.
-    model_from_scan : (4, 4) array
-        Rigid, mm.
-    face_scale : float
-        Size of the face relative to the model's, which keeps the place of its front.
+    The scan is in mm, the model has landmarks, `model_from_scan` (4, 4) is rigid, and `face_scale` the face's
+    size relative to the model's, which keeps the place of its front.
     """
     witness = ColourScorer.of(scan, model)
     return None if witness is None else witness.evidence(model_from_scan, face_scale)
-
-
-def _face_points(model: AnnotatedSurface, landmarks: FloatArray) -> FloatArray:
-    """Return points (N, 3) spread over the model between brows and mouth and somewhat beyond."""
-    points = oriented_points(*model.surface(1), _SPACING_MM).points
-    sideways, up, down = _MARGINS_MM
-    low = landmarks[17:, :2].min(0) - [sideways, down]
-    high = landmarks[17:, :2].max(0) + [sideways, up]
-    return points[np.all((points[:, :2] > low) & (points[:, :2] < high), axis=1)]
 
 
 def _places(points: FloatArray, landmarks: FloatArray) -> dict[str, list[list[_Part]]]:

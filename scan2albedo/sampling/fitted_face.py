@@ -17,10 +17,7 @@ from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.sampling.skin import skin_weight
-from scan2albedo.sampling.texture_lookup import (
-    texel_steps,
-    texture_on_chart,
-)
+from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
 if TYPE_CHECKING:
     from scan2albedo.face_model import AnnotatedSurface

@@ -9,12 +9,7 @@ from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.geometry.mesh import (
-    face_areas,
-    normalized,
-    turned_against_neighbours,
-    vertex_normals,
-)
+from scan2albedo.geometry.mesh import face_areas, normalized, turned_against_neighbours, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
@@ -39,10 +34,25 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     GeometryImage
         In the scan's frame with its centroid moved to the origin; no regions.
     """
+    import xatlas
+
     require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
     check_size(size)
     vertices, faces = _chartable(scan, MOST_FACES)
-    chart_vertex, chart_faces, uv = _xatlas_charts(vertices, faces, size)
+    # xatlas computes in float32 with absolute tolerances: it gets the mesh at the origin, of a head's size.
+    used = vertices[np.unique(faces)]
+    low, high = used.min(0), used.max(0)
+    placed = (vertices - (low + high) / 2) * (200 / float(np.max(high - low)))
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding, pack.create_image = size, 2, False
+    atlas.generate(xatlas.ChartOptions(), pack)
+    chart_vertex, chart_faces, uv = atlas[0]
+    chart_vertex, chart_faces = chart_vertex.astype(np.int64), chart_faces.astype(np.int64)
+    # xatlas may need more than the resolution asked for; scale all charts into one square.
+    extent = np.array([atlas.width, atlas.height], float) / max(atlas.width, atlas.height, 1)
+    uv = np.asarray(uv, float) * extent
     position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
     raster = rasterize_uv(uv, chart_faces, size)
     if not raster.covered.any():
@@ -93,26 +103,3 @@ def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDAr
             "cut from; give a mesh of fewer faces"
         )
     return np.asarray(fewer, np.float64), np.asarray(index, np.int64)
-
-
-def _xatlas_charts(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], size: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Return (mesh vertex of each chart vertex (N,), chart faces (F, 3), uv (N, 2) in the unit square).
-
-    xatlas computes in float32 with absolute tolerances, so it gets the mesh at the origin, of a head's size.
-    """
-    import xatlas
-
-    used = vertices[np.unique(faces)]
-    low, high = used.min(0), used.max(0)
-    placed = (vertices - (low + high) / 2) * (200 / float(np.max(high - low)))
-    atlas = xatlas.Atlas()
-    atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
-    pack = xatlas.PackOptions()
-    pack.resolution, pack.padding, pack.create_image = size, 2, False
-    atlas.generate(xatlas.ChartOptions(), pack)
-    chart_vertex, chart_faces, uv = atlas[0]
-    # xatlas may need more than the resolution asked for; scale all charts into one square.
-    extent = np.array([atlas.width, atlas.height], float) / max(atlas.width, atlas.height, 1)
-    return chart_vertex.astype(np.int64), chart_faces.astype(np.int64), np.asarray(uv, float) * extent

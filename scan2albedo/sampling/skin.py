@@ -8,7 +8,7 @@ from scipy.ndimage import binary_dilation, label
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.area_mean import area_mean
-from scan2albedo.sampling.skin_color import ColorEvidence, color_evidence, local_mean, odd_side
+from scan2albedo.sampling.skin_color import color_evidence, local_mean, odd_side
 
 SURE = 0.95
 """Prior of skin where the annotation speaks of nothing else."""
@@ -44,31 +44,25 @@ def skin_weight(
 ) -> NDArray[np.float32]:
     """Return (H, W) how surely a texel is skin, 0 to 1; 0 where the surface was not seen.
 
-    Parameters
-    ----------
-    position, normal : (H, W, 3) float64
-        Millimetres; unit vectors.
-    seen : (H, W) bool
-        Texels of the surface with texture, or with scan near; the others are not read.
-    texture_linear : (H, W, 3) float32, optional
-        Linear colour, compared with that of the face's own skin; the other sources decide without it.
-    prior : (H, W) float, optional
-        How probably the region of a texel is skin; `SURE` everywhere when None.
-    anchor : (H, W) bool, optional
-        Texels that are skin on most faces (cheeks, nose, forehead): the skin's colour is learned there, from
-        all texels when None.
-    residual_mm : (H, W) float, optional
-        Distance of the fitted surface to the scan; NaN where there is no scan.
+    `position` in mm and unit `normal` are (H, W, 3). `seen` (H, W) are texels of the surface with texture, or
+    with scan near; the others are not read. Linear colour `texture_linear` (H, W, 3) is compared with that of
+    the face's own skin, which is learned where `anchor` (H, W) is skin on most faces, from all texels when
+    None. `prior` (H, W) is how probably the region of a texel is skin, `SURE` when None, and `residual_mm`
+    (H, W) the distance of the fitted surface to the scan, NaN where there is no scan.
 
-    Notes
-    -----
     Log odds of the region, less those of colour, grain, darkness and relief, at texels of `TEXEL_MM`.
     Islands of the size of moles become skin. O(H W); 0.1 s at 512 x 512.
     """
     seen = seen if residual_mm is None else seen & np.isfinite(residual_mm)
     if not seen.any():
         return np.zeros(seen.shape, np.float32)
-    shape, texel_mm = _coarse_grid(position, seen)
+    # The grid on which colours are compared, and the side of its texels.
+    every = max(1, len(seen) // _STEPS)
+    both = seen[::every, 1:] & seen[::every, :-1]
+    steps = (position[::every, 1:] - position[::every, :-1])[both]
+    side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
+    factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
+    shape, texel_mm = tuple(-(-texels // factor) for texels in seen.shape), side * factor
     part = _resized(seen.astype(np.float32), shape)
     region = np.full(shape, SURE, np.float32) if prior is None else _mean(prior, seen, part)
     likely = np.clip(region, 1 - SURE, SURE)
@@ -80,26 +74,31 @@ def skin_weight(
     if np.count_nonzero(known) >= _FEWEST_TEXELS:
         if texture_linear is not None:
             means = _mean(texture_linear, seen, part), _mean(normal, seen, part)
-            odds -= _log_odds_against(color_evidence(*means, known, trusted, texel_mm), 1 - likely / SURE)
+            found = color_evidence(*means, known, trusted, texel_mm)
+            # Darkness counts as far as the region is in doubt: elsewhere dark skin lies in the shade.
+            against: Coarse = _PER_DEVIATION * np.maximum(found.chroma - _TOLERATED_DEVIATIONS, 0)
+            against += _PER_GRAIN * np.maximum(found.grain - _TOLERATED_GRAIN, 0)
+            dark = np.maximum(found.darkness - _TOLERATED_DARKNESS, 0)
+            against += (1 - likely / SURE) * _PER_DARKNESS * dark
+            odds -= against
         if residual_mm is not None:
-            relief = _relief(_mean(np.minimum(residual_mm, _CLOSE_MM), seen, part), part, trusted, texel_mm)
+            # How rough the scan is around, in parts of the face's own skin: the fitted surface is smooth.
+            off = _mean(np.minimum(residual_mm, _CLOSE_MM), seen, part)
+            rough = local_mean(off, part, odd_side(_RELIEF_MM / texel_mm))
+            relief = rough / np.float32(max(float(np.median(rough[trusted])), _SMOOTH_MM))
             odds -= _PER_RELIEF * np.maximum(relief - _TOLERATED_RELIEF, 0)
     coarse = np.minimum(1 / (1 + np.exp(-odds)) / SURE, 1)
-    skin = _resized(_without_moles(coarse, likely, texel_mm), seen.shape)
+    # Small islands become skin where the region is skin.
+    around = np.ones((3, 3), bool)
+    spot = label(coarse < _SPOT, around)[0]
+    small = np.bincount(spot.ravel()) * texel_mm**2 <= _SPOT_MM2
+    small[0] = False
+    mole = binary_dilation(small[spot], around)
+    coarse = np.where(mole & (likely > _LIKELY), np.float32(1), coarse).astype(np.float32)
+    skin = _resized(coarse, seen.shape)
     if residual_mm is not None:
         skin *= np.clip((_FAR_MM - residual_mm) / (_FAR_MM - _CLOSE_MM), 0, 1)
     return np.where(seen, skin, np.float32(0)).astype(np.float32, copy=False)
-
-
-def _coarse_grid(position: FloatArray, seen: BoolArray) -> tuple[tuple[int, int], float]:
-    """Return the shape of the grid on which colours are compared, and the side of its texels in mm."""
-    every = max(1, len(seen) // _STEPS)
-    both = seen[::every, 1:] & seen[::every, :-1]
-    steps = (position[::every, 1:] - position[::every, :-1])[both]
-    side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
-    factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
-    height, width = (-(-texels // factor) for texels in seen.shape)
-    return (height, width), side * factor
 
 
 def _resized(field: NDArray[np.float32], shape: tuple[int, ...]) -> Coarse:
@@ -117,30 +116,3 @@ def _mean(field: NDArray[np.floating], seen: BoolArray, part: Coarse) -> Coarse:
     weight = np.maximum(part, np.float32(1e-6))
     weights = weight if field.ndim == 2 else weight[..., None]
     return np.asarray(_resized(known, part.shape) / weights, np.float32)
-
-
-def _log_odds_against(evidence: ColorEvidence, doubt: Coarse) -> Coarse:
-    """Return what the texture says against skin; darkness counts as far as the region is in doubt.
-
-    Elsewhere dark skin lies in the shade.
-    """
-    against: Coarse = _PER_DEVIATION * np.maximum(evidence.chroma - _TOLERATED_DEVIATIONS, 0)
-    against += _PER_GRAIN * np.maximum(evidence.grain - _TOLERATED_GRAIN, 0)
-    against += doubt * _PER_DARKNESS * np.maximum(evidence.darkness - _TOLERATED_DARKNESS, 0)
-    return against
-
-
-def _relief(residual_mm: Coarse, part: Coarse, trusted: BoolArray, texel_mm: float) -> Coarse:
-    """Return how rough the scan is around, in parts of the face's own skin: the fitted surface is smooth."""
-    rough = local_mean(residual_mm, part, odd_side(_RELIEF_MM / texel_mm))
-    return rough / np.float32(max(float(np.median(rough[trusted])), _SMOOTH_MM))
-
-
-def _without_moles(skin: Coarse, likely: Coarse, texel_mm: float) -> Coarse:
-    """Return the weights with small islands made skin where the region is skin."""
-    around = np.ones((3, 3), bool)
-    spot = label(skin < _SPOT, around)[0]
-    small = np.bincount(spot.ravel()) * texel_mm**2 <= _SPOT_MM2
-    small[0] = False
-    mole = binary_dilation(small[spot], around)
-    return np.where(mole & (likely > _LIKELY), np.float32(1), skin).astype(np.float32)

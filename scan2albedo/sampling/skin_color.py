@@ -61,22 +61,27 @@ def color_evidence(
     log chroma is fitted by both, robustly, so that neither makes skin something else.
     """
     weight = known.astype(np.float32)
-    floor = max(_DARKEST * _white(texture_linear, known), 1e-9)
+    floor = max(_DARKEST * float(np.percentile(texture_linear[known].max(-1), 95)), 1e-9)
     logarithm = np.log(np.maximum(texture_linear, np.float32(floor)))
     brightness = np.where(known, logarithm.max(-1), 0)
     around = local_mean(brightness, weight, odd_side(_AROUND_MM / texel_mm))
     part_of_white = np.exp(brightness) * np.float32(_DARKEST / floor)
-    rough = _rough(np.where(known, brightness, around), weight, anchor, part_of_white, texel_mm)
+    # Contrast is against the mean and the median around: edges, of shadows or of moles, have it against one.
+    # In the dark it is more, by a picture's noise.
+    filled = np.where(known, brightness, around)
+    edgeless = np.abs(filled - median_filter(filled, 5, mode="nearest"))
+    contrast = np.minimum(edgeless, np.abs(filled - local_mean(filled, weight, 3)))
+    own = float(np.median(contrast[anchor])) if anchor.any() else 0.0
+    coarseness = max(1.0, texel_mm / _FINE_MM) ** 2
+    least = float(np.clip(_SKIN_GRAIN * own, _LEAST_GRAIN * coarseness, _MOST_GRAIN))
+    noise = np.sqrt(1 + (_SHADOW_GRAIN / np.maximum(part_of_white, np.float32(1e-3))) ** 2)
+    rough = contrast > least * noise
     grain = local_mean(rough.astype(np.float32), weight, odd_side(_GRAIN_MM / texel_mm))
     return ColorEvidence(
         np.where(known, _chroma_distance(logarithm, normal, known, anchor), 0).astype(np.float32),
         np.where(known, grain, 0),
         np.where(known, np.maximum(around - brightness, 0), 0),
     )
-
-
-def _white(texture_linear: Image, known: BoolArray) -> float:
-    return float(np.percentile(texture_linear[known].max(-1), 95))
 
 
 def _chroma_distance(logarithm: Image, normal: Image, known: BoolArray, anchor: BoolArray) -> Image:
@@ -89,19 +94,15 @@ def _chroma_distance(logarithm: Image, normal: Image, known: BoolArray, anchor: 
     part = np.where(anchor.ravel()[chosen], 1.0, _BESIDE_ANCHORS)
     median = float(np.median(level.ravel()[chosen]))
     noise = np.exp(2 * (np.log(_QUANTIZATION) - level))
-    basis = _light_basis(normal, level - median)
+    # What the light's colour may turn with, the constant first.
+    x, y, z = np.moveaxis(normal.astype(np.float32), -1, 0)
+    bright = np.clip(level - median, -2.5, 1)
+    basis = np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, bright], -1)
     columns = basis.reshape(-1, basis.shape[-1])[chosen].astype(np.float64)
     skin, spread = _fitted_skin(seen, columns, part, noise.ravel()[chosen])
     rest = chroma - basis @ skin.astype(np.float32)
     distance: Image = np.sqrt((rest**2 / (spread**2 + noise[..., None])).sum(-1))
     return distance
-
-
-def _light_basis(normal: Image, level: Image) -> Image:
-    """Return (H, W, 9): what the light's colour may turn with, the constant first."""
-    x, y, z = np.moveaxis(normal.astype(np.float32), -1, 0)
-    level = np.clip(level, -2.5, 1)
-    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, level], -1)
 
 
 def _fitted_skin(
@@ -112,7 +113,13 @@ def _fitted_skin(
     Iteratively reweighted least squares with a Gaussian prior on how the light's colour turns, from the
     most common chroma that skin may have: a mask or hair over half of the face must not be taken for it.
     """
-    start = _commonest_skin(chroma, part)
+    # The chroma with most texels around it, times how likely skin has it.
+    candidates = chroma[part == part.max()]
+    candidates = candidates[:: -(-len(candidates) // _CANDIDATES)]
+    distance = ((chroma - candidates[:, None]) ** 2).sum(-1)
+    support = np.exp(-0.5 * distance / _SAME_MATERIAL**2) @ part
+    typical = np.exp(-0.5 * (((candidates - TYPICAL_CHROMA) / TYPICAL_SPREAD) ** 2).sum(1))
+    start = candidates[np.argmax(support * (typical + 1e-3))]
     weight = part * np.exp(-0.5 * (((chroma - start) / _SAME_MATERIAL) ** 2).sum(1))
     skin, spread = np.zeros((basis.shape[1], 2)), _COARSEST
     # Texels side by side are not independent: so many count as one.
@@ -125,33 +132,6 @@ def _fitted_skin(
         spread = np.clip(np.sqrt(np.average(square, axis=0, weights=weight)) * 1.15, _FINEST, _COARSEST)
         weight = part * np.exp(-0.5 * (square / (_REACH * spread) ** 2).sum(1))
     return skin, spread
-
-
-def _commonest_skin(chroma: FloatArray, part: FloatArray) -> FloatArray:
-    """Return (2,) the chroma with most texels around it, times how likely skin has it."""
-    candidates = chroma[part == part.max()]
-    candidates = candidates[:: -(-len(candidates) // _CANDIDATES)]
-    square = ((chroma - candidates[:, None]) ** 2).sum(-1)
-    support = np.exp(-0.5 * square / _SAME_MATERIAL**2) @ part
-    typical = np.exp(-0.5 * (((candidates - TYPICAL_CHROMA) / TYPICAL_SPREAD) ** 2).sum(1))
-    return np.asarray(candidates[np.argmax(support * (typical + 1e-3))])
-
-
-def _rough(
-    brightness: Image, weight: Image, anchor: BoolArray, part_of_white: Image, texel_mm: float
-) -> BoolArray:
-    """Return (H, W) which texels have more contrast than the face's skin.
-
-    Contrast is against the mean and the median around: edges, of shadows or of moles, have it against one.
-    In the dark it is more, by a picture's noise.
-    """
-    edgeless = np.abs(brightness - median_filter(brightness, 5, mode="nearest"))
-    contrast = np.minimum(edgeless, np.abs(brightness - local_mean(brightness, weight, 3)))
-    own = float(np.median(contrast[anchor])) if anchor.any() else 0.0
-    coarseness = max(1.0, texel_mm / _FINE_MM) ** 2
-    least = float(np.clip(_SKIN_GRAIN * own, _LEAST_GRAIN * coarseness, _MOST_GRAIN))
-    noise = np.sqrt(1 + (_SHADOW_GRAIN / np.maximum(part_of_white, np.float32(1e-3))) ** 2)
-    return np.asarray(contrast > least * noise)
 
 
 def odd_side(texels: float) -> int:

@@ -50,8 +50,26 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     Raises `ModelError` for vertices (T, 3) that are no head in any unit, are not finite or too few, bad
     indices, or a surface that is not manifold even when a few faces are dropped, or cannot be oriented.
     """
-    given, index = _checked(vertices, faces, name)
+    given, index = np.array(vertices, np.float64), np.array(faces)
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise ModelError(f"{name}: template vertices have shape {given.shape}, expected (T, 3)")
+    if index.ndim != 2 or index.shape[1] != 3 or len(index) == 0:
+        raise ModelError(
+            f"{name}: template faces have shape {index.shape}, expected (F, 3) with F > 0; "
+            "triangulate the mesh, a point cloud is not enough"
+        )
+    if not np.isfinite(given).all():
+        bad = int((~np.isfinite(given)).any(1).sum())
+        raise ModelError(f"{name}: {bad} template vertices are NaN or infinite; repair or re-export it")
+    index = index.astype(np.int64)
+    if index.min() < 0 or index.max() >= len(given):
+        wrong = index.min() if index.min() < 0 else index.max()
+        raise ModelError(f"{name}: a face refers to vertex {wrong}, but there are {len(given)} vertices")
     used = np.unique(index)
+    if len(used) < MIN_VERTICES:
+        raise ModelError(
+            f"{name}: the template has {len(used)} vertices in faces, at least {MIN_VERTICES} needed"
+        )
     low, high = np.percentile(given[used], [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
     size = float(np.max(high - low))
     least, most = HEAD_SIZE_MM
@@ -86,28 +104,6 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
         mesh = mesh[:, ::-1].copy()
     notes = (f"unit {unit}", *(f"{text}: {count}" for count, text in found if count))
     return TemplateSurface(xyz, mesh, unit, compose(np.eye(3) / UNITS_MM[unit], origin), notes)
-
-
-def _checked(vertices: FloatArray, faces: IntArray, name: str) -> tuple[FloatArray, IntArray]:
-    xyz, index = np.array(vertices, np.float64), np.array(faces)
-    if xyz.ndim != 2 or xyz.shape[1] != 3:
-        raise ModelError(f"{name}: template vertices have shape {xyz.shape}, expected (T, 3)")
-    if index.ndim != 2 or index.shape[1] != 3 or len(index) == 0:
-        raise ModelError(
-            f"{name}: template faces have shape {index.shape}, expected (F, 3) with F > 0; "
-            "triangulate the mesh, a point cloud is not enough"
-        )
-    if not np.isfinite(xyz).all():
-        bad = int((~np.isfinite(xyz)).any(1).sum())
-        raise ModelError(f"{name}: {bad} template vertices are NaN or infinite; repair or re-export it")
-    index = index.astype(np.int64)
-    if index.min() < 0 or index.max() >= len(xyz):
-        wrong = index.min() if index.min() < 0 else index.max()
-        raise ModelError(f"{name}: a face refers to vertex {wrong}, but there are {len(xyz)} vertices")
-    used = len(np.unique(index))
-    if used < MIN_VERTICES:
-        raise ModelError(f"{name}: the template has {used} vertices in faces, at least {MIN_VERTICES} needed")
-    return xyz, index
 
 
 def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:

@@ -562,16 +562,16 @@ def _outlines() -> str:
     albedo = np.random.default_rng(0).uniform(0.4, 0.6, (SIZE, SIZE))
     everywhere = np.ones((SIZE, SIZE), bool)
     for force in (False, True):
-        found = rectify(albedo, light, shadow.astype(float), everywhere, force=force)
-        assert_finite(found.albedo)
-        assert not found.changed
-    return f"left as it is: {found.evidence}"
+        repaired, step = rectify(albedo, light, shadow.astype(float), everywhere, force=force)
+        assert_finite(repaired)
+        assert not step.ran
+    return f"left as it is: {step.evidence}"
 
 
 @CASES.extreme(STAGE, "shadow outlines, no usable texel")
 def _outlines_unseen() -> str:
     shadow = (np.indices((SIZE, SIZE)) // 8).sum(0) % 2 == 0
     light, nowhere = np.where(shadow, 1.0, 3.0), np.zeros((SIZE, SIZE), bool)
-    found = rectify(np.ones((SIZE, SIZE)), light, shadow.astype(float), nowhere, force=True)
-    assert not found.changed
-    return found.evidence
+    _, step = rectify(np.ones((SIZE, SIZE)), light, shadow.astype(float), nowhere, force=True)
+    assert not step.ran
+    return step.evidence
