@@ -69,6 +69,8 @@ def transfer_expression(
     """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
 
     Albedo, reflectance and lights are B's; normals follow the new surface (Toderici et al., applications).
+    Raises `ApplicationError` when the faces do not share a chart; when the correspondence is to be refined
+    and they are not on the model's mesh.
 
     Parameters
     ----------
@@ -77,12 +79,6 @@ def transfer_expression(
     options : TransferOptions
     model : AnnotatedFaceModel, optional
         With which the faces were processed; the default model when omitted.
-
-    Raises
-    ------
-    ApplicationError
-        When the faces do not share a chart; when the correspondence is to be refined and they are not on
-        the model's mesh.
 
     Notes
     -----
@@ -189,7 +185,7 @@ def personal_model(
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
     itself. `transfer_expression` does not need it: it finds corresponding points itself, and more exactly
-    (docs/applications.md).
+    (docs/applications.md). Raises `ApplicationError` when the face was not fitted with that model.
 
     Parameters
     ----------
@@ -198,11 +194,6 @@ def personal_model(
         S P = vertices, S the subdivision's matrix.
     model : AnnotatedFaceModel, optional
         Of the fit; a FittedFace knows its own, for other faces the default model when omitted.
-
-    Raises
-    ------
-    ApplicationError
-        When the face was not fitted with that model.
     """
     if isinstance(face, FittedFace):
         return replace(face.model, control_vertices=face.control_points)

@@ -42,7 +42,8 @@ def reflectance_of_processed(
 
     A vertex less than half of whose texels were seen is unknown. A rough surface becomes the nearest
     Lambertian one, and the highlight the nearest weights of three lobes, one set for all vertices times the
-    annotation's relative strength.
+    annotation's relative strength. Raises `ApplicationError` when the scan was processed without a model,
+    nothing of it was seen, or it cannot be loaded; `ValueError` when `level` is not above 0.
 
     Parameters
     ----------
@@ -51,13 +52,6 @@ def reflectance_of_processed(
     level : float, optional
         Geometric mean of the albedo's V over the seen texels, to which albedo and highlight are scaled; not
         scaled when omitted. A scan's albedo is known up to its scale: to compare scans, give one level.
-
-    Raises
-    ------
-    ApplicationError
-        When the scan was processed without a model, nothing of it was seen, or it cannot be loaded.
-    ValueError
-        When `level` is not above 0.
 
     Notes
     -----
@@ -101,6 +95,9 @@ def reflectance_model_of_processed(
 ) -> tuple[MorphableReflectanceModel, list[FaceReflectance]]:
     """Return the morphable model of processed scans' reflectances, and those.
 
+    Raises `ApplicationError` as `reflectance_of_processed`, and when scans have different models or meshes;
+    `ReflectanceError` when there is no scan, or no vertex has the support.
+
     Parameters
     ----------
     sources : sequence of path, ProcessResult or ProcessedFace
@@ -109,13 +106,6 @@ def reflectance_model_of_processed(
         As in `reflectance_of_processed`.
     components, least_support
         As in `MorphableReflectanceModel.from_samples`.
-
-    Raises
-    ------
-    ApplicationError
-        As `reflectance_of_processed`, and when scans have different models or meshes.
-    ReflectanceError
-        When there is no scan, or no vertex has the support.
     """
     from scan2albedo.reflectance import MorphableReflectanceModel
 

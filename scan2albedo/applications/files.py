@@ -59,6 +59,10 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     """Return the processed face of a scan's folder ``OUT/<scan name>``, of what an application wrote, or of a
     `ProcessResult`.
 
+    Raises `ApplicationError` when a file is missing, cannot be read, or belongs to another result; the
+    message names it, or when the result has no albedo, and it is needed; `TypeError` for anything else than a
+    path and a result.
+
     Parameters
     ----------
     source : path or ProcessResult
@@ -66,14 +70,6 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
         unless it was processed without a model.
     need_albedo : bool
         False takes a result without an albedo too, as a shape in grey: its `has_albedo` is False.
-
-    Raises
-    ------
-    ApplicationError
-        When a file is missing, cannot be read, or belongs to another result; the message names it. When the
-        result has no albedo, and it is needed.
-    TypeError
-        For anything else than a path and a result.
     """
     if isinstance(source, str | Path):
         folder = Path(source)
@@ -221,7 +217,8 @@ def write_face(
     """Return the folder into which the face that an application made was written, whole or not at all.
 
     Files: geometry_image.npz, albedo.exr, albedo.png, fitted.glb with the albedo, picture.png under a
-    portrait light, and application.json. A shape alone has no file of an albedo.
+    portrait light, and application.json. A shape alone has no file of an albedo. Raises `OutputError` when
+    the folder cannot be written, is that of a processed scan, or holds a user's own files of these names.
 
     Parameters
     ----------
@@ -233,12 +230,6 @@ def write_face(
         What the face was made of; the record keeps their names.
     options : mapping, optional
         Of the application, for the record.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written, is that of a processed scan, or holds a user's own files of these
-        names.
     """
     target, skin, mesh, preview = Path(folder), face.reflectance, face.mesh, None
     check_face_folder(target)

@@ -71,6 +71,9 @@ class UnlitScan:
 def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reach: str = "face") -> UnlitScan:
     """Return the scan without the light that was found on its face.
 
+    Raises `ApplicationError` when the scan has no colour or is not where the face was fitted, or the albedo
+    is of another face; `ValueError` for another `reach`.
+
     Parameters
     ----------
     scan : RawScan
@@ -81,13 +84,6 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     reach : {"face", "all"}
         Beyond the face the light stays in and the colours meet at its rim; or "all" goes on with the same
         lamps and environment on the scan's own shape, which shadows itself.
-
-    Raises
-    ------
-    ApplicationError
-        When the scan has no colour or is not where the face was fitted, or the albedo is of another face.
-    ValueError
-        For another `reach`.
     """
     require_type(scan, RawScan, "unlit_scan: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "unlit_scan: fitted", "fit(scan, model, pose) returns one")

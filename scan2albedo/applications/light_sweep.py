@@ -43,6 +43,8 @@ def light_arc(
 ) -> list[PointLight]:
     """Return `count` places of a light that goes around the face from one azimuth to another.
 
+    Raises `ValueError` without a place, or for angles that are not finite.
+
     Parameters
     ----------
     count : int
@@ -50,11 +52,6 @@ def light_arc(
         Azimuths of the first and the last place.
     elevation_rad, distance_mm, intensity, radius_deg : float
         As in `PointLight`.
-
-    Raises
-    ------
-    ValueError
-        Without a place, or for angles that are not finite.
 
     >>> [round(math.degrees(light.azimuth_rad)) for light in light_arc(3)]
     [-75, 0, 75]
@@ -130,18 +127,14 @@ def write_gif(
 ) -> None:
     """Write frames (H, W, 3) uint8 as an animated GIF that plays forward and back for ever, atomically.
 
+    Raises `OutputError` when the folder cannot be written; `ValueError` without frames, for frames of
+    different sizes, or a time that is not above 0.
+
     Parameters
     ----------
     path : str or Path
     frames : sequence of (H, W, 3) uint8
     seconds_per_frame : float
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        Without frames, for frames of different sizes, or a time that is not above 0.
     """
     from PIL import Image
 

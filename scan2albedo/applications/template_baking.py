@@ -81,7 +81,9 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     """Return a scan's colours on the texture coordinates of the template that was fitted to it.
 
     Each texel gets the colour of the scan's point nearest to the template there, averaged over the texel's
-    footprint, and its normal, freed from noise. What the scan does not show is filled in from around.
+    footprint, and its normal, freed from noise. What the scan does not show is filled in from around. Raises
+    `ApplicationError` when the scan has no colour, or the model no template with texture coordinates;
+    `ValueError` for another size than 8 to 8192.
 
     Parameters
     ----------
@@ -91,13 +93,6 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         Of a model made from a template with texture coordinates (`AnnotatedFaceModel.from_file`).
     size : int
         Texels of a tile's side.
-
-    Raises
-    ------
-    ApplicationError
-        When the scan has no colour, or the model no template with texture coordinates.
-    ValueError
-        For another size than 8 to 8192.
     """
     require_type(scan, RawScan, "template_texture: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "template_texture: fitted", "fit(scan, model, pose) returns one")

@@ -111,11 +111,13 @@ def roc_curve(
 ) -> RocCurve:
     """Return the receiver operating characteristic of claims: every probe claims to be every person.
 
-    The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times,
-    a genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93,
-    2004) say why persons are resampled and not claims. Claims that never err do not err in resamples either,
-    and the few that do err much alike: intervals of true accept rates and of the equal error rate are never
-    shorter than Clopper and Pearson's for as many independent genuine claims.
+    The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times, a
+    genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93, 2004)
+    say why persons are resampled and not claims. Claims that never err do not err in resamples either, and
+    the few that do err much alike: intervals of true accept rates and of the equal error rate are never
+    shorter than Clopper and Pearson's for as many independent genuine claims. Raises `ValueError` when an
+    option is out of range; `RecognitionError` when no probe's person is known, or the gallery has one person
+    only: then nobody is an impostor.
 
     Parameters
     ----------
@@ -128,13 +130,6 @@ def roc_curve(
     resamples : int
         With 0 the bounds of the intervals are the values themselves.
     seed : int or numpy.random.Generator
-
-    Raises
-    ------
-    ValueError
-        When an option is out of range.
-    RecognitionError
-        When no probe's person is known, or the gallery has one person only: then nobody is an impostor.
 
     Notes
     -----

@@ -89,7 +89,9 @@ def read_labelled_templates(
 ) -> LabelledTemplates:
     """Return the templates of a file (.npz), or of the results that a CSV file or a folder names.
 
-    Of results the texels that were seen are compared; about 0.1 s a result of 512 texels.
+    Of results the texels that were seen are compared; about 0.1 s a result of 512 texels. Raises `ValueError`
+    when a name of `use` is unknown; `RecognitionError` when something cannot be read or used, results differ
+    in size or model, nothing is left to compare, or the file was made with other options; names it.
 
     Parameters
     ----------
@@ -104,14 +106,6 @@ def read_labelled_templates(
         The default ones, or those of the file, when omitted.
     on_count : callable, optional
         Called with the number of results done and their number.
-
-    Raises
-    ------
-    ValueError
-        When a name of `use` is unknown.
-    RecognitionError
-        When something cannot be read or used, results differ in size or model, nothing is left to compare, or
-        the file was made with other options; names it.
     """
     file, kinds = Path(source), checked_use(use)
     if file.suffix.lower() == ".npz":

@@ -122,7 +122,9 @@ def identify_results(
     """Return which persons of a gallery of processed scans other processed scans show.
 
     A probe whose person is not known, or not in the gallery, is identified, but counts in no rate. Results
-    that have nothing to compare are left out; `notes` name them.
+    that have nothing to compare are left out; `notes` name them. Raises `ValueError` when `combine` or a name
+    of `use` is unknown; `RecognitionError` when a file cannot be read or used, sizes or models differ, or
+    nothing is left to compare.
 
     Parameters
     ----------
@@ -139,13 +141,6 @@ def identify_results(
         Those of a file of templates, otherwise the default ones, when omitted.
     on_count : callable, optional
         Called after each result with "gallery" or "probes", how many are read, and of how many.
-
-    Raises
-    ------
-    ValueError
-        When `combine` or a name of `use` is unknown.
-    RecognitionError
-        When a file cannot be read or used, sizes or models differ, or nothing is left to compare.
     """
     if combine not in ("best", "mean"):
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")

@@ -169,6 +169,10 @@ def albedo_templates(
 ) -> Templates:
     """Return the templates of albedos, in about 2 ms an image of 128 pixels.
 
+    Raises `ValueError` when numbers do not fit together or an image is not (H, W) or (H, W, 3);
+    `RecognitionError` when there is no image, an image cannot be used, or their templates differ in size;
+    names it.
+
     Parameters
     ----------
     images : N of (H, W) or (H, W, 3)
@@ -179,13 +183,6 @@ def albedo_templates(
     masks : N of (H, W) bool, or None
         Where the albedo is known; everywhere when omitted.
     options : TemplateOptions
-
-    Raises
-    ------
-    ValueError
-        When numbers do not fit together or an image is not (H, W) or (H, W, 3).
-    RecognitionError
-        When there is no image, an image cannot be used, or their templates differ in size; names it.
 
     Examples
     --------
