@@ -21,11 +21,7 @@ _OWN_END = 0.05
 
 
 def blend_faces(
-    a: ProcessedFace,
-    b: ProcessedFace,
-    weight: float = 0.5,
-    *,
-    model: AnnotatedSurface | None = None,
+    a: ProcessedFace, b: ProcessedFace, weight: float = 0.5, *, model: AnnotatedSurface | None = None
 ) -> ProcessedFace:
     """Return the face `weight` of the way from A to B, in shape and skin.
 

@@ -73,10 +73,7 @@ def swap_texture(
     albedo = gains * continued_skin(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     image = replace(
-        shape.image,
-        texture_linear=None,
-        texture_valid=shape.mask,
-        specular_scale=skin.image.specular_scale,
+        shape.image, texture_linear=None, texture_valid=shape.mask, specular_scale=skin.image.specular_scale
     )
     return replace(
         shape,

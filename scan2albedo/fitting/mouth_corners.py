@@ -147,10 +147,7 @@ class MouthScan:
         if sum(saved[narrower]) / 2 > NARROWER_GAIN:
             return narrower, narrower
         right, left = (max(saved, key=lambda mm: saved[mm][side]) for side in (0, 1))
-        return (
-            right if saved[right][0] > MIN_GAIN else 0.0,
-            left if saved[left][1] > MIN_GAIN else 0.0,
-        )
+        return (right if saved[right][0] > MIN_GAIN else 0.0, left if saved[left][1] > MIN_GAIN else 0.0)
 
 
 def _saved(before: tuple[float, float], after: tuple[float, float]) -> tuple[float, float]:

@@ -68,11 +68,7 @@ class Identification:
 
 
 def identify(
-    gallery: Templates,
-    probes: Templates,
-    *,
-    combine: Combine = "best",
-    window: int = WINDOW,
+    gallery: Templates, probes: Templates, *, combine: Combine = "best", window: int = WINDOW
 ) -> Identification:
     """Return which persons of a gallery the probes show.
 

@@ -82,10 +82,7 @@ def cw_ssim(
 
 
 def pair_similarity(
-    a: NDArray[np.complexfloating],
-    b: NDArray[np.complexfloating],
-    mask: BoolArray,
-    window: int = WINDOW,
+    a: NDArray[np.complexfloating], b: NDArray[np.complexfloating], mask: BoolArray, window: int = WINDOW
 ) -> float:
     """Return `cw_ssim` of coefficients (O, h, w) over windows inside a mask (h, w)."""
     _check_window(mask.shape, window)

@@ -144,8 +144,7 @@ class PoseEntry(_Part):
     translation: Row = Field(description="t, in `unit`.")
     intrinsics: Matrix | None = Field(None, description="Of this camera, instead of the common ones.")
     mask: str | None = Field(
-        None,
-        description="Image, bright where this camera sees skin; null: no mask. Relative to this file.",
+        None, description="Image, bright where this camera sees skin; null: no mask. Relative to this file."
     )
 
 

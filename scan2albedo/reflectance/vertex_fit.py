@@ -287,10 +287,7 @@ class RelightingError:
 
 
 def relighting_error(
-    samples: VertexSamples,
-    held_out: ArrayLike,
-    *,
-    options: ReflectanceFitOptions = ReflectanceFitOptions(),
+    samples: VertexSamples, held_out: ArrayLike, *, options: ReflectanceFitOptions = ReflectanceFitOptions()
 ) -> RelightingError:
     """Return how well a fit to the pictures that are not `held_out` predicts those that are.
 

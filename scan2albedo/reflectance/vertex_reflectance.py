@@ -91,10 +91,7 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
 
 
 def reflectance_from_albedo(
-    albedo_linear: ArrayLike,
-    *,
-    weights: ArrayLike = (0.0, 0.0, 0.0),
-    known: ArrayLike | None = None,
+    albedo_linear: ArrayLike, *, weights: ArrayLike = (0.0, 0.0, 0.0), known: ArrayLike | None = None
 ) -> VertexReflectance:
     """Return the reflectance of vertices with an albedo and weights of the lobes.
 
