@@ -15,7 +15,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
-from scan2albedo.lighting.shading import Reflectance, shade_points
+from scan2albedo.lighting.shading import shade_points
 
 if TYPE_CHECKING:
     from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
@@ -62,6 +62,7 @@ def reflectance_of_processed(
     and six lights around it. Under a point light the vertices' radiance differs from that of the relit face
     by 2 % (matte) to 12 % (a roughness of 0.3 rad): tests/applications/test_face_reflectance.py.
     """
+    from scan2albedo.lighting.environment import distant_directions
     from scan2albedo.reflectance import lobe_weights_of_phong, reflectance_from_albedo
 
     if level is not None and not (np.isfinite(level) and level > 0):
@@ -80,8 +81,22 @@ def reflectance_of_processed(
     lobes = lobe_weights_of_phong(skin.specular_strength, skin.exponent)
     gloss = np.ones(face.image.shape) if given_scale is None else given_scale.astype(np.float64)
     strength, _ = sampled_at_vertices(gloss[..., None], face)
+    lambert_share = 1.0
+    if skin.brdf != "lambert":
+        # The albedo of the Lambertian surface that is nearest to a rough one of albedo 1.
+        normals = distant_directions(2000)
+        normals = normals[normals[:, 2] > 0.1]
+        matte = replace(skin, specular_strength=0.0)
+        product, square = np.zeros(()), np.zeros(())
+        for azimuth, elevation in np.radians([(0, 0), (30, 0), (0, 30), (-60, 0), (0, -60), (45, 45)]):
+            light = PointLight(float(azimuth), float(elevation))
+            lambert = np.maximum(normals @ light.direction, 0)
+            # Ambient light, 1 in the estimate's units, is not reflected by roughness.
+            rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
+            product, square = product + rough @ lambert, square + lambert @ lambert
+        lambert_share = float(product / square)
     reflectance = reflectance_from_albedo(
-        scale * _lambert_share(skin) * albedo, weights=scale * strength * lobes, known=known
+        scale * lambert_share * albedo, weights=scale * strength * lobes, known=known
     )
     return FaceReflectance(face.name, reflectance, face.mesh, face.model_name)
 
@@ -144,22 +159,3 @@ def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatAr
     known = (trusted > 0) & (2 * trusted >= surface)
     values = total / np.where(known, trusted, 1.0)[:, None]
     return np.where(known[:, None], values, np.nan), known
-
-
-def _lambert_share(skin: Reflectance) -> float:
-    """Return the albedo of the Lambertian surface that is nearest to a rough one of albedo 1."""
-    from scan2albedo.lighting.environment import distant_directions
-
-    if skin.brdf == "lambert":
-        return 1.0
-    normals = distant_directions(2000)
-    normals = normals[normals[:, 2] > 0.1]
-    matte = replace(skin, specular_strength=0.0)
-    product, square = np.zeros(()), np.zeros(())
-    for azimuth, elevation in np.radians([(0, 0), (30, 0), (0, 30), (-60, 0), (0, -60), (45, 45)]):
-        light = PointLight(float(azimuth), float(elevation))
-        lambert = np.maximum(normals @ light.direction, 0)
-        # Ambient light, 1 in the estimate's units, is not reflected by roughness.
-        rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
-        product, square = product + rough @ lambert, square + lambert @ lambert
-    return float(product / square)

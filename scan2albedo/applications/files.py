@@ -89,21 +89,12 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
     model_name = NO_MODEL if fitted is None else fitted.model.name
     if estimate is None:
-        grey = _without_albedo(image, need_albedo, name)
-        return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **grey)
-    return ProcessedFace(
-        name,
-        image,
-        estimate.albedo_linear,
-        estimate.reflectance,
-        estimate.lights,
-        mesh,
-        model_name,
-        estimate.casts_shadows,
-        estimate.view_direction,
-        estimate.shadow_offset_mm,
-        estimate.environment,
-    )
+        found = _without_albedo(image, need_albedo, name)
+    else:
+        taken = ("albedo_linear", "reflectance", "lights", "casts_shadows")
+        seen = ("view_direction", "shadow_offset_mm", "environment")
+        found = {field: getattr(estimate, field) for field in (*taken, *seen)}
+    return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **found)
 
 
 def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> dict[str, Any]:
@@ -122,11 +113,10 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         raise ApplicationError(
             f"{folder}: no such folder; give the folder of one processed scan, OUT/<scan name>"
         )
-    found: dict[str, Any]
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
-        found = {
+        found: dict[str, Any] = {
             "model_name": str(scan.options.get("model", NO_MODEL)),
             "casts_shadows": all(step.ran for step in scan.plan if step.stage == "albedo.shadows"),
         }
@@ -140,26 +130,22 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         parameters, chart_mesh = made.reflectance, made.chart_mesh
     if parameters:
         image, albedo = read_image_and_albedo(folder)
-        found |= {"albedo_linear": albedo, "reflectance": _reflectance(parameters, file)}
+        brdf, skin = parameters.get("brdf"), Reflectance("lambert")
+        rough = parameters.get("minnaert_exponent" if brdf == "minnaert" else "sigma_rad")
+        numbers = rough, parameters.get("specular_strength"), parameters.get("specular_exponent")
+        try:
+            if brdf != "spherical-harmonics":
+                skin = Reflectance(str(brdf), *map(float, numbers))  # type: ignore[arg-type]
+        except (TypeError, ValueError) as error:
+            raise ApplicationError(
+                f"{file}: its parameters describe no reflectance ({error}); process the scan again"
+            ) from error
+        found |= {"albedo_linear": albedo, "reflectance": skin}
     else:
         image = read_geometry_image(_present(folder, "geometry_image.npz"))
         found |= _without_albedo(image, need_albedo, folder)
     mesh = FaceMesh.of_chart(image) if chart_mesh else _fitted_mesh(folder, image)
     return ProcessedFace(image=image, mesh=mesh, **found)
-
-
-def _reflectance(parameters: Mapping[str, Any], file: Path) -> Reflectance:
-    brdf = parameters.get("brdf")
-    if brdf == "spherical-harmonics":
-        return Reflectance("lambert")
-    rough = parameters.get("minnaert_exponent" if brdf == "minnaert" else "sigma_rad")
-    strength, exponent = parameters.get("specular_strength"), parameters.get("specular_exponent")
-    try:
-        return Reflectance(str(brdf), float(rough), float(strength), float(exponent))  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        raise ApplicationError(
-            f"{file}: its parameters describe no reflectance ({error}); process the scan again"
-        ) from error
 
 
 def _present(folder: Path, name: str) -> Path:

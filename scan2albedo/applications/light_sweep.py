@@ -145,14 +145,7 @@ def write_gif(
             f"frames have shapes {sorted({np.shape(frame) for frame in frames})} and {seconds_per_frame} "
             "seconds each, expected one shape and a time above 0"
         )
-    shown = [Image.fromarray(frame).quantize(256) for frame in (*frames, *frames[-2:0:-1])]
-    data = BytesIO()
-    shown[0].save(
-        data,
-        format="GIF",
-        save_all=True,
-        append_images=shown[1:],
-        duration=round(1000 * seconds_per_frame),
-        loop=0,
-    )
+    first, *others = (Image.fromarray(frame).quantize(256) for frame in (*frames, *frames[-2:0:-1]))
+    data, duration = BytesIO(), round(1000 * seconds_per_frame)
+    first.save(data, format="GIF", save_all=True, append_images=others, duration=duration, loop=0)
     write_bytes(path, data.getvalue())

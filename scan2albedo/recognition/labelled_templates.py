@@ -108,13 +108,9 @@ def read_labelled_templates(
         Called with the number of results done and their number.
     """
     file, kinds = Path(source), checked_use(use)
-    if file.suffix.lower() == ".npz":
-        return _of_file(file, kinds, options)
-    manifest = read_manifest(file, persons_required=persons_required)
-    return _of_manifest(manifest, kinds, options or TemplateOptions(), on_count)
-
-
-def _of_file(file: Path, kinds: tuple[Kind, ...], options: TemplateOptions | None) -> LabelledTemplates:
+    if file.suffix.lower() != ".npz":
+        manifest = read_manifest(file, persons_required=persons_required)
+        return _of_manifest(manifest, kinds, options or TemplateOptions(), on_count)
     beside = file.with_suffix(".shape.npz")
     read = map(read_templates, [file, beside] if beside.is_file() else [file])
     found = {templates.kind: templates for templates in read if templates.kind in kinds}

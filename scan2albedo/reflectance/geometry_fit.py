@@ -139,7 +139,24 @@ def refine_geometry(
             )
         ]
     )
-    pose = _initial_pose(matrix, landmarks, shape_model, initial_scene_from_model, coefficients)
+    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+    if initial_scene_from_model is not None:
+        pose = np.array(initial_scene_from_model, np.float64)
+        if pose.shape != (4, 4):
+            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
+        turn = pose[:3, :3]
+        rigid = np.isfinite(pose).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
+        if not (rigid and np.linalg.det(turn) > 0 and np.array_equal(pose[3], [0, 0, 0, 1])):
+            raise ReflectanceError(
+                "initial_scene_from_model is not a rigid transform; give rotation and translation"
+            )
+    elif len(seen) < 6:
+        raise ReflectanceError(
+            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
+        )
+    else:
+        points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
+        pose = pose_from_landmarks(matrix, points, landmarks[seen])
     state = GeometryState.from_pose(shape_model, pose, coefficients)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
@@ -159,15 +176,14 @@ def refine_geometry(
         term_over = partial(
             photometric_term, image, matrix, shape_model.faces, reflectance, checked_light(light)
         )
-    elif not np.isfinite(landmarks).any():
+    elif not len(seen):
         raise ReflectanceError(
             "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
         )
     meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
     converged, iterations = True, 0
     rmse: tuple[float | None, float | None] = (None, None)
-    seen, anchors = np.flatnonzero(np.isfinite(landmarks).all(1)), []
-    name = "reflectance.geometry.landmarks"
+    name, anchors = "reflectance.geometry.landmarks", []
     plan = [PlanStep(name, False, "no landmark is seen")]
     if len(seen):
         vertex = shape_model.landmark_vertices[seen]
@@ -261,34 +277,6 @@ def _descent(
     if not meter.exhausted:
         start = MapPoint.evaluate(objective, state, meter)
     return most_probable(start, steps=steps, tolerance=1e-4, damping=Damping(first=damping))
-
-
-def _initial_pose(
-    camera: FloatArray,
-    landmarks: FloatArray,
-    model: MorphableShapeModel,
-    pose: ArrayLike | None,
-    coefficients: FloatArray,
-) -> FloatArray:
-    """Return the pose given, checked, or the one that the landmarks show."""
-    if pose is not None:
-        matrix = np.array(pose, np.float64)
-        if matrix.shape != (4, 4):
-            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {matrix.shape}")
-        turn = matrix[:3, :3]
-        rigid = np.isfinite(matrix).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
-        if not (rigid and np.linalg.det(turn) > 0 and np.array_equal(matrix[3], [0, 0, 0, 1])):
-            raise ReflectanceError(
-                "initial_scene_from_model is not a rigid transform; give rotation and translation"
-            )
-        return matrix
-    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
-    if len(seen) < 6:
-        raise ReflectanceError(
-            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
-        )
-    points = model.at(coefficients)[model.landmark_vertices[seen]]
-    return pose_from_landmarks(camera, points, landmarks[seen])
 
 
 def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:

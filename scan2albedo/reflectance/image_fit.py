@@ -250,7 +250,32 @@ class ImageTerms:
         parts = parameters, color, diffuse, total, share, light, diffuse_light, lobe_light
         if self.perceptual is None:
             return Prediction(*parts)
-        distance, gradient = self._distance(color)
+        # Arrays of their own, so that a function that writes into its arguments harms nobody.
+        predicted, observed = np.full((2, self.count, 3), np.nan)
+        predicted[self.used], observed[self.used] = color, self.observed
+        answer = self.perceptual(predicted, observed)
+        try:
+            distance, whole = float(answer[0]), np.asarray(answer[1], np.float64)
+        except (TypeError, ValueError, IndexError) as error:
+            raise ReflectanceError(
+                f"the perceptual function returned {type(answer).__name__}, expected a number and its "
+                f"gradient ({self.count}, 3) by the predicted colours"
+            ) from error
+        if whole.shape != (self.count, 3):
+            raise ReflectanceError(
+                f"the perceptual function returned a gradient {whole.shape}, expected ({self.count}, 3), "
+                "one row for each vertex"
+            )
+        gradient = whole[self.used]
+        bad = ~np.isfinite(gradient).all(1)
+        if not np.isfinite(distance) or bad.any():
+            what = (
+                f"no gradient at {bad.sum()} vertices" if np.isfinite(distance) else f"the value {distance}"
+            )
+            raise ReflectanceError(
+                f"the perceptual function returned {what}; it must leave out vertices that are NaN in the "
+                "predicted colours"
+            )
         if before is not None and before.gradient is not None:
             step = color - before.color
             length, bend = float(np.sum(step**2)), float(np.sum((gradient - before.gradient) * step))
@@ -298,31 +323,3 @@ class ImageTerms:
             by_g[:, channel] = reflected @ (np.exp(t[channel]) * self.lighting.basis[:, :, channel].T)
             by_t[:, channel, channel] = at.color[:, channel]
         return np.concatenate([by_b, by_g, by_t], axis=2)
-
-    def _distance(self, color: FloatArray) -> tuple[float, FloatArray]:
-        """Return the caller's value and gradient (U, 3) at predicted colours (U, 3), checked."""
-        assert self.perceptual is not None
-        # Arrays of their own, so that a function that writes into its arguments harms nobody.
-        predicted, observed = np.full((2, self.count, 3), np.nan)
-        predicted[self.used], observed[self.used] = color, self.observed
-        answer = self.perceptual(predicted, observed)
-        try:
-            value, gradient = float(answer[0]), np.asarray(answer[1], np.float64)
-        except (TypeError, ValueError, IndexError) as error:
-            raise ReflectanceError(
-                f"the perceptual function returned {type(answer).__name__}, expected a number and its "
-                f"gradient ({self.count}, 3) by the predicted colours"
-            ) from error
-        if gradient.shape != (self.count, 3):
-            raise ReflectanceError(
-                f"the perceptual function returned a gradient {gradient.shape}, expected ({self.count}, 3), "
-                "one row for each vertex"
-            )
-        bad = ~np.isfinite(gradient[self.used]).all(1)
-        if not np.isfinite(value) or bad.any():
-            what = f"the value {value}" if not np.isfinite(value) else f"no gradient at {bad.sum()} vertices"
-            raise ReflectanceError(
-                f"the perceptual function returned {what}; it must leave out vertices that are NaN in the "
-                "predicted colours"
-            )
-        return value, gradient[self.used]

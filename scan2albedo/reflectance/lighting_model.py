@@ -31,10 +31,11 @@ class LightingModel(LinearModel):
     rare and strong, and normally distributed coefficients give places with negative light.
     """
 
-    @classmethod
-    def default(cls) -> LightingModel:
+    @staticmethod
+    @cache
+    def default() -> LightingModel:
         """Return the model of 600 generated maps; made once a process, in about a second."""
-        return _default()
+        return LightingModel.generate()
 
     @classmethod
     def generate(cls, *, count: int = 600, components: int = 80, seed: int = 0) -> LightingModel:
@@ -87,11 +88,6 @@ class LightingModel(LinearModel):
         [1.0, 2.0, 3.0]
         """
         return checked_coefficients(scale_rgb, 3, "scale_rgb") * self.at(coefficients)
-
-
-@cache
-def _default() -> LightingModel:
-    return LightingModel.generate()
 
 
 def generated_environment(seed: int | np.random.Generator) -> FloatArray:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
@@ -107,9 +107,20 @@ def build_model(
     mean = model.reconstruct(np.zeros(model.components)).reflectance
     shape = None
     if landmark_vertices is not None:
-        shape = MorphableShapeModel.from_samples(
-            shapes, None, samples[0].faces, _read_landmark_vertices(landmark_vertices, len(first))
-        )
+        what = f"landmark vertices {landmark_vertices}"
+        try:
+            numbers = np.asarray(json.loads(landmark_vertices.read_text(encoding="utf-8")))
+        except (OSError, ValueError) as error:
+            raise ReflectanceError(f"{what} cannot be read ({error}); give a JSON list") from error
+        if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
+            raise ReflectanceError(f"{what}: expected a list of {LANDMARKS} integers")
+        if len(np.unique(numbers)) < len(numbers):
+            raise ReflectanceError(f"{what}: two landmarks have one vertex; give 68 different ones")
+        if numbers.min() < 0 or numbers.max() >= len(first):
+            raise ReflectanceError(
+                f"{what} reach {numbers.min()} to {numbers.max()}, but the mesh has {len(first)} vertices"
+            )
+        shape = MorphableShapeModel.from_samples(shapes, None, samples[0].faces, numbers)
     return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
 
@@ -181,27 +192,6 @@ def default_model() -> FaceModels:
     )
     mean_face = model.reconstruct(np.zeros(model.components)).reflectance
     return FaceModels(model, MeshReflectance(shape.mean, faces, mean_face), shape)
-
-
-def _read_landmark_vertices(path: Path, count: int) -> IntArray:
-    try:
-        numbers = np.asarray(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
-        raise ReflectanceError(
-            f"landmark vertices {path} cannot be read ({error}); give a JSON list"
-        ) from error
-    if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
-        raise ReflectanceError(f"landmark vertices {path}: expected a list of {LANDMARKS} integers")
-    if len(np.unique(numbers)) < len(numbers):
-        raise ReflectanceError(
-            f"landmark vertices {path}: two landmarks have one vertex; give 68 different ones"
-        )
-    if numbers.min() < 0 or numbers.max() >= count:
-        raise ReflectanceError(
-            f"landmark vertices {path} reach {numbers.min()} to {numbers.max()}, but the mesh has {count} "
-            "vertices"
-        )
-    return numbers.astype(np.int64)
 
 
 def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) -> dict[str, Any]:
