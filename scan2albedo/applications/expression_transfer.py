@@ -160,11 +160,10 @@ def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
 def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurface, level: int) -> FloatArray:
     """Return where each vertex of the face at rest is with the expression, (V, 3) mm.
 
-    Two fits of one person slide along the skin each in its own way. So the face at rest becomes the model,
-    its jaw turned by the angle between the two fits, and is fitted to the surface that the expression's fit
-    found, without the film that spans an open mouth. `moved` (V, 3) is the same mesh fitted to the
-    expression, in the frame of `rest`; `level` its `refinement_level`. FitError when the two surfaces do not
-    lie together. docs/applications.md compares it with fits taken as they are.
+    The face at rest becomes the model, its jaw turned by the angle between the two fits, and is fitted to the
+    surface that the expression's fit found, without the film that spans an open mouth. `moved` (V, 3) is the
+    same mesh fitted to the expression, in the frame of `rest`; `level` its `refinement_level`. FitError when
+    the two surfaces do not lie together.
     """
     subdivision = model.subdivision(level)
     at_rest, as_fitted = (limit_control_points(v, subdivision) for v in (rest.vertices, moved))

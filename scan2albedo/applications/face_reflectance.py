@@ -56,11 +56,9 @@ def reflectance_of_processed(
     Notes
     -----
     A light of intensity E in `relight` is one of pi E here: an estimate's albedo is the radiance of the
-    surface, a reflectance's pi times that.
-
-    The nearest Lambertian albedo is A sum f(n, l, v) (n.l) / sum (n.l)^2, over normals that the viewer sees
-    and six lights around it. Under a point light the vertices' radiance differs from that of the relit face
-    by 2 % (matte) to 12 % (a roughness of 0.3 rad): tests/applications/test_face_reflectance.py.
+    surface, a reflectance's pi times that. The nearest Lambertian albedo is A sum f(n, l, v) (n.l) / sum
+    (n.l)^2, over normals that the viewer sees and six lights around it; under a point light vertices differ
+    from the relit face by 2 % (matte) to 12 % (a roughness of 0.3 rad).
     """
     from scan2albedo.lighting.environment import distant_directions
     from scan2albedo.reflectance import lobe_weights_of_phong, reflectance_from_albedo

@@ -73,12 +73,11 @@ class FittedFace:
     model: AnnotatedSurface
     """That was fitted."""
     metrics: dict[str, float] = field(default_factory=dict)
-    """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
-    (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how many holes of the
-    scan were taken for open eyes and mouth (``openings``), how many landmarks its colours
-    draw (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
-    (``jaw_deg``) and how far its corners were drawn back; how much of the scan was left out because it stands
-    far before the eyes (``covered_mm2``): for result.json."""
+    """For result.json: mean, median, p95 residual, coverage, flipped faces; how far the surface would still
+    move (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), holes of the scan
+    taken for open eyes and mouth (``openings``), landmarks that its colours draw (``painted_landmarks``), the
+    jaw's angle (``jaw_deg``) and how far the mouth's corners were drawn back; what was left out of the scan
+    because it stands far before the eyes (``covered_mm2``)."""
     plan: Plan = Plan()
     """What is doubtful about the fit: "fit.<step>"."""
     covered_faces: BoolArray | None = None

@@ -34,10 +34,8 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
 
     They take the probes as independent; of several probes of one person they are too short. The curve is that
     of Phillips et al., IEEE PAMI 22(10), 2000; the intervals are from Biometrika 26(4), 1934. Probes of
-    unknown persons do not count.
-
-    `confidence` is that of the two-sided intervals; ValueError outside (0, 1), RecognitionError when no
-    probe's person is known.
+    unknown persons do not count. `confidence` is that of the two-sided intervals; ValueError outside (0, 1),
+    RecognitionError when no probe's person is known.
 
     Examples
     --------
@@ -115,9 +113,9 @@ def roc_curve(
     genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93, 2004)
     say why persons are resampled and not claims. Claims that never err do not err in resamples either, and
     the few that do err much alike: intervals of true accept rates and of the equal error rate are never
-    shorter than Clopper and Pearson's for as many independent genuine claims. Raises `ValueError` when an
-    option is out of range; `RecognitionError` when no probe's person is known, or the gallery has one person
-    only: then nobody is an impostor.
+    shorter than Clopper and Pearson's for as many independent genuine claims. Where no claim errs the area's
+    interval has no width. Raises `ValueError` when an option is out of range; `RecognitionError` when no
+    probe's person is known, or the gallery has one person only: then nobody is an impostor.
 
     Parameters
     ----------
@@ -130,11 +128,6 @@ def roc_curve(
     resamples : int
         With 0 the bounds of the intervals are the values themselves.
     seed : int or numpy.random.Generator
-
-    Notes
-    -----
-    Where no claim errs the area's interval has no width, however few the claims. About 60 ms a resample for
-    1,000 probes of 1,000 persons.
 
     Examples
     --------

@@ -14,8 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.recognition.manifest import Manifest, read_manifest
-from scan2albedo.recognition.stored_faces import read_face
+from scan2albedo.recognition.manifest import Manifest, read_face, read_manifest
 from scan2albedo.recognition.templates import (
     HOLE_RADIUS,
     ORIENTATIONS,

@@ -145,7 +145,7 @@ def fit_face(
     -----
     On 16 path-traced photographs that share nothing with the fit the albedo is 0.134 off, that of the mean
     face 0.177, and that of `fit_image` 0.167 (tools/bench_reflectance_model.py unknown). A photograph without
-    colour gives no evidence, and so the mean face. Cost: about five times `fit_image`.
+    colour gives no evidence, and so the mean face.
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces)

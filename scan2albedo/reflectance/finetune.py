@@ -86,7 +86,6 @@ def finetune(
     Notes
     -----
     Images determine the albedo only up to the light: the anchor keeps it. Tuning adds no directions.
-    tools/bench_reflectance_finetune.py measures it on other pictures.
     """
     count = len(model.known)
     triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)

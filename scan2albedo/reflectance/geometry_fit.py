@@ -121,9 +121,8 @@ def refine_geometry(
 
     Notes
     -----
-    Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is. Han,
-    Wang and Xu (supplement) weight landmarks far less, since those of networks are several mm off;
-    tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
+    Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is.
+    tools/bench_reflectance_geometry.py compares weights of landmarks.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = np.array(landmarks_px, np.float64)
@@ -287,16 +286,12 @@ def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
 def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
     """Return the rigid transform (4, 4), scene from model, that puts points on their lines of sight.
 
-    Minimises the sum over points of the squared distance to the line of sight by orthogonal iteration [1]_:
-    with the projections V_i = d_i d_i^T onto lines of sight, the best translation is linear in the rotation,
-    and the rotation is the Procrustes one from points to their projections.
-
-    Takes a normalised camera (3, 4), four or more points (N, 3) in mm that are not on a line, and their
-    pixels (N, 2). Raises `ReflectanceError` when the pixels coincide, or no pose found has the points in
+    Minimises the sum of squared distances to the lines of sight by orthogonal iteration (Lu, Hager,
+    Mjolsness, IEEE PAMI 22(6), 2000): with the projections V_i = d_i d_i^T onto these lines, the best
+    translation is linear in the rotation, and the rotation is the Procrustes one from points to their
+    projections. Takes a normalised camera (3, 4), four or more points (N, 3) in mm that are not on a line,
+    and their pixels (N, 2). Raises `ReflectanceError` when pixels coincide, or no pose has the points in
     front of the camera.
-
-    .. [1] C.-P. Lu, G. Hager, E. Mjolsness, "Fast and Globally Convergent Pose Estimation from Video Images",
-       IEEE PAMI 22(6), 2000.
     """
     if not np.ptp(pixels, axis=0).max() > 0:
         raise ReflectanceError("all landmarks lie in one point of the image; check them")

@@ -74,10 +74,10 @@ def fit_image(
 
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
     re-weighted squares; w is 3e-4 where the observation has a transfer and 1e-3 without. P is a function of
-    the caller's. The penalty of Han, Wang and Xu on coloured light is left out: at their weight the albedo's
-    error rose from 0.067 to 0.135, under grey light to 0.070. Raises `ReflectanceError` when no vertex is
-    both seen and known, the topologies differ, or `perceptual` returns something else than finite numbers of
-    the right shape. Warns by `RuntimeWarning` when it stops without having converged.
+    the caller's. Without the penalty of Han, Wang and Xu on coloured light albedos are nearer. Raises
+    `ReflectanceError` when no vertex is both seen and known, the topologies differ, or `perceptual` returns
+    something else than finite numbers of the right shape. Warns by `RuntimeWarning` when it stops without
+    having converged.
 
     Parameters
     ----------
@@ -98,8 +98,7 @@ def fit_image(
     -----
     One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
-    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py). Cost of a step: 3
-    U (N + M)^2 for U vertices used; about a second of CPU for 3,700 vertices, 40 and 80 coefficients.
+    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
     """
     seen = np.asarray(observation.seen)
     if len(seen) != len(model.known):

@@ -84,9 +84,7 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
 
         sigma^2 = (g s)^2 (F^(2 g - 2) + m R^(2 g - 2)).
 
-    m is the number of pairs that share the picture of the room's light (are given equal ones): its noise is
-    the same in all of them, so that their mean has no less of it.
-
+    m is the number of pairs that share the picture of the room's light (are given equal ones), and its noise.
     Values count as at least s, for the slope is 0 in the dark. Negative differences stay: cut off, they would
     bias dark skin upwards. A clipped channel is lost, the other two are not. Raises `ValueError` when shapes
     disagree; `ReflectanceError` when there are no pairs, when values are beyond white, or when every pair is
