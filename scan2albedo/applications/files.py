@@ -208,8 +208,7 @@ def write_face(
 
     Parameters
     ----------
-    face : ProcessedFace
-    folder : str or Path
+    face, folder : ProcessedFace, str or Path
     application : str
         "swap", "blend" or "transfer-expression".
     inputs : sequence of ProcessedFace

@@ -132,9 +132,7 @@ def write_gif(
 
     Parameters
     ----------
-    path : str or Path
-    frames : sequence of (H, W, 3) uint8
-    seconds_per_frame : float
+    path, frames, seconds_per_frame : str or Path, sequence of (H, W, 3) uint8, float
     """
     from PIL import Image
 

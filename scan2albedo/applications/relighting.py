@@ -259,8 +259,7 @@ def default_camera(
 
     Parameters
     ----------
-    face : ProcessedFace
-    shape : (H, W)
+    face, shape : ProcessedFace, (H, W)
     azimuth_rad, elevation_rad : float
         Of the camera seen from the face: from +z toward +x, and toward +y.
     """

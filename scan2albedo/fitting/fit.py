@@ -65,8 +65,7 @@ def fit(
 
     Parameters
     ----------
-    scan : RawScan
-    model : AnnotatedFaceModel
+    scan, model : RawScan, AnnotatedFaceModel
     reg : object with `model_from_scan`, or (4, 4) array
         Rigid pose, good to about 15 degrees and 15 mm.
     budget : Budget, float or None
