@@ -112,10 +112,7 @@ def expression_displacement(
 def level_to_refine(
     neutral_a: FaceMesh, options: TransferOptions, model: AnnotatedSurface | None = None
 ) -> int | None:
-    """Return the refinement of the model that the mesh is; None where A's fits are taken as they are.
-
-    ApplicationError when the correspondence is to be refined and the mesh is not the model's.
-    """
+    """Return the model's refinement that the mesh is; None where A's fits are taken as they are."""
     if options.correspondence == "as-fitted":
         return None
     given = model or default_model()
@@ -146,11 +143,7 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
 
 
 def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
-    """Return the lower quartile over vertices of the distance along the normal, in mm, once aligned.
-
-    It stays small for one person, for an expression leaves part of the face still; for two people it seldom
-    does (`TWO_PEOPLE_MM`).
-    """
+    """Return the lower quartile of distances along the normal, mm, once aligned; see TWO_PEOPLE_MM."""
     placed = laid_on_what_is_still(expression.vertices, neutral.vertices)
     normals = vertex_normals(neutral.vertices, neutral.faces)
     along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, normals))
@@ -225,9 +218,6 @@ def refinement_level(mesh: FaceMesh, model: AnnotatedSurface) -> int | None:
 
 
 def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:
-    """Return the control points c (C, 3) whose limit surface S c is nearest to the vertices (V, 3).
-
-    S^T S c = S^T v; exact where the vertices come from control points.
-    """
+    """Return control points c (C, 3) with S c nearest to the vertices v (V, 3): S^T S c = S^T v."""
     matrix = subdivision.matrix
     return factorized(matrix.T @ matrix)(matrix.T @ vertices)

@@ -1,8 +1,4 @@
-"""`unlit_scan`: the scan as it came, its vertices, coordinates and texels, without its light.
-
-What divides a texel of the scan is the light of the chart there, T / A with all repairs of the albedo, which
-changes slowly. Noise is filtered on the scan's own texels as it was on the chart.
-"""
+"""`unlit_scan`: the scan as it came, its vertices, coordinates and texels, without its light."""
 
 from __future__ import annotations
 
@@ -217,10 +213,7 @@ class _Light:
     texels_per_mm: float
 
     def at(self, uv: FloatArray, weight: FloatArray, log_beyond: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the light (N, 3) and how surely it is known (N,) at places (N, 2) of the chart.
-
-        These count by `weight` (N,), the light beyond them (N, 3) by the rest.
-        """
+        """Return the light (N, 3), by `weight` (N,) the chart's, and how surely it is known (N,)."""
         pixels, share = pixels_from_uv(uv, self.log_light.shape[:2]), weight[:, None]
         log_light = share * bilinear(self.log_light, pixels) + (1 - share) * log_beyond
         return np.exp(log_light), weight + (1 - weight) * self.outside

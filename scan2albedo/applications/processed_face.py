@@ -173,11 +173,7 @@ def on_grid(mask: BoolArray, values: FloatArray) -> FloatArray:
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
-    """Return the faces on the texels that all of them have.
-
-    ApplicationError when sizes, models, meshes or charts differ, or a face has a chart of its own; the
-    message names both faces and what differs.
-    """
+    """Return the faces on the texels that all have; ApplicationError names two whose charts differ."""
     a = faces[0]
     for b in faces[1:]:
         both = f"{a.name} and {b.name}"

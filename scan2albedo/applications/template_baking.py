@@ -150,12 +150,7 @@ def tile_numbers(uv: FloatArray) -> IntArray:
 
 
 def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:
-    """Return an image (H, W, 3) with what is not `known` (H, W) filled in from coarser and coarser means.
-
-    References
-    ----------
-    .. [1] S. Gortler et al., "The Lumigraph", SIGGRAPH 1996 (pull-push).
-    """
+    """Return an image with what is not `known` filled from coarser means (Gortler, SIGGRAPH 1996)."""
     from skimage.transform import resize
 
     if known.all() or not known.any():
@@ -226,10 +221,7 @@ class _Surface:
         self._inner = ~boundary_vertex_mask(len(vertices), faces)
 
     def normals_at(self, points: FloatArray, *, beyond_edges: bool = True) -> tuple[FloatArray, BoolArray]:
-        """Return unit normals (N, 3) at the closest points, and whether they are within reach.
-
-        Unless `beyond_edges`, points in a hole or beside the surface are not.
-        """
+        """Return unit normals (N, 3) at closest points, and whether these are within reach."""
         hits = self._query.query(points)
         corners = self._faces[hits.face]
         close = hits.distance <= REACH_MM
@@ -242,10 +234,7 @@ class _Surface:
 def tangent_normals(
     fine: tuple[FloatArray, BoolArray], normals: FloatArray, tangents: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return what `FineShape.normals` found in frames (N, 3), (N, 4), and whether (N,) it stands.
-
-    Normals that lean too far from the template are another part's, such as the other lip's.
-    """
+    """Return `FineShape.normals` in frames (N, 3), (N, 4), and which (N,) are not of another part."""
     found = in_tangent_space(fine[0], normals, tangents)
     found = np.where(fine[1][:, None], found, (0.0, 0.0, 1.0))
     return found, found[:, 2] >= LEAST_COSINE

@@ -66,11 +66,7 @@ class MouthCorners:
 
     @classmethod
     def of(cls, model: AnnotatedSurface, control_points: FloatArray) -> MouthCorners | None:
-        """Return the pulls of an annotated model at `control_points`; None without landmarks.
-
-        A corner moves toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles pull
-        it.
-        """
+        """Return a model's pulls, toward the jaw line's ends at the ears; None without landmarks."""
         landmarks = model.landmarks_of(control_points)
         if landmarks is None:
             return None

@@ -179,11 +179,7 @@ def residuals_mm(
 
 
 def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:
-    """Return (68,) standard deviations along each axis of `landmarks` (68, 3), in mm.
-
-    More than usual where the fitted `vertices` (V, 3) have no scan near, `residual_mm` (V,) NaN, or lie off
-    it.
-    """
+    """Return (68,) deviations along an axis, mm: more where no scan is near, or the fit lies off it."""
     usual = np.zeros(len(landmarks))
     for (begin, end), deviation_mm in _FEATURES_MM.items():
         usual[begin:end] = deviation_mm

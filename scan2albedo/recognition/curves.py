@@ -181,11 +181,7 @@ def roc_curve(
 
 
 def _rates_of_draw(identification: Identification) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return a function of how often each person was drawn (G,) and of false accept rates (F,).
-
-    It gives area, equal error rate and true accept rates (2 + F,): NaN when no genuine claim, or no
-    impostor's, is left.
-    """
+    """Return what gives area, equal error rate and true rates (2 + F,) of draws (G,), NaN if undefined."""
     # All claims in order of falling similarity: the probe's person and the claimed one, by index.
     known = identification.known
     scores, own = identification.similarities[known], identification.genuine[known].argmax(axis=1)

@@ -1,7 +1,4 @@
-"""`identify_results`: which persons of a gallery of processed scans other processed scans show.
-
-Similarities by albedo and by shape are taken together, weighted by how well each tells persons apart.
-"""
+"""`identify_results`: which persons of a gallery of processed scans other processed scans show."""
 
 from __future__ import annotations
 

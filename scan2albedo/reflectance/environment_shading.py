@@ -28,11 +28,7 @@ HARMONICS = len(_DEGREES)
 
 
 def lambert_coefficients(order: int = ORDER) -> FloatArray:
-    """Return (order + 1,) responses A_l / pi = 2 integral over 0 ... 1 of t P_l(t) dt of a Lambertian
-    surface.
-
-    After Ramamoorthi and Hanrahan, JOSA A 2001.
-    """
+    """Return (order + 1,) A_l / pi = 2 int_0^1 t P_l(t) dt (Ramamoorthi and Hanrahan, JOSA A 2001)."""
     response = np.zeros(order + 1)
     response[:2] = [1.0, 2 / 3][: order + 1]
     value = 1 / 4

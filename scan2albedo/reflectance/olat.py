@@ -25,10 +25,7 @@ round."""
 
 @dataclass(frozen=True)
 class OlatOptions:
-    """How displayed values become light.
-
-    Raises `ValueError` when a value is outside its range.
-    """
+    """How displayed values become light; `ValueError` for values outside their range."""
 
     gamma: float = 1.2
     """Light is value^gamma; 1 for pictures that are linear already."""
@@ -169,10 +166,7 @@ def _pictures(given: Pictures, name: str) -> list[NDArray[Any]]:
 
 
 def picture_values(picture: NDArray[Any], name: str, saturation: float) -> FloatArray:
-    """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits.
-
-    Raises `ReflectanceError` for another dtype, or when floats reach twice the saturation.
-    """
+    """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits."""
     array = np.asarray(picture)
     if array.dtype in (np.uint8, np.uint16):
         return np.asarray(array / float(np.iinfo(array.dtype).max))

@@ -56,10 +56,7 @@ class FaceModels:
 
 
 def read_sample(path: Path) -> MeshReflectance:
-    """Read the reflectance of a file, of the folder of a fit, or of that of a processed scan.
-
-    Raises `ReflectanceError` or `ApplicationError` when it is none of them, or damaged.
-    """
+    """Read the reflectance of a file, of the folder of a fit, or of that of a processed scan."""
     if not path.is_dir() or (path / RESULT_FILE).is_file():
         return read_reflectance(path)
     if not (path / "result.json").is_file():
@@ -154,10 +151,7 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
 
 
 def default_model() -> FaceModels:
-    """Return `synthetic_model(200)` from the file that `python tools/build_reflectance_model.py` makes.
-
-    Directions are rounded: 0.5 % of the albedo, 0.04 mm. Raises `ReflectanceError` when the file is damaged.
-    """
+    """Return `synthetic_model(200)`, rounded, from what tools/build_reflectance_model.py makes."""
 
     advice = "install the package anew"
     arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)
@@ -225,10 +219,7 @@ def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) ->
 
 
 def read_model_folder(path: Path) -> FaceModels:
-    """Read the folder that `build` or `finetune` wrote.
-
-    Raises `ReflectanceError` when files are missing or damaged, or do not belong together.
-    """
+    """Read the folder that `build` or `finetune` wrote, whose files must belong together."""
     if not path.is_dir():
         raise ReflectanceError(f"{path} is not a folder; give the one that `reflectance build` wrote")
     model, mean = MorphableReflectanceModel.load(path / MODEL_FILE), read_reflectance(path / MEAN_FILE)
