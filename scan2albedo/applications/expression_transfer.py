@@ -176,16 +176,10 @@ def personal_model(
     """Return a face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
-    itself. `transfer_expression` does not need it: it finds corresponding points itself, and more exactly
-    (docs/applications.md). Raises `ApplicationError` when the face was not fitted with that model.
-
-    Parameters
-    ----------
-    face : FittedFace or ProcessedFace
-        Of the person at rest. A ProcessedFace has no control points P: they are solved for by least squares,
-        S P = vertices, S the subdivision's matrix.
-    model : AnnotatedFaceModel, optional
-        Of the fit; a FittedFace knows its own, for other faces the default model when omitted.
+    itself. `transfer_expression` does not need it: it finds corresponding points itself, and more exactly.
+    The `face` is at rest; a ProcessedFace has no control points P: they are solved for by least squares, S P
+    = vertices, S the subdivision's matrix. `model` is that of the fit, which a FittedFace knows, for other
+    faces the default model when omitted; with another one raises `ApplicationError`.
     """
     if isinstance(face, FittedFace):
         return replace(face.model, control_vertices=face.control_points)

@@ -56,20 +56,13 @@ class ProcessedScan(Protocol):
 
 
 def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True) -> ProcessedFace:
-    """Return the processed face of a scan's folder ``OUT/<scan name>``, of what an application wrote, or of a
-    `ProcessResult`.
+    """Return the processed face of a folder ``OUT/<scan name>``, of an application's, or of a `ProcessResult`.
 
-    Raises `ApplicationError` when a file is missing, cannot be read, or belongs to another result; the
-    message names it, or when the result has no albedo, and it is needed; `TypeError` for anything else than a
-    path and a result.
-
-    Parameters
-    ----------
-    source : path or ProcessResult
-        A folder needs result.json (or application.json), geometry_image.npz and albedo.exr, and fitted.glb
-        unless it was processed without a model.
-    need_albedo : bool
-        False takes a result without an albedo too, as a shape in grey: its `has_albedo` is False.
+    A folder as `source` needs result.json (or application.json), geometry_image.npz and albedo.exr, and
+    fitted.glb unless it was processed without a model. Where `need_albedo` is False, a result without an
+    albedo is taken too, as a shape in grey: its `has_albedo` is False. Raises `ApplicationError` when a file
+    is missing, cannot be read, or belongs to another result, or has no albedo and one is needed; the message
+    names it; `TypeError` for anything else than a path and a result.
     """
     if isinstance(source, str | Path):
         folder = Path(source)

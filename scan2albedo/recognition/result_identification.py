@@ -54,17 +54,8 @@ def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CA
     since a likelihood ratio by one kind and one by both seldom agree; where nothing is common to all, by what
     each pair has. Beside probes compared by both, similarities by one kind are brought to where the
     likelihood ratio by both is the same; where one kind compares all probes, they stay as they are.
-
-    Parameters
-    ----------
-    similarities : mapping of "albedo", "shape" to (P, G)
-        NaN where a probe or an image lacks the kind.
-    calibration : Calibration
-
-    Returns
-    -------
-    (P, G) float64
-        NaN where a pair has no kind in common.
+    `similarities` map "albedo" and "shape" to (P, G), NaN where a probe or an image lacks the kind; (P, G)
+    is returned, NaN where a pair has no kind in common. The `calibration` is that of the default templates.
 
     Examples
     --------

@@ -56,7 +56,7 @@ class LightingModel(LinearModel):
 
     @classmethod
     def from_coefficients(cls, lights: ArrayLike, *, components: int = 80) -> LightingModel:
-        """Learn a model from the coefficients (K, 81, 3) of lights, finite and without a dark channel."""
+        """Learn from lights (K, 81, 3); `ValueError` for other shapes, `ReflectanceError` for dark ones."""
         samples = np.asarray(lights, np.float64)
         if samples.ndim != 3 or samples.shape[1:] != (HARMONICS, 3) or len(samples) == 0:
             raise ValueError(f"lights must have shape (K, {HARMONICS}, 3), got {samples.shape}")
