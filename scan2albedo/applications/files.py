@@ -56,7 +56,7 @@ class ProcessedScan(Protocol):
 
 
 def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True) -> ProcessedFace:
-    """Return the processed face of a folder ``OUT/<scan name>``, of an application's, or of a `ProcessResult`.
+    """Return the processed face of a folder ``OUT/<scan name>`` or an application's, or of a `ProcessResult`.
 
     A folder as `source` needs result.json (or application.json), geometry_image.npz and albedo.exr, and
     fitted.glb unless it was processed without a model. Where `need_albedo` is False, a result without an
