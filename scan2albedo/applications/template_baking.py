@@ -150,7 +150,7 @@ def tile_numbers(uv: FloatArray) -> IntArray:
 
 
 def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:
-    """Return an image with what is not `known` filled from coarser means (Gortler, SIGGRAPH 1996)."""
+    """Return an image, what is not `known` filled in from coarser means (Gortler et al., 1996)."""
     from skimage.transform import resize
 
     if known.all() or not known.any():
