@@ -1,11 +1,7 @@
 """What a processed face is for: other light, skin or expression; the scan itself, and templates, unlit."""
 
 from scan2albedo.applications.blending import blend_faces
-from scan2albedo.applications.expression_transfer import (
-    TransferOptions,
-    personal_model,
-    transfer_expression,
-)
+from scan2albedo.applications.expression_transfer import TransferOptions, personal_model, transfer_expression
 from scan2albedo.applications.face_reflectance import (
     FaceReflectance,
     reflectance_model_of_processed,

@@ -21,18 +21,15 @@ _OWN_END = 0.05
 
 
 def blend_faces(
-    a: ProcessedFace,
-    b: ProcessedFace,
-    weight: float = 0.5,
-    *,
-    model: AnnotatedSurface | None = None,
+    a: ProcessedFace, b: ProcessedFace, weight: float = 0.5, *, model: AnnotatedSurface | None = None
 ) -> ProcessedFace:
     """Return the face `weight` of the way from A to B, in shape and skin.
 
     Positions are blended linearly on the chart that both share; normals follow the new surface. The skins are
     scaled to one colour, the geometric mean of theirs by weight, and then blended linearly: level and tint of
     an albedo depend on the scan's light. Features that lie on texels a little apart are moved onto one
-    another first (`skin_match.displacement`). What was not seen is continued as in `swap_texture`.
+    another first (`skin_match.displacement`). What was not seen is continued as in `swap_texture`. Raises
+    `ApplicationError` when the faces do not share a chart, or for a weight outside [0, 1].
 
     Parameters
     ----------
@@ -42,11 +39,6 @@ def blend_faces(
         In [0, 1]: 0 is A, 1 is B. The lights are those of the nearer one.
     model : AnnotatedFaceModel, optional
         With which the faces were processed; the default model when omitted.
-
-    Raises
-    ------
-    ApplicationError
-        When the faces do not share a chart, or for a weight outside [0, 1].
     """
     if not 0 <= weight <= 1:
         raise ApplicationError(

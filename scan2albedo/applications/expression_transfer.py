@@ -69,6 +69,8 @@ def transfer_expression(
     """Return B with A's expression: B + (A's expression - A at rest), position by position on the chart.
 
     Albedo, reflectance and lights are B's; normals follow the new surface (Toderici et al., applications).
+    Raises `ApplicationError` when the faces do not share a chart; when the correspondence is to be refined
+    and they are not on the model's mesh.
 
     Parameters
     ----------
@@ -77,12 +79,6 @@ def transfer_expression(
     options : TransferOptions
     model : AnnotatedFaceModel, optional
         With which the faces were processed; the default model when omitted.
-
-    Raises
-    ------
-    ApplicationError
-        When the faces do not share a chart; when the correspondence is to be refined and they are not on
-        the model's mesh.
 
     Notes
     -----
@@ -116,10 +112,7 @@ def expression_displacement(
 def level_to_refine(
     neutral_a: FaceMesh, options: TransferOptions, model: AnnotatedSurface | None = None
 ) -> int | None:
-    """Return the refinement of the model that the mesh is; None where A's fits are taken as they are.
-
-    ApplicationError when the correspondence is to be refined and the mesh is not the model's.
-    """
+    """Return the model's refinement that the mesh is; None where A's fits are taken as they are."""
     if options.correspondence == "as-fitted":
         return None
     given = model or default_model()
@@ -150,11 +143,7 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
 
 
 def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
-    """Return the lower quartile over vertices of the distance along the normal, in mm, once aligned.
-
-    It stays small for one person, for an expression leaves part of the face still; for two people it seldom
-    does (`TWO_PEOPLE_MM`).
-    """
+    """Return the lower quartile of distances along the normal, mm, once aligned; see TWO_PEOPLE_MM."""
     placed = laid_on_what_is_still(expression.vertices, neutral.vertices)
     normals = vertex_normals(neutral.vertices, neutral.faces)
     along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, normals))
@@ -164,11 +153,10 @@ def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
 def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurface, level: int) -> FloatArray:
     """Return where each vertex of the face at rest is with the expression, (V, 3) mm.
 
-    Two fits of one person slide along the skin each in its own way. So the face at rest becomes the model,
-    its jaw turned by the angle between the two fits, and is fitted to the surface that the expression's fit
-    found, without the film that spans an open mouth. `moved` (V, 3) is the same mesh fitted to the
-    expression, in the frame of `rest`; `level` its `refinement_level`. FitError when the two surfaces do not
-    lie together. docs/applications.md compares it with fits taken as they are.
+    The face at rest becomes the model, its jaw turned by the angle between the two fits, and is fitted to the
+    surface that the expression's fit found, without the film that spans an open mouth. `moved` (V, 3) is the
+    same mesh fitted to the expression, in the frame of `rest`; `level` its `refinement_level`. FitError when
+    the two surfaces do not lie together.
     """
     subdivision = model.subdivision(level)
     at_rest, as_fitted = (limit_control_points(v, subdivision) for v in (rest.vertices, moved))
@@ -188,21 +176,10 @@ def personal_model(
     """Return a face's model with the control points that the fit found.
 
     Chart, regions, name and triangles stay, so faces processed with it go with faces processed with the model
-    itself. `transfer_expression` does not need it: it finds corresponding points itself, and more exactly
-    (docs/applications.md).
-
-    Parameters
-    ----------
-    face : FittedFace or ProcessedFace
-        Of the person at rest. A ProcessedFace has no control points P: they are solved for by least squares,
-        S P = vertices, S the subdivision's matrix.
-    model : AnnotatedFaceModel, optional
-        Of the fit; a FittedFace knows its own, for other faces the default model when omitted.
-
-    Raises
-    ------
-    ApplicationError
-        When the face was not fitted with that model.
+    itself. `transfer_expression` does not need it: it finds corresponding points itself, and more exactly.
+    The `face` is at rest; a ProcessedFace has no control points P: they are solved for by least squares, S P
+    = vertices, S the subdivision's matrix. `model` is that of the fit, which a FittedFace knows, for other
+    faces the default model when omitted; with another one raises `ApplicationError`.
     """
     if isinstance(face, FittedFace):
         return replace(face.model, control_vertices=face.control_points)
@@ -235,9 +212,6 @@ def refinement_level(mesh: FaceMesh, model: AnnotatedSurface) -> int | None:
 
 
 def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:
-    """Return the control points c (C, 3) whose limit surface S c is nearest to the vertices (V, 3).
-
-    S^T S c = S^T v; exact where the vertices come from control points.
-    """
+    """Return control points c (C, 3) with S c nearest to the vertices v (V, 3): S^T S c = S^T v."""
     matrix = subdivision.matrix
     return factorized(matrix.T @ matrix)(matrix.T @ vertices)

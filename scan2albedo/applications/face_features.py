@@ -49,10 +49,7 @@ def feature_texels(face: ProcessedFace, model: AnnotatedSurface | None = None) -
 def region_texels(
     face: ProcessedFace, names: Sequence[str], model: AnnotatedSurface | None = None
 ) -> BoolArray:
-    """Return (H, W) the texels in the named regions of the model (default: the default model).
-
-    None without regions, or where the face is of another model.
-    """
+    """Return (H, W) the texels in the named regions of the model; none where the face is of another."""
     template = default_model() if model is None else model
     if face.image.region is None or face.model_name != template.name:
         return np.zeros(face.mask.shape, bool)
@@ -92,10 +89,7 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = No
 
 
 def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> ProcessedFace:
-    """Return the face with smooth skin where none was seen, and on `dark_sides`.
-
-    Log albedo is interpolated from around: Laplace's equation. Eyes, brows and lips stay as they are.
-    """
+    """Return the face with Laplace's smooth log albedo where none was seen, and on `dark_sides`."""
     features = feature_texels(face, model)
     kept = np.logical_or.reduce([features[name] for name in features if name != "nostrils"] or [~face.mask])
     gaps = (face.mask & ~face.image.seen & ~kept) | dark_sides(face, model)

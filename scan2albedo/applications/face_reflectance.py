@@ -15,7 +15,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
-from scan2albedo.lighting.shading import Reflectance, shade_points
+from scan2albedo.lighting.shading import shade_points
 
 if TYPE_CHECKING:
     from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
@@ -42,7 +42,8 @@ def reflectance_of_processed(
 
     A vertex less than half of whose texels were seen is unknown. A rough surface becomes the nearest
     Lambertian one, and the highlight the nearest weights of three lobes, one set for all vertices times the
-    annotation's relative strength.
+    annotation's relative strength. Raises `ApplicationError` when the scan was processed without a model,
+    nothing of it was seen, or it cannot be loaded; `ValueError` when `level` is not above 0.
 
     Parameters
     ----------
@@ -52,22 +53,14 @@ def reflectance_of_processed(
         Geometric mean of the albedo's V over the seen texels, to which albedo and highlight are scaled; not
         scaled when omitted. A scan's albedo is known up to its scale: to compare scans, give one level.
 
-    Raises
-    ------
-    ApplicationError
-        When the scan was processed without a model, nothing of it was seen, or it cannot be loaded.
-    ValueError
-        When `level` is not above 0.
-
     Notes
     -----
     A light of intensity E in `relight` is one of pi E here: an estimate's albedo is the radiance of the
-    surface, a reflectance's pi times that.
-
-    The nearest Lambertian albedo is A sum f(n, l, v) (n.l) / sum (n.l)^2, over normals that the viewer sees
-    and six lights around it. Under a point light the vertices' radiance differs from that of the relit face
-    by 2 % (matte) to 12 % (a roughness of 0.3 rad): tests/applications/test_face_reflectance.py.
+    surface, a reflectance's pi times that. The nearest Lambertian albedo is A sum f(n, l, v) (n.l) / sum
+    (n.l)^2, over normals that the viewer sees and six lights around it; under a point light vertices differ
+    from the relit face by 2 % (matte) to 12 % (a roughness of 0.3 rad).
     """
+    from scan2albedo.lighting.environment import distant_directions
     from scan2albedo.reflectance import lobe_weights_of_phong, reflectance_from_albedo
 
     if level is not None and not (np.isfinite(level) and level > 0):
@@ -86,8 +79,22 @@ def reflectance_of_processed(
     lobes = lobe_weights_of_phong(skin.specular_strength, skin.exponent)
     gloss = np.ones(face.image.shape) if given_scale is None else given_scale.astype(np.float64)
     strength, _ = sampled_at_vertices(gloss[..., None], face)
+    lambert_share = 1.0
+    if skin.brdf != "lambert":
+        # The albedo of the Lambertian surface that is nearest to a rough one of albedo 1.
+        normals = distant_directions(2000)
+        normals = normals[normals[:, 2] > 0.1]
+        matte = replace(skin, specular_strength=0.0)
+        product, square = np.zeros(()), np.zeros(())
+        for azimuth, elevation in np.radians([(0, 0), (30, 0), (0, 30), (-60, 0), (0, -60), (45, 45)]):
+            light = PointLight(float(azimuth), float(elevation))
+            lambert = np.maximum(normals @ light.direction, 0)
+            # Ambient light, 1 in the estimate's units, is not reflected by roughness.
+            rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
+            product, square = product + rough @ lambert, square + lambert @ lambert
+        lambert_share = float(product / square)
     reflectance = reflectance_from_albedo(
-        scale * _lambert_share(skin) * albedo, weights=scale * strength * lobes, known=known
+        scale * lambert_share * albedo, weights=scale * strength * lobes, known=known
     )
     return FaceReflectance(face.name, reflectance, face.mesh, face.model_name)
 
@@ -101,6 +108,9 @@ def reflectance_model_of_processed(
 ) -> tuple[MorphableReflectanceModel, list[FaceReflectance]]:
     """Return the morphable model of processed scans' reflectances, and those.
 
+    Raises `ApplicationError` as `reflectance_of_processed`, and when scans have different models or meshes;
+    `ReflectanceError` when there is no scan, or no vertex has the support.
+
     Parameters
     ----------
     sources : sequence of path, ProcessResult or ProcessedFace
@@ -109,13 +119,6 @@ def reflectance_model_of_processed(
         As in `reflectance_of_processed`.
     components, least_support
         As in `MorphableReflectanceModel.from_samples`.
-
-    Raises
-    ------
-    ApplicationError
-        As `reflectance_of_processed`, and when scans have different models or meshes.
-    ReflectanceError
-        When there is no scan, or no vertex has the support.
     """
     from scan2albedo.reflectance import MorphableReflectanceModel
 
@@ -154,22 +157,3 @@ def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatAr
     known = (trusted > 0) & (2 * trusted >= surface)
     values = total / np.where(known, trusted, 1.0)[:, None]
     return np.where(known[:, None], values, np.nan), known
-
-
-def _lambert_share(skin: Reflectance) -> float:
-    """Return the albedo of the Lambertian surface that is nearest to a rough one of albedo 1."""
-    from scan2albedo.lighting.environment import distant_directions
-
-    if skin.brdf == "lambert":
-        return 1.0
-    normals = distant_directions(2000)
-    normals = normals[normals[:, 2] > 0.1]
-    matte = replace(skin, specular_strength=0.0)
-    product, square = np.zeros(()), np.zeros(())
-    for azimuth, elevation in np.radians([(0, 0), (30, 0), (0, 30), (-60, 0), (0, -60), (45, 45)]):
-        light = PointLight(float(azimuth), float(elevation))
-        lambert = np.maximum(normals @ light.direction, 0)
-        # Ambient light, 1 in the estimate's units, is not reflected by roughness.
-        rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
-        product, square = product + rough @ lambert, square + lambert @ lambert
-    return float(product / square)

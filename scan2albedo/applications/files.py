@@ -56,24 +56,13 @@ class ProcessedScan(Protocol):
 
 
 def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True) -> ProcessedFace:
-    """Return the processed face of a scan's folder ``OUT/<scan name>``, of what an application wrote, or of a
-    `ProcessResult`.
+    """Return the processed face of a folder ``OUT/<scan name>`` or an application's, or of a `ProcessResult`.
 
-    Parameters
-    ----------
-    source : path or ProcessResult
-        A folder needs result.json (or application.json), geometry_image.npz and albedo.exr, and fitted.glb
-        unless it was processed without a model.
-    need_albedo : bool
-        False takes a result without an albedo too, as a shape in grey: its `has_albedo` is False.
-
-    Raises
-    ------
-    ApplicationError
-        When a file is missing, cannot be read, or belongs to another result; the message names it. When the
-        result has no albedo, and it is needed.
-    TypeError
-        For anything else than a path and a result.
+    A folder as `source` needs result.json (or application.json), geometry_image.npz and albedo.exr, and
+    fitted.glb unless it was processed without a model. Where `need_albedo` is False, a result without an
+    albedo is taken too, as a shape in grey: its `has_albedo` is False. Raises `ApplicationError` when a file
+    is missing, cannot be read, or belongs to another result, or has no albedo and one is needed; the message
+    names it; `TypeError` for anything else than a path and a result.
     """
     if isinstance(source, str | Path):
         folder = Path(source)
@@ -93,21 +82,12 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
     model_name = NO_MODEL if fitted is None else fitted.model.name
     if estimate is None:
-        grey = _without_albedo(image, need_albedo, name)
-        return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **grey)
-    return ProcessedFace(
-        name,
-        image,
-        estimate.albedo_linear,
-        estimate.reflectance,
-        estimate.lights,
-        mesh,
-        model_name,
-        estimate.casts_shadows,
-        estimate.view_direction,
-        estimate.shadow_offset_mm,
-        estimate.environment,
-    )
+        found = _without_albedo(image, need_albedo, name)
+    else:
+        taken = ("albedo_linear", "reflectance", "lights", "casts_shadows")
+        seen = ("view_direction", "shadow_offset_mm", "environment")
+        found = {field: getattr(estimate, field) for field in (*taken, *seen)}
+    return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **found)
 
 
 def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> dict[str, Any]:
@@ -126,11 +106,10 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         raise ApplicationError(
             f"{folder}: no such folder; give the folder of one processed scan, OUT/<scan name>"
         )
-    found: dict[str, Any]
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
-        found = {
+        found: dict[str, Any] = {
             "model_name": str(scan.options.get("model", NO_MODEL)),
             "casts_shadows": all(step.ran for step in scan.plan if step.stage == "albedo.shadows"),
         }
@@ -144,26 +123,22 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         parameters, chart_mesh = made.reflectance, made.chart_mesh
     if parameters:
         image, albedo = read_image_and_albedo(folder)
-        found |= {"albedo_linear": albedo, "reflectance": _reflectance(parameters, file)}
+        brdf, skin = parameters.get("brdf"), Reflectance("lambert")
+        rough = parameters.get("minnaert_exponent" if brdf == "minnaert" else "sigma_rad")
+        numbers = rough, parameters.get("specular_strength"), parameters.get("specular_exponent")
+        try:
+            if brdf != "spherical-harmonics":
+                skin = Reflectance(str(brdf), *map(float, numbers))  # type: ignore[arg-type]
+        except (TypeError, ValueError) as error:
+            raise ApplicationError(
+                f"{file}: its parameters describe no reflectance ({error}); process the scan again"
+            ) from error
+        found |= {"albedo_linear": albedo, "reflectance": skin}
     else:
         image = read_geometry_image(_present(folder, "geometry_image.npz"))
         found |= _without_albedo(image, need_albedo, folder)
     mesh = FaceMesh.of_chart(image) if chart_mesh else _fitted_mesh(folder, image)
     return ProcessedFace(image=image, mesh=mesh, **found)
-
-
-def _reflectance(parameters: Mapping[str, Any], file: Path) -> Reflectance:
-    brdf = parameters.get("brdf")
-    if brdf == "spherical-harmonics":
-        return Reflectance("lambert")
-    rough = parameters.get("minnaert_exponent" if brdf == "minnaert" else "sigma_rad")
-    strength, exponent = parameters.get("specular_strength"), parameters.get("specular_exponent")
-    try:
-        return Reflectance(str(brdf), float(rough), float(strength), float(exponent))  # type: ignore[arg-type]
-    except (TypeError, ValueError) as error:
-        raise ApplicationError(
-            f"{file}: its parameters describe no reflectance ({error}); process the scan again"
-        ) from error
 
 
 def _present(folder: Path, name: str) -> Path:
@@ -221,24 +196,18 @@ def write_face(
     """Return the folder into which the face that an application made was written, whole or not at all.
 
     Files: geometry_image.npz, albedo.exr, albedo.png, fitted.glb with the albedo, picture.png under a
-    portrait light, and application.json. A shape alone has no file of an albedo.
+    portrait light, and application.json. A shape alone has no file of an albedo. Raises `OutputError` when
+    the folder cannot be written, is that of a processed scan, or holds a user's own files of these names.
 
     Parameters
     ----------
-    face : ProcessedFace
-    folder : str or Path
+    face, folder : ProcessedFace, str or Path
     application : str
         "swap", "blend" or "transfer-expression".
     inputs : sequence of ProcessedFace
         What the face was made of; the record keeps their names.
     options : mapping, optional
         Of the application, for the record.
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written, is that of a processed scan, or holds a user's own files of these
-        names.
     """
     target, skin, mesh, preview = Path(folder), face.reflectance, face.mesh, None
     check_face_folder(target)

@@ -1,8 +1,4 @@
-"""`unlit_scan`: the scan as it came, its vertices, coordinates and texels, without its light.
-
-What divides a texel of the scan is the light of the chart there, T / A with all repairs of the albedo, which
-changes slowly. Noise is filtered on the scan's own texels as it was on the chart.
-"""
+"""`unlit_scan`: the scan as it came, its vertices, coordinates and texels, without its light."""
 
 from __future__ import annotations
 
@@ -71,6 +67,9 @@ class UnlitScan:
 def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reach: str = "face") -> UnlitScan:
     """Return the scan without the light that was found on its face.
 
+    Raises `ApplicationError` when the scan has no colour or is not where the face was fitted, or the albedo
+    is of another face; `ValueError` for another `reach`.
+
     Parameters
     ----------
     scan : RawScan
@@ -81,13 +80,6 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     reach : {"face", "all"}
         Beyond the face the light stays in and the colours meet at its rim; or "all" goes on with the same
         lamps and environment on the scan's own shape, which shadows itself.
-
-    Raises
-    ------
-    ApplicationError
-        When the scan has no colour or is not where the face was fitted, or the albedo is of another face.
-    ValueError
-        For another `reach`.
     """
     require_type(scan, RawScan, "unlit_scan: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "unlit_scan: fitted", "fit(scan, model, pose) returns one")
@@ -221,10 +213,7 @@ class _Light:
     texels_per_mm: float
 
     def at(self, uv: FloatArray, weight: FloatArray, log_beyond: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the light (N, 3) and how surely it is known (N,) at places (N, 2) of the chart.
-
-        These count by `weight` (N,), the light beyond them (N, 3) by the rest.
-        """
+        """Return the light (N, 3), by `weight` (N,) the chart's, and how surely it is known (N,)."""
         pixels, share = pixels_from_uv(uv, self.log_light.shape[:2]), weight[:, None]
         log_light = share * bilinear(self.log_light, pixels) + (1 - share) * log_beyond
         return np.exp(log_light), weight + (1 - weight) * self.outside
@@ -244,7 +233,7 @@ def _unlit_texture(
     places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
     count = Counter(map(tuple, places.tolist()))
     tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
-    usual = None
+    usual: Usual | None = None
     for top, left in sorted(tiles, key=lambda tile: -count[tile]):
         low = np.maximum([left - margin, top - margin], 0)
         high = np.minimum([left + _TILE + margin, top + _TILE + margin], [shape[1], shape[0]])
@@ -252,56 +241,46 @@ def _unlit_texture(
         if len(inside) == 0:
             continue
         window = np.s_[low[1] : high[1], low[0] : high[0]]
-        unlit, sure, usual = _unlit_tile(light, texture[window], corners[inside] - low, inside, usual)
+        tile = texture[window]
+        places_px = (corners[inside] - low).reshape(-1, 2)
+        index = np.arange(len(places_px)).reshape(-1, 3)
+        raster = rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
+        there = raster.covered
+        vertex, barycentric = light.scan.faces[inside[raster.face[there]]], raster.barycentric[there]
+        weight, place, beyond, near_outlines = (
+            np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertex]))
+            for values in (light.weight, light.uv, light.log_beyond, light.outlines)
+        )
+        divisor, known = np.full(tile.shape, light.usual), np.zeros(tile.shape[:2])
+        divisor[there], known[there] = light.at(place, weight, beyond)
+        usable, albedo = known > 0, tile / divisor
+        if usable.any():
+            rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
+            box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            filtered = divide_light(
+                tile[box],
+                divisor[box],
+                np.zeros(there[box].shape),
+                there[box],
+                usable[box],
+                side=light.side,
+                usual=usual,
+            )
+            albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
+            near = np.zeros((*tile.shape[:2], 2))
+            near[there] = near_outlines * np.stack([1 - weight, np.ones_like(weight)], axis=1)
+            if near[..., 0].any():
+                albedo[box] = without_lines(albedo[box], near[box], there[box], light.texels_per_mm)
+            usual = filtered.usual
+        # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
+        side = 2 * _GUTTER + 1
+        count_there = uniform_filter(there.astype(np.float32), side, mode="mirror")[..., None]
+        total = uniform_filter(
+            (divisor * there[..., None]).astype(np.float32), (side, side, 1), mode="mirror"
+        )
+        spread = np.where(count_there > 1e-6, total / np.maximum(count_there, 1e-6), light.usual)
+        unlit = np.where(there[..., None], albedo, tile / spread) * light.usual
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
         result[top : top + _TILE, left : left + _TILE] = unlit[own]
-        confidence[top : top + _TILE, left : left + _TILE] = sure[own]
+        confidence[top : top + _TILE, left : left + _TILE] = known[own]
     return result, confidence
-
-
-def _unlit_tile(
-    light: _Light,
-    texture: NDArray[np.float32],
-    corners: FloatArray,
-    faces: NDArray[np.int64],
-    usual: Usual | None,
-) -> tuple[FloatArray, FloatArray, Usual | None]:
-    """Return a tile of the texture without its light, how surely it was taken off, and what is usual.
-
-    `corners` (N, 3, 2) are the places, in pixels of the tile, of the scan's `faces` (N,).
-    """
-    index = np.arange(3 * len(corners)).reshape(-1, 3)
-    raster = rasterize(corners.reshape(-1, 2), np.zeros(3 * len(corners)), index, texture.shape[:2])
-    there = raster.covered
-    vertex = light.scan.faces[faces[raster.face[there]]]
-    barycentric = raster.barycentric[there]
-
-    def interpolated(values: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertex]))
-
-    weight = interpolated(light.weight)
-    divisor, known = np.full(texture.shape, light.usual), np.zeros(texture.shape[:2])
-    divisor[there], known[there] = light.at(interpolated(light.uv), weight, interpolated(light.log_beyond))
-    usable = known > 0
-    albedo = texture / divisor
-    if usable.any():
-        rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
-        box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-        none = np.zeros(there[box].shape)
-        filtered = divide_light(
-            texture[box], divisor[box], none, there[box], usable[box], side=light.side, usual=usual
-        )
-        albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
-        near = np.zeros((*texture.shape[:2], 2))
-        near[there] = interpolated(light.outlines) * np.stack([1 - weight, np.ones_like(weight)], axis=1)
-        if near[..., 0].any():
-            albedo[box] = without_lines(albedo[box], near[box], there[box], light.texels_per_mm)
-        usual = filtered.usual
-    # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
-    window = 2 * _GUTTER + 1
-    count = uniform_filter(there.astype(np.float32), window, mode="mirror")[..., None]
-    total = uniform_filter(
-        (divisor * there[..., None]).astype(np.float32), (window, window, 1), mode="mirror"
-    )
-    spread = np.where(count > 1e-6, total / np.maximum(count, 1e-6), light.usual)
-    return np.where(there[..., None], albedo, texture / spread) * light.usual, known, usual

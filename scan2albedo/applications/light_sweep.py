@@ -43,6 +43,8 @@ def light_arc(
 ) -> list[PointLight]:
     """Return `count` places of a light that goes around the face from one azimuth to another.
 
+    Raises `ValueError` without a place, or for angles that are not finite.
+
     Parameters
     ----------
     count : int
@@ -50,11 +52,6 @@ def light_arc(
         Azimuths of the first and the last place.
     elevation_rad, distance_mm, intensity, radius_deg : float
         As in `PointLight`.
-
-    Raises
-    ------
-    ValueError
-        Without a place, or for angles that are not finite.
 
     >>> [round(math.degrees(light.azimuth_rad)) for light in light_arc(3)]
     [-75, 0, 75]
@@ -130,18 +127,12 @@ def write_gif(
 ) -> None:
     """Write frames (H, W, 3) uint8 as an animated GIF that plays forward and back for ever, atomically.
 
+    Raises `OutputError` when the folder cannot be written; `ValueError` without frames, for frames of
+    different sizes, or a time that is not above 0.
+
     Parameters
     ----------
-    path : str or Path
-    frames : sequence of (H, W, 3) uint8
-    seconds_per_frame : float
-
-    Raises
-    ------
-    OutputError
-        When the folder cannot be written.
-    ValueError
-        Without frames, for frames of different sizes, or a time that is not above 0.
+    path, frames, seconds_per_frame : str or Path, sequence of (H, W, 3) uint8, float
     """
     from PIL import Image
 
@@ -152,14 +143,7 @@ def write_gif(
             f"frames have shapes {sorted({np.shape(frame) for frame in frames})} and {seconds_per_frame} "
             "seconds each, expected one shape and a time above 0"
         )
-    shown = [Image.fromarray(frame).quantize(256) for frame in (*frames, *frames[-2:0:-1])]
-    data = BytesIO()
-    shown[0].save(
-        data,
-        format="GIF",
-        save_all=True,
-        append_images=shown[1:],
-        duration=round(1000 * seconds_per_frame),
-        loop=0,
-    )
+    first, *others = (Image.fromarray(frame).quantize(256) for frame in (*frames, *frames[-2:0:-1]))
+    data, duration = BytesIO(), round(1000 * seconds_per_frame)
+    first.save(data, format="GIF", save_all=True, append_images=others, duration=duration, loop=0)
     write_bytes(path, data.getvalue())

@@ -129,12 +129,8 @@ class ProcessedFace:
 
         Parameters
         ----------
-        name : str
-        image : GeometryImage
-        albedo_linear : (H, W, 3) array_like of float
-        reflectance : Reflectance
-        lights : sequence of PointLight
-        model_name : str
+        name, image, albedo_linear : str, GeometryImage, (H, W, 3) array_like of float
+        reflectance, lights, model_name : Reflectance, sequence of PointLight, str
         """
         albedo = np.asarray(albedo_linear, np.float32)
         return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
@@ -157,9 +153,7 @@ class ProcessedFace:
 
         Parameters
         ----------
-        mesh : FaceMesh
-        position : (N, 3) float64
-        name : str
+        mesh, position, name : FaceMesh, (N, 3) float64, str
         """
         mask = self.image.mask
         old, new = (normalized(surface.on_chart(surface.normals, mask)) for surface in (self.mesh, mesh))
@@ -179,11 +173,7 @@ def on_grid(mask: BoolArray, values: FloatArray) -> FloatArray:
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
-    """Return the faces on the texels that all of them have.
-
-    ApplicationError when sizes, models, meshes or charts differ, or a face has a chart of its own; the
-    message names both faces and what differs.
-    """
+    """Return the faces on the texels that all have; ApplicationError names two whose charts differ."""
     a = faces[0]
     for b in faces[1:]:
         both = f"{a.name} and {b.name}"

@@ -141,7 +141,9 @@ def relight(
 
     with the reflectance that the estimate found, or skin's usual highlight beside it, see `RelightOptions`.
     ``relight(face, face.lights, environment=face.environment, options=RelightOptions(gloss="found"))`` is the
-    light of the scan.
+    light of the scan. Raises `ApplicationError` for light that is negative, not finite, or beyond what single
+    precision holds, and for a lamp nearer to the origin than part of the face; `ValueError` or `TypeError`
+    for an environment of another shape, other objects, or integers, which are not linear light.
 
     Parameters
     ----------
@@ -156,14 +158,6 @@ def relight(
     ambient : float, optional
         Light without direction. When omitted 1, or 0 with an environment of either kind.
     options : RelightOptions
-
-    Raises
-    ------
-    ApplicationError
-        For light that is negative, not finite, or beyond what single precision holds, and for a lamp nearer
-        to the origin than part of the face.
-    ValueError, TypeError
-        For an environment of another shape, other objects, or integers, which are not linear light.
 
     Examples
     --------
@@ -265,8 +259,7 @@ def default_camera(
 
     Parameters
     ----------
-    face : ProcessedFace
-    shape : (H, W)
+    face, shape : ProcessedFace, (H, W)
     azimuth_rad, elevation_rad : float
         Of the camera seen from the face: from +z toward +x, and toward +y.
     """

@@ -34,10 +34,7 @@ _DARK = 1e-4
 
 
 def outlines(vertices: FloatArray, faces: IntArray, log_light: FloatArray, points: FloatArray) -> FloatArray:
-    """Return (N, 2) how near points (N, 3) mm lie to outlines of log light (V, 3) on a mesh, and their steps.
-
-    The first is in [0, 1], the second how much log light changes around the nearest outline.
-    """
+    """Return (N, 2) how near points are to outlines of log light (V, 3), 0 to 1, and their steps."""
     ends = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
     first, second = vertices[ends[:, 0]], vertices[ends[:, 1]]
     value = log_light.mean(-1)

@@ -45,13 +45,9 @@ def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W, 2) by how many texels (across, down) the features of albedo `b` lie beside those of `a`.
 
     Two fits put one nostril on texels that differ a little, and a mean of both shows it twice. Dense optical
-    flow between the local contrasts of log V [1]_, where it agrees there and back and something is to be
-    seen, averaged over the neighbourhood; 0 elsewhere. Albedos are (H, W, 3), 0 outside `mask`.
-    MissingDependencyError without OpenCV.
-
-    References
-    ----------
-    .. [1] T. Kroeger et al., "Fast optical flow using dense inverse search", ECCV 2016.
+    flow (Kroeger et al., ECCV 2016) between the local contrasts of log V, where it agrees there and back and
+    something is to be seen, averaged over the neighbourhood; 0 elsewhere. Albedos are (H, W, 3), 0 outside
+    `mask`. MissingDependencyError without OpenCV.
     """
     with needs_extra("opencv"):
         import cv2

@@ -81,7 +81,9 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     """Return a scan's colours on the texture coordinates of the template that was fitted to it.
 
     Each texel gets the colour of the scan's point nearest to the template there, averaged over the texel's
-    footprint, and its normal, freed from noise. What the scan does not show is filled in from around.
+    footprint, and its normal, freed from noise. What the scan does not show is filled in from around. Raises
+    `ApplicationError` when the scan has no colour, or the model no template with texture coordinates;
+    `ValueError` for another size than 8 to 8192.
 
     Parameters
     ----------
@@ -91,13 +93,6 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         Of a model made from a template with texture coordinates (`AnnotatedFaceModel.from_file`).
     size : int
         Texels of a tile's side.
-
-    Raises
-    ------
-    ApplicationError
-        When the scan has no colour, or the model no template with texture coordinates.
-    ValueError
-        For another size than 8 to 8192.
     """
     require_type(scan, RawScan, "template_texture: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "template_texture: fitted", "fit(scan, model, pose) returns one")
@@ -155,12 +150,7 @@ def tile_numbers(uv: FloatArray) -> IntArray:
 
 
 def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:
-    """Return an image (H, W, 3) with what is not `known` (H, W) filled in from coarser and coarser means.
-
-    References
-    ----------
-    .. [1] S. Gortler et al., "The Lumigraph", SIGGRAPH 1996 (pull-push).
-    """
+    """Return an image, what is not `known` filled in from coarser means (Gortler et al., 1996)."""
     from skimage.transform import resize
 
     if known.all() or not known.any():
@@ -231,10 +221,7 @@ class _Surface:
         self._inner = ~boundary_vertex_mask(len(vertices), faces)
 
     def normals_at(self, points: FloatArray, *, beyond_edges: bool = True) -> tuple[FloatArray, BoolArray]:
-        """Return unit normals (N, 3) at the closest points, and whether they are within reach.
-
-        Unless `beyond_edges`, points in a hole or beside the surface are not.
-        """
+        """Return unit normals (N, 3) at closest points, and whether these are within reach."""
         hits = self._query.query(points)
         corners = self._faces[hits.face]
         close = hits.distance <= REACH_MM
@@ -247,10 +234,7 @@ class _Surface:
 def tangent_normals(
     fine: tuple[FloatArray, BoolArray], normals: FloatArray, tangents: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return what `FineShape.normals` found in frames (N, 3), (N, 4), and whether (N,) it stands.
-
-    Normals that lean too far from the template are another part's, such as the other lip's.
-    """
+    """Return `FineShape.normals` in frames (N, 3), (N, 4), and which (N,) are not of another part."""
     found = in_tangent_space(fine[0], normals, tangents)
     found = np.where(fine[1][:, None], found, (0.0, 0.0, 1.0))
     return found, found[:, 2] >= LEAST_COSINE

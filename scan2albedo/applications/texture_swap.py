@@ -48,6 +48,8 @@ def swap_texture(
     integrated from the border of B's seen texels, so that no seam is left (Perez, Gangnet, Blake, "Poisson
     image editing", SIGGRAPH 2003). Where A's was not seen either the colour is continued smoothly. Eyes,
     brows, nostrils and mouth are whole: A's where B's scan lacks part of them and A's has it, else B's.
+    Raises `ApplicationError` when the faces do not share a chart; `TypeError` for other objects than
+    processed faces, such as their folders.
 
     Parameters
     ----------
@@ -56,13 +58,6 @@ def swap_texture(
     options : SwapOptions
     model : AnnotatedSurface, optional
         With which the faces were processed; the default model when omitted.
-
-    Raises
-    ------
-    ApplicationError
-        When the faces do not share a chart.
-    TypeError
-        For other objects than processed faces, such as their folders.
     """
     for name, face in (("a", a), ("b", b)):
         require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
@@ -78,10 +73,7 @@ def swap_texture(
     albedo = gains * continued_skin(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     image = replace(
-        shape.image,
-        texture_linear=None,
-        texture_valid=shape.mask,
-        specular_scale=skin.image.specular_scale,
+        shape.image, texture_linear=None, texture_valid=shape.mask, specular_scale=skin.image.specular_scale
     )
     return replace(
         shape,

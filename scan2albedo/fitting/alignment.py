@@ -43,11 +43,7 @@ def refine_similarity(
     meter: Meter,
     landmarks: LandmarkPull | None = None,
 ) -> Similarity:
-    """Return the similarity that moves the model's rigid regions onto the scan, from its present pose.
-
-    `rest` (C, 3) are the control points, `weight` (N,) each sample's area times how much a motion shows
-    there.
-    """
+    """Return the similarity that moves rigid regions of control points `rest` (C, 3) onto the scan."""
     forces: ScanForces | None = None
 
     def pairs(now: Alignment, points: FloatArray) -> Pairs | None:

@@ -17,10 +17,8 @@ _DARKEST, _EVEN = 0.15, 0.02
 def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
     """Return brightness (H, W) without what the light did to it.
 
-    Of a matt surface it is about an albedo times a quadratic in the normal [1]_, fitted robustly here.
-
-    .. [1] R. Ramamoorthi, P. Hanrahan, "An Efficient Representation for Irradiance Environment Maps",
-       SIGGRAPH 2001.
+    Of a matt surface it is about an albedo times a quadratic in the normal (Ramamoorthi and Hanrahan,
+    SIGGRAPH 2001), fitted robustly here.
     """
     # The slopes of the depth, smoothed over the squares that have one.
     slopes, radius = [], _SMOOTH_MM / picture.step_mm

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
 from scan2albedo.core.arguments import described, require_type
@@ -62,12 +61,11 @@ def fit(
     its proportions.
 
     Raises FitError when there is next to no scan where the model is; TypeError for other objects than a scan,
-    a model and a pose.
+    a model and a pose; ValueError when the pose is not rigid.
 
     Parameters
     ----------
-    scan : RawScan
-    model : AnnotatedFaceModel
+    scan, model : RawScan, AnnotatedFaceModel
     reg : object with `model_from_scan`, or (4, 4) array
         Rigid pose, good to about 15 degrees and 15 mm.
     budget : Budget, float or None
@@ -95,7 +93,12 @@ def fit(
             f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
             "returns one"
         )
-    pose = checked_pose(reg if isinstance(reg, np.ndarray) else reg.model_from_scan)
+    pose = np.asarray(reg if isinstance(reg, np.ndarray) else reg.model_from_scan, np.float64)
+    if pose.shape != (4, 4):
+        raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
+    gap = np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max()
+    if not gap < 1e-3 or not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) < 0:
+        raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     low, high = model.control_vertices.min(0), model.control_vertices.max(0)
     margin = CROP_MARGIN * float(np.max(high - low))
@@ -171,14 +174,3 @@ def fit(
     return replace(
         fitted, covered_faces=covered if covered.any() else None, plan=Plan(tuple(steps)) + fitted.plan
     )
-
-
-def checked_pose(model_from_scan: ArrayLike) -> FloatArray:
-    """Return the pose as an array; raises `ValueError` when it is not a finite rigid (4, 4) transform."""
-    pose = np.asarray(model_from_scan, np.float64)
-    if pose.shape != (4, 4):
-        raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
-    gap = np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max()
-    if not gap < 1e-3 or not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) < 0:
-        raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
-    return pose

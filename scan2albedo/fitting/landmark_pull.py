@@ -104,9 +104,7 @@ class LandmarkPull:
         return self.axes * (self.targets - points)
 
     def person_weight(self, offset: FloatArray) -> FloatArray:
-        """Return (L,) mm2 of surface that each counts for at `offset` (L, 3), before the model has a person's
-        shape.
-        """
+        """Return (L,) mm2 of surface that each counts for at `offset` (L, 3), while shape is a mean one."""
         variance = _PERSON_MM**2 + self.sigma_mm**2
         far = np.sum(offset**2, axis=1) / self.wrong_mm**2
         weight = _FIRST_MM2 * _PERSON_MM**2 / variance / (1 + far) ** 2

@@ -66,11 +66,7 @@ class MouthCorners:
 
     @classmethod
     def of(cls, model: AnnotatedSurface, control_points: FloatArray) -> MouthCorners | None:
-        """Return the pulls of an annotated model at `control_points`; None without landmarks.
-
-        A corner moves toward the end of the jaw line at the ear, as the risorius and zygomaticus muscles pull
-        it.
-        """
+        """Return a model's pulls, toward the jaw line's ends at the ears; None without landmarks."""
         landmarks = model.landmarks_of(control_points)
         if landmarks is None:
             return None
@@ -147,10 +143,7 @@ class MouthScan:
         if sum(saved[narrower]) / 2 > NARROWER_GAIN:
             return narrower, narrower
         right, left = (max(saved, key=lambda mm: saved[mm][side]) for side in (0, 1))
-        return (
-            right if saved[right][0] > MIN_GAIN else 0.0,
-            left if saved[left][1] > MIN_GAIN else 0.0,
-        )
+        return (right if saved[right][0] > MIN_GAIN else 0.0, left if saved[left][1] > MIN_GAIN else 0.0)
 
 
 def _saved(before: tuple[float, float], after: tuple[float, float]) -> tuple[float, float]:

@@ -197,10 +197,7 @@ class MouthSearch:
         return float(weight[jaw] @ distance / max(weight.sum(), 1e-300))
 
     def gap(self, control_points: FloatArray) -> float:
-        """Return which part of the film between the lips has no scan near; 1 for models without a film.
-
-        Skin of shut lips lies nearer than BEHIND_MM and faces as the film does; teeth and tongue lie deeper.
-        """
+        """Return which part of the film between the lips has no scan near; 1 for models without."""
         model, scan = self.deformation.model, self.deformation.scan
         subdivision = model.subdivision(TRIAL_LEVEL)
         film = model.in_region(MOUTH_REGION)[subdivision.parent]

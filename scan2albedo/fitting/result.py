@@ -73,12 +73,11 @@ class FittedFace:
     model: AnnotatedSurface
     """That was fitted."""
     metrics: dict[str, float] = field(default_factory=dict)
-    """Mean, median, p95 residual, coverage, flipped faces; how far the surface would still move
-    (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how many holes of the
-    scan were taken for open eyes and mouth (``openings``), how many landmarks its colours
-    draw (``painted_landmarks``), and what was decided of the mouth: the jaw's angle
-    (``jaw_deg``) and how far its corners were drawn back; how much of the scan was left out because it stands
-    far before the eyes (``covered_mm2``): for result.json."""
+    """For result.json: mean, median, p95 residual, coverage, flipped faces; how far the surface would still
+    move (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), holes of the scan
+    taken for open eyes and mouth (``openings``), landmarks that its colours draw (``painted_landmarks``), the
+    jaw's angle (``jaw_deg``) and how far the mouth's corners were drawn back; what was left out of the scan
+    because it stands far before the eyes (``covered_mm2``)."""
     plan: Plan = Plan()
     """What is doubtful about the fit: "fit.<step>"."""
     covered_faces: BoolArray | None = None
@@ -180,11 +179,7 @@ def residuals_mm(
 
 
 def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:
-    """Return (68,) standard deviations along each axis of `landmarks` (68, 3), in mm.
-
-    More than usual where the fitted `vertices` (V, 3) have no scan near, `residual_mm` (V,) NaN, or lie off
-    it.
-    """
+    """Return (68,) deviations along an axis, mm: more where no scan is near, or the fit lies off it."""
     usual = np.zeros(len(landmarks))
     for (begin, end), deviation_mm in _FEATURES_MM.items():
         usual[begin:end] = deviation_mm

@@ -66,10 +66,7 @@ class SurfaceSamples:
         return np.asarray(surface_normals(points, self.faces)[0])
 
     def relief(self, points: FloatArray) -> FloatArray:
-        """Return (N,) how much the surface at positions (N, 3) turns away from that within 15 mm.
-
-        It is 1 - cosine between the normal and the mean normal: large where a motion along the surface shows.
-        """
+        """Return (N,) 1 - cosine, limited, between each normal and the mean of those within 15 mm."""
         normals = self.normals(points)
         tree = cKDTree(points)
         near = tree.sparse_distance_matrix(tree, RIM_MM / 2, output_type="coo_matrix")

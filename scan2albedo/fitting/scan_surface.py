@@ -10,12 +10,7 @@ import numpy as np
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting.scan_smoothing import SurfaceAverages
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
-from scan2albedo.geometry.mesh import (
-    usual_edge,
-    vertex_components,
-    vertex_normals,
-    without_unreferenced,
-)
+from scan2albedo.geometry.mesh import usual_edge, vertex_components, vertex_normals, without_unreferenced
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 

@@ -9,7 +9,7 @@ from scan2albedo.recognition.labelled_templates import (
     write_labelled_templates,
     write_templates,
 )
-from scan2albedo.recognition.manifest import Manifest, ManifestEntry, read_manifest
+from scan2albedo.recognition.manifest import Manifest, ManifestEntry, StoredFace, read_face, read_manifest
 from scan2albedo.recognition.result_identification import (
     Calibration,
     ResultIdentification,
@@ -17,7 +17,6 @@ from scan2albedo.recognition.result_identification import (
     identify_results,
 )
 from scan2albedo.recognition.similarity import cw_ssim, similarity_matrix
-from scan2albedo.recognition.stored_faces import StoredFace, read_face
 from scan2albedo.recognition.templates import (
     Chart,
     TemplateOptions,

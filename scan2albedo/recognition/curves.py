@@ -34,10 +34,8 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
 
     They take the probes as independent; of several probes of one person they are too short. The curve is that
     of Phillips et al., IEEE PAMI 22(10), 2000; the intervals are from Biometrika 26(4), 1934. Probes of
-    unknown persons do not count.
-
-    `confidence` is that of the two-sided intervals; ValueError outside (0, 1), RecognitionError when no
-    probe's person is known.
+    unknown persons do not count. `confidence` is that of the two-sided intervals; ValueError outside (0, 1),
+    RecognitionError when no probe's person is known.
 
     Examples
     --------
@@ -111,11 +109,13 @@ def roc_curve(
 ) -> RocCurve:
     """Return the receiver operating characteristic of claims: every probe claims to be every person.
 
-    The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times,
-    a genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93,
-    2004) say why persons are resampled and not claims. Claims that never err do not err in resamples either,
-    and the few that do err much alike: intervals of true accept rates and of the equal error rate are never
-    shorter than Clopper and Pearson's for as many independent genuine claims.
+    The intervals are percentiles over resamples of the persons, with replacement: person p drawn c_p times, a
+    genuine claim counts c_p times, one of p to be q c_p c_q times. Bolle, Ratha and Pankanti (CVIU 93, 2004)
+    say why persons are resampled and not claims. Claims that never err do not err in resamples either, and
+    the few that do err much alike: intervals of true accept rates and of the equal error rate are never
+    shorter than Clopper and Pearson's for as many independent genuine claims. Where no claim errs the area's
+    interval has no width. Raises `ValueError` when an option is out of range; `RecognitionError` when no
+    probe's person is known, or the gallery has one person only: then nobody is an impostor.
 
     Parameters
     ----------
@@ -128,18 +128,6 @@ def roc_curve(
     resamples : int
         With 0 the bounds of the intervals are the values themselves.
     seed : int or numpy.random.Generator
-
-    Raises
-    ------
-    ValueError
-        When an option is out of range.
-    RecognitionError
-        When no probe's person is known, or the gallery has one person only: then nobody is an impostor.
-
-    Notes
-    -----
-    Where no claim errs the area's interval has no width, however few the claims. About 60 ms a resample for
-    1,000 probes of 1,000 persons.
 
     Examples
     --------
@@ -193,11 +181,7 @@ def roc_curve(
 
 
 def _rates_of_draw(identification: Identification) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return a function of how often each person was drawn (G,) and of false accept rates (F,).
-
-    It gives area, equal error rate and true accept rates (2 + F,): NaN when no genuine claim, or no
-    impostor's, is left.
-    """
+    """Return what gives area, equal error rate and true rates (2 + F,) of draws (G,), NaN if undefined."""
     # All claims in order of falling similarity: the probe's person and the claimed one, by index.
     known = identification.known
     scores, own = identification.similarities[known], identification.genuine[known].argmax(axis=1)

@@ -68,15 +68,13 @@ class Identification:
 
 
 def identify(
-    gallery: Templates,
-    probes: Templates,
-    *,
-    combine: Combine = "best",
-    window: int = WINDOW,
+    gallery: Templates, probes: Templates, *, combine: Combine = "best", window: int = WINDOW
 ) -> Identification:
     """Return which persons of a gallery the probes show.
 
-    As Toderici et al.: a closed set, compared by CW-SSIM of the coarsest of three scales.
+    As Toderici et al.: a closed set, compared by CW-SSIM of the coarsest of three scales. Raises `ValueError`
+    for another `combine`; `RecognitionError` when a set is empty, a probe's person is not in the gallery, or
+    templates cannot be compared.
 
     Parameters
     ----------
@@ -88,13 +86,6 @@ def identify(
         A person's similarity is the best of, or the mean over, the images in the gallery.
     window : int
         As in `cw_ssim`.
-
-    Raises
-    ------
-    ValueError
-        For another `combine`.
-    RecognitionError
-        When a set is empty, a probe's person is not in the gallery, or templates cannot be compared.
 
     Examples
     --------
@@ -120,7 +111,9 @@ def identify_by_similarity(
 ) -> Identification:
     """Return the identification by given similarities of any kind; larger is more alike.
 
-    The set is closed: a probe whose person is unknown gets the most similar person too.
+    The set is closed: a probe whose person is unknown gets the most similar person too. Raises `ValueError`
+    when the shape does not fit the names or `combine` is unknown; `RecognitionError` when a set is empty, a
+    probe's person is not in the gallery, or a similarity is not finite.
 
     Parameters
     ----------
@@ -130,13 +123,6 @@ def identify_by_similarity(
         Persons of the gallery's images and of the probes; None for probes whose person is unknown.
     combine : {"best", "mean"}
         As in `identify`.
-
-    Raises
-    ------
-    ValueError
-        When the shape does not fit the names or `combine` is unknown.
-    RecognitionError
-        When a set is empty, a probe's person is not in the gallery, or a similarity is not finite.
 
     Examples
     --------

@@ -14,8 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.recognition.manifest import Manifest, read_manifest
-from scan2albedo.recognition.stored_faces import read_face
+from scan2albedo.recognition.manifest import Manifest, read_face, read_manifest
 from scan2albedo.recognition.templates import (
     HOLE_RADIUS,
     ORIENTATIONS,
@@ -89,7 +88,9 @@ def read_labelled_templates(
 ) -> LabelledTemplates:
     """Return the templates of a file (.npz), or of the results that a CSV file or a folder names.
 
-    Of results the texels that were seen are compared; about 0.1 s a result of 512 texels.
+    Of results the texels that were seen are compared; about 0.1 s a result of 512 texels. Raises `ValueError`
+    when a name of `use` is unknown; `RecognitionError` when something cannot be read or used, results differ
+    in size or model, nothing is left to compare, or the file was made with other options; names it.
 
     Parameters
     ----------
@@ -104,23 +105,11 @@ def read_labelled_templates(
         The default ones, or those of the file, when omitted.
     on_count : callable, optional
         Called with the number of results done and their number.
-
-    Raises
-    ------
-    ValueError
-        When a name of `use` is unknown.
-    RecognitionError
-        When something cannot be read or used, results differ in size or model, nothing is left to compare, or
-        the file was made with other options; names it.
     """
     file, kinds = Path(source), checked_use(use)
-    if file.suffix.lower() == ".npz":
-        return _of_file(file, kinds, options)
-    manifest = read_manifest(file, persons_required=persons_required)
-    return _of_manifest(manifest, kinds, options or TemplateOptions(), on_count)
-
-
-def _of_file(file: Path, kinds: tuple[Kind, ...], options: TemplateOptions | None) -> LabelledTemplates:
+    if file.suffix.lower() != ".npz":
+        manifest = read_manifest(file, persons_required=persons_required)
+        return _of_manifest(manifest, kinds, options or TemplateOptions(), on_count)
     beside = file.with_suffix(".shape.npz")
     read = map(read_templates, [file, beside] if beside.is_file() else [file])
     found = {templates.kind: templates for templates in read if templates.kind in kinds}

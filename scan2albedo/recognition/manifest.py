@@ -1,4 +1,4 @@
-"""Results and the persons they show: a CSV file, or a folder of processed scans."""
+"""Results and the persons they show, from a CSV file or a folder; their albedos and surfaces."""
 
 from __future__ import annotations
 
@@ -6,11 +6,20 @@ import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
-from scan2albedo.errors import RecognitionError, needs_extra
+import numpy as np
+from numpy.typing import NDArray
+
+from scan2albedo.core.arrays import BoolArray
+from scan2albedo.errors import RecognitionError, Scan2AlbedoError, needs_extra
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
-from scan2albedo.io.result_records import APPLICATION_FILE
+from scan2albedo.io.geometry_image_files import read_geometry_image, read_image_and_albedo
+from scan2albedo.io.images import SUPPORTED_IMAGES, read_exr_channels, read_image_linear
+from scan2albedo.io.records import read_record
+from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
+from scan2albedo.recognition.templates import Chart, Kind, NothingToCompareError
 
 RESULT_FILE, CATALOGUE_FILE = "result.json", "catalogue.parquet"
+IMAGE_FILE, ALBEDO_FILE = "geometry_image.npz", "albedo.exr"
 
 
 @dataclass(frozen=True)
@@ -50,9 +59,7 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
     UTF-8 with or without a byte order mark; the header shows whether commas, semicolons or tabs separate
     cells. Other columns and empty lines are ignored. Of a folder, every result `FOLDER/PERSON/SCAN` shows
     PERSON, and `FOLDER/SCAN` the person that the column `person` of the batch's catalogue names or, without
-    that column, a person called SCAN.
-
-    Every line has to name a person where `persons_required`.
+    that column, a person called SCAN. Every line has to name a person where `persons_required`.
 
     RecognitionError, which names file and line, when the file is missing, no text, lacks a column or has no
     entry; when an entry lacks person or result, a result does not exist or is named with two persons.
@@ -154,3 +161,87 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
             "person of the batch's manifest"
         )
     return Manifest(folder, tuple(entries))
+
+
+@dataclass(frozen=True)
+class StoredFace:
+    """An albedo, or the surface of a processed scan, from files."""
+
+    values: NDArray[np.floating]
+    """(H, W, 3): linear albedo, or unit outward normals in the model's frame."""
+    seen: BoolArray
+    """(H, W): texels that the scanner saw; others were filled in."""
+    chart: Chart
+    """On which it lies."""
+
+
+def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
+    """Return the albedo or the shape, by `kind`, of a processed scan, of an application, or of an image.
+
+    `path` is a folder with result.json or application.json, geometry_image.npz and, for an albedo,
+    albedo.exr; a file in such a folder means the folder. Any other image is an albedo and must be on the
+    model's chart: its texels count where alpha is half or more or, without alpha, where they are not black.
+
+    RecognitionError, which names the file, when something is missing, cannot be read, or is not on a model's
+    chart: a `NothingToCompareError` for the shape of an image and the albedo of a scan without colour.
+    """
+    source = Path(path)
+    if source.is_file() and (source.parent / IMAGE_FILE).is_file():
+        source = source.parent
+    try:
+        return _face_of_folder(source, kind) if source.is_dir() else _face_of_image(source, kind)
+    except RecognitionError:
+        raise
+    except Scan2AlbedoError as error:
+        text = str(error) if str(source) in str(error) else f"{source}: {error}"
+        raise RecognitionError(text) from error
+
+
+def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
+    if (folder / RESULT_FILE).is_file():
+        model = str(read_record(folder / RESULT_FILE, ResultRecord).options.get("model", "none"))
+    elif (folder / APPLICATION_FILE).is_file():
+        model = read_record(folder / APPLICATION_FILE, ApplicationRecord).model
+    else:
+        raise RecognitionError(
+            f"{folder}: holds no {RESULT_FILE}; give the folder of one processed scan, OUT/<scan name>"
+        )
+    if model == "none":
+        raise RecognitionError(
+            f"{folder}: was processed without a model, so its chart is its own and texels do not correspond "
+            "to those of others; process the scan with a model"
+        )
+    if kind == "shape":
+        image = read_geometry_image(folder / IMAGE_FILE)
+        return StoredFace(image.normal, image.seen, Chart(model, image.shape))
+    lacks_albedo = (folder / IMAGE_FILE).is_file() and not (folder / ALBEDO_FILE).is_file()
+    if lacks_albedo and read_geometry_image(folder / IMAGE_FILE).texture_linear is None:
+        raise NothingToCompareError(f"{folder}: has no albedo, for the scan has no colour; compare by shape")
+    image, albedo = read_image_and_albedo(folder)
+    return StoredFace(albedo, image.seen, Chart(model, image.shape))
+
+
+def _face_of_image(file: Path, kind: Kind) -> StoredFace:
+    if kind == "shape":
+        raise NothingToCompareError(f"{file}: is an image, which has no shape; give the folder of the scan")
+    if file.suffix.lower() not in SUPPORTED_IMAGES:
+        raise RecognitionError(
+            f"{file}: is neither the folder of a processed scan nor an image "
+            f"({', '.join(SUPPORTED_IMAGES)}); "
+            "a file of templates (.npz) stands for a whole gallery, in place of the CSV file"
+        )
+    albedo = read_image_linear(file)
+    alpha: NDArray[np.floating] | None
+    if file.suffix.lower() == ".exr":
+        alpha = read_exr_channels(file).get("A")
+    else:
+        from PIL import Image, UnidentifiedImageError
+
+        try:
+            with Image.open(file) as opened:
+                transparent = opened.has_transparency_data
+                alpha = np.asarray(opened.convert("RGBA"))[..., 3] / 255 if transparent else None
+        except (OSError, UnidentifiedImageError):  # a format without alpha that Pillow does not read
+            alpha = None
+    seen = albedo.max(-1) > 0 if alpha is None else alpha >= 0.5
+    return StoredFace(albedo, seen, Chart(None, (albedo.shape[0], albedo.shape[1])))

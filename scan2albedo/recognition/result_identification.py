@@ -1,7 +1,4 @@
-"""`identify_results`: which persons of a gallery of processed scans other processed scans show.
-
-Similarities by albedo and by shape are taken together, weighted by how well each tells persons apart.
-"""
+"""`identify_results`: which persons of a gallery of processed scans other processed scans show."""
 
 from __future__ import annotations
 
@@ -57,17 +54,8 @@ def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CA
     since a likelihood ratio by one kind and one by both seldom agree; where nothing is common to all, by what
     each pair has. Beside probes compared by both, similarities by one kind are brought to where the
     likelihood ratio by both is the same; where one kind compares all probes, they stay as they are.
-
-    Parameters
-    ----------
-    similarities : mapping of "albedo", "shape" to (P, G)
-        NaN where a probe or an image lacks the kind.
-    calibration : Calibration
-
-    Returns
-    -------
-    (P, G) float64
-        NaN where a pair has no kind in common.
+    `similarities` map "albedo" and "shape" to (P, G), NaN where a probe or an image lacks the kind; (P, G)
+    is returned, NaN where a pair has no kind in common. The `calibration` is that of the default templates.
 
     Examples
     --------
@@ -122,7 +110,9 @@ def identify_results(
     """Return which persons of a gallery of processed scans other processed scans show.
 
     A probe whose person is not known, or not in the gallery, is identified, but counts in no rate. Results
-    that have nothing to compare are left out; `notes` name them.
+    that have nothing to compare are left out; `notes` name them. Raises `ValueError` when `combine` or a name
+    of `use` is unknown; `RecognitionError` when a file cannot be read or used, sizes or models differ, or
+    nothing is left to compare.
 
     Parameters
     ----------
@@ -139,13 +129,6 @@ def identify_results(
         Those of a file of templates, otherwise the default ones, when omitted.
     on_count : callable, optional
         Called after each result with "gallery" or "probes", how many are read, and of how many.
-
-    Raises
-    ------
-    ValueError
-        When `combine` or a name of `use` is unknown.
-    RecognitionError
-        When a file cannot be read or used, sizes or models differ, or nothing is left to compare.
     """
     if combine not in ("best", "mean"):
         raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")

@@ -40,9 +40,11 @@ def cw_ssim(
 
         S = (2 |sum_i x_i conj(y_i)| + K) / (sum_i |x_i|^2 + sum_i |y_i|^2 + K),
 
-    averaged over the windows inside the mask and over the orientations. A small shift turns the phases of
-    all coefficients of a window alike and leaves S; a change of structure does not (Wang, Simoncelli, ICASSP
-    2005; Sampat, Wang, Gupta, Bovik, Markey, IEEE TIP 18(11), 2009).
+    averaged over the windows inside the mask and over the orientations. A small shift turns the phases of all
+    coefficients of a window alike and leaves S; a change of structure does not (Wang, Simoncelli, ICASSP
+    2005; Sampat, Wang, Gupta, Bovik, Markey, IEEE TIP 18(11), 2009). Raises `ValueError` when an image is not
+    (H, W) or (H, W, 3), or the window is not a whole number of 1 or more; `RecognitionError` when the sizes
+    differ, an image cannot be used, or no window lies inside the mask.
 
     Parameters
     ----------
@@ -54,13 +56,6 @@ def cw_ssim(
     options : TemplateOptions
     window : int
         Side of the windows in coefficients.
-
-    Raises
-    ------
-    ValueError
-        When an image is not (H, W) or (H, W, 3), or the window is not a whole number of 1 or more.
-    RecognitionError
-        When the sizes differ, an image cannot be used, or no window lies inside the mask.
 
     Notes
     -----
@@ -87,10 +82,7 @@ def cw_ssim(
 
 
 def pair_similarity(
-    a: NDArray[np.complexfloating],
-    b: NDArray[np.complexfloating],
-    mask: BoolArray,
-    window: int = WINDOW,
+    a: NDArray[np.complexfloating], b: NDArray[np.complexfloating], mask: BoolArray, window: int = WINDOW
 ) -> float:
     """Return `cw_ssim` of coefficients (O, h, w) over windows inside a mask (h, w)."""
     _check_window(mask.shape, window)
@@ -140,18 +132,15 @@ def _no_window_message(what: str, window: int) -> str:
 def similarity_matrix(templates_a: Templates, templates_b: Templates, *, window: int = WINDOW) -> FloatArray:
     """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks.
 
+    Raises `RecognitionError` when the sets were made with other options, sizes or charts, are empty, or the
+    masks of a pair have no window in common; names it.
+
     Parameters
     ----------
     templates_a, templates_b : Templates
         A and B templates.
     window : int
         As in `cw_ssim`.
-
-    Raises
-    ------
-    RecognitionError
-        When the sets were made with other options, sizes or charts, are empty, or the masks of a pair have no
-        window in common; names it.
 
     Notes
     -----

@@ -135,10 +135,7 @@ class Templates:
 
     @classmethod
     def joined(cls, parts: Sequence[Templates]) -> Templates:
-        """Return the templates of several sets one after the other.
-
-        RecognitionError when there is no set, or they are of different kinds, options or sizes.
-        """
+        """Return the templates of several sets; RecognitionError for none, or for unlike ones."""
         if not parts:
             raise RecognitionError("no set of templates was given; give one or more")
         first, *others = [(part.kind, part.mask.shape[1:], part.options) for part in parts]
@@ -169,6 +166,10 @@ def albedo_templates(
 ) -> Templates:
     """Return the templates of albedos, in about 2 ms an image of 128 pixels.
 
+    Raises `ValueError` when numbers do not fit together or an image is not (H, W) or (H, W, 3);
+    `RecognitionError` when there is no image, an image cannot be used, or their templates differ in size;
+    names it.
+
     Parameters
     ----------
     images : N of (H, W) or (H, W, 3)
@@ -179,13 +180,6 @@ def albedo_templates(
     masks : N of (H, W) bool, or None
         Where the albedo is known; everywhere when omitted.
     options : TemplateOptions
-
-    Raises
-    ------
-    ValueError
-        When numbers do not fit together or an image is not (H, W) or (H, W, 3).
-    RecognitionError
-        When there is no image, an image cannot be used, or their templates differ in size; names it.
 
     Examples
     --------
@@ -338,10 +332,7 @@ def without_holes(mask: BoolArray, radius: float) -> BoolArray:
 
 
 def supported_mask(mask: BoolArray) -> BoolArray:
-    """Return the mask (ceil(H / 4), ceil(W / 4)) of coefficients.
-
-    A coefficient lies on pixel `STEP` times its index; it is valid when all pixels up to `STEP` / 2 away are.
-    """
+    """Return (ceil(H / 4), ceil(W / 4)) where all pixels up to `STEP` / 2 beside a coefficient count."""
     return np.asarray(minimum_filter(mask, size=STEP + 1, mode="nearest")[::STEP, ::STEP])
 
 

@@ -122,10 +122,7 @@ def read_photograph(path: str | Path) -> PhotographFiles:
 
 
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
-    """Return a mask (H, W), True where its image is brighter than half of its brightest value.
-
-    Raises `ReflectanceError` when its size is not `shape` (H, W), `ScanError` when it cannot be read.
-    """
+    """Return a mask (H, W), True where its image is brighter than half of its brightest value."""
     values = read_image_values(path)
     if values.shape[:2] != shape:
         height, width = values.shape[:2]
@@ -144,8 +141,7 @@ class PoseEntry(_Part):
     translation: Row = Field(description="t, in `unit`.")
     intrinsics: Matrix | None = Field(None, description="Of this camera, instead of the common ones.")
     mask: str | None = Field(
-        None,
-        description="Image, bright where this camera sees skin; null: no mask. Relative to this file.",
+        None, description="Image, bright where this camera sees skin; null: no mask. Relative to this file."
     )
 
 

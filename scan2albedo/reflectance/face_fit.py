@@ -145,7 +145,7 @@ def fit_face(
     -----
     On 16 path-traced photographs that share nothing with the fit the albedo is 0.134 off, that of the mean
     face 0.177, and that of `fit_image` 0.167 (tools/bench_reflectance_model.py unknown). A photograph without
-    colour gives no evidence, and so the mean face. Cost: about five times `fit_image`.
+    colour gives no evidence, and so the mean face.
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces)
@@ -156,7 +156,35 @@ def fit_face(
     if not np.isfinite(xyz).all():
         bad = int((~np.isfinite(xyz)).any(1).sum())
         raise ReflectanceError(f"{bad} vertices of the mesh are NaN or infinite; give a whole mesh")
-    errors = _left_out_errors(observation, model, xyz, index, lighting, budget)
+    # Errors (B,) of descriptions of the face, by blocks left out of their fits; NaN where not judged.
+    used, block = np.asarray(observation.seen) & model.known, np.full(len(xyz), -1)
+    cells = np.floor(xyz[used] / _BLOCK_MM).astype(np.int64)
+    block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    count, folds = int(block.max(initial=-1)) + 1, 3
+    fold_of = np.random.default_rng(0).permutation(count) % folds
+    errors: dict[str, FloatArray] = {}
+    for fold in range(folds):
+        held_out = used & (fold_of[block] == fold)
+        kept = used & ~held_out
+        if not held_out.any() or not kept.any():
+            continue
+        shown = replace(observation, seen=kept)
+        for name, one in (("mean", model.mean_only()), ("person", model)):
+            with warnings.catch_warnings():
+                # One of several trials; what it predicts is measured.
+                warnings.filterwarnings("ignore", "the image fit stopped", RuntimeWarning)
+                fit = fit_image(shown, one, lighting, budget=budget)
+            divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
+            field = detail_field(replace(divided, usable=divided.usable & ~held_out), xyz, index)
+            tested = np.flatnonzero(held_out & divided.lit)
+            number = np.bincount(block[tested], minlength=count)
+            for label, added in ((name, 0.0), (f"{name}+details", field)):
+                off = divided.left_over(added)[tested]
+                # Errors of the light are nearly grey, those of skin are not: only colour counts.
+                error = np.abs(off - off.mean(1, keepdims=True)).mean(1)
+                total = np.bincount(block[tested], error, minlength=count)
+                means = errors.setdefault(label, np.full(count, np.nan))
+                means[number > 0] = total[number > 0] / number[number > 0]
     details = _judged(errors, "details", "mean", "mean+details")
     ending = "+details" if details.accepted else ""
     person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
@@ -177,66 +205,24 @@ def fit_face(
     if badly_explained:
         fit = mean
         details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
-    reflectance, field = fit.face.reflectance, None
+    reflectance, accepted_field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:
         divided = ShadingDivided.from_observation(observation, model, reflectance, fit.light)
-        field = detail_field(divided, xyz, index)
-        factor = np.where(reflectance.known[:, None], np.exp(field), 1.0)
+        accepted_field = detail_field(divided, xyz, index)
+        factor = np.where(reflectance.known[:, None], np.exp(accepted_field), 1.0)
         reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
-        used = np.flatnonzero(np.asarray(observation.seen) & model.known)
         part = VertexReflectance(
-            reflectance.diffuse_linear[used], reflectance.weights[used], np.ones(len(used), bool)
+            reflectance.diffuse_linear[used], reflectance.weights[used], np.ones(int(used.sum()), bool)
         )
         radiance = np.full(reflectance.diffuse_linear.shape, np.nan)
-        radiance[used] = observation.response(used).shade(part, fit.light).radiance_linear
+        radiance[used] = observation.response(np.flatnonzero(used)).shade(part, fit.light).radiance_linear
         observed = np.asarray(observation.observed_linear)[used]
         rmse = float(np.linalg.norm(radiance[used] - observed) / np.linalg.norm(observed))
     evidence = (details, person)
     better = person.accepted or details.accepted
     plan = Plan(tuple(one.plan_step() for one in evidence))
-    return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, field, evidence, plan)
-
-
-def _left_out_errors(
-    observation: ImageObservation,
-    model: MorphableReflectanceModel,
-    vertices: FloatArray,
-    faces: IntArray,
-    lighting: LightingModel,
-    budget: Budget | float | None,
-) -> dict[str, FloatArray]:
-    """Return errors (B,) of descriptions of the face, by blocks left out of their fits; NaN: not judged."""
-    used = np.asarray(observation.seen) & model.known
-    block = np.full(len(vertices), -1)
-    cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
-    block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    count, folds = int(block.max(initial=-1)) + 1, 3
-    fold_of = np.random.default_rng(0).permutation(count) % folds
-    errors: dict[str, FloatArray] = {}
-    for fold in range(folds):
-        held_out = used & (fold_of[block] == fold)
-        kept = used & ~held_out
-        if not held_out.any() or not kept.any():
-            continue
-        shown = replace(observation, seen=kept)
-        for name, one in (("mean", model.mean_only()), ("person", model)):
-            with warnings.catch_warnings():
-                # One of several trials; what it predicts is measured.
-                warnings.filterwarnings("ignore", "the image fit stopped", RuntimeWarning)
-                fit = fit_image(shown, one, lighting, budget=budget)
-            divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
-            field = detail_field(replace(divided, usable=divided.usable & ~held_out), vertices, faces)
-            tested = np.flatnonzero(held_out & divided.lit)
-            number = np.bincount(block[tested], minlength=count)
-            for label, added in ((name, 0.0), (f"{name}+details", field)):
-                off = divided.left_over(added)[tested]
-                # Errors of the light are nearly grey, those of skin are not: only colour counts.
-                error = np.abs(off - off.mean(1, keepdims=True)).mean(1)
-                total = np.bincount(block[tested], error, minlength=count)
-                means = errors.setdefault(label, np.full(count, np.nan))
-                means[number > 0] = total[number > 0] / number[number > 0]
-    return errors
+    return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
 
 
 def _judged(errors: dict[str, FloatArray], step: str, before: str, after: str) -> Evidence:

@@ -86,7 +86,6 @@ def finetune(
     Notes
     -----
     Images determine the albedo only up to the light: the anchor keeps it. Tuning adds no directions.
-    tools/bench_reflectance_finetune.py measures it on other pictures.
     """
     count = len(model.known)
     triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
@@ -173,11 +172,7 @@ def is_improvement(before: FloatArray, after: FloatArray) -> bool:
 
 
 def assured_gains(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return (E,) lower bounds of the mean relative fall m of errors (n, E), as in Student's paired test.
-
-    m - t s / sqrt(n), with s the standard deviation over images and t for n - 1 degrees of freedom; m itself
-    of one image.
-    """
+    """Return (E,) lower bounds m - t s / sqrt(n) of the mean relative fall, by Student's paired test."""
     from scipy.special import stdtrit
 
     gains = 1 - after / np.maximum(before, np.finfo(float).tiny)

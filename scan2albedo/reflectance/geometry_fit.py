@@ -121,9 +121,8 @@ def refine_geometry(
 
     Notes
     -----
-    Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is. Han,
-    Wang and Xu (supplement) weight landmarks far less, since those of networks are several mm off;
-    tools/bench_reflectance_geometry.py compares weights. Cost of a step: 3 U (N_S + N_E)^2.
+    Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is.
+    tools/bench_reflectance_geometry.py compares weights of landmarks.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = np.array(landmarks_px, np.float64)
@@ -139,7 +138,24 @@ def refine_geometry(
             )
         ]
     )
-    pose = _initial_pose(matrix, landmarks, shape_model, initial_scene_from_model, coefficients)
+    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+    if initial_scene_from_model is not None:
+        pose = np.array(initial_scene_from_model, np.float64)
+        if pose.shape != (4, 4):
+            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
+        turn = pose[:3, :3]
+        rigid = np.isfinite(pose).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
+        if not (rigid and np.linalg.det(turn) > 0 and np.array_equal(pose[3], [0, 0, 0, 1])):
+            raise ReflectanceError(
+                "initial_scene_from_model is not a rigid transform; give rotation and translation"
+            )
+    elif len(seen) < 6:
+        raise ReflectanceError(
+            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
+        )
+    else:
+        points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
+        pose = pose_from_landmarks(matrix, points, landmarks[seen])
     state = GeometryState.from_pose(shape_model, pose, coefficients)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
@@ -159,15 +175,14 @@ def refine_geometry(
         term_over = partial(
             photometric_term, image, matrix, shape_model.faces, reflectance, checked_light(light)
         )
-    elif not np.isfinite(landmarks).any():
+    elif not len(seen):
         raise ReflectanceError(
             "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
         )
     meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
     converged, iterations = True, 0
     rmse: tuple[float | None, float | None] = (None, None)
-    seen, anchors = np.flatnonzero(np.isfinite(landmarks).all(1)), []
-    name = "reflectance.geometry.landmarks"
+    name, anchors = "reflectance.geometry.landmarks", []
     plan = [PlanStep(name, False, "no landmark is seen")]
     if len(seen):
         vertex = shape_model.landmark_vertices[seen]
@@ -263,34 +278,6 @@ def _descent(
     return most_probable(start, steps=steps, tolerance=1e-4, damping=Damping(first=damping))
 
 
-def _initial_pose(
-    camera: FloatArray,
-    landmarks: FloatArray,
-    model: MorphableShapeModel,
-    pose: ArrayLike | None,
-    coefficients: FloatArray,
-) -> FloatArray:
-    """Return the pose given, checked, or the one that the landmarks show."""
-    if pose is not None:
-        matrix = np.array(pose, np.float64)
-        if matrix.shape != (4, 4):
-            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {matrix.shape}")
-        turn = matrix[:3, :3]
-        rigid = np.isfinite(matrix).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
-        if not (rigid and np.linalg.det(turn) > 0 and np.array_equal(matrix[3], [0, 0, 0, 1])):
-            raise ReflectanceError(
-                "initial_scene_from_model is not a rigid transform; give rotation and translation"
-            )
-        return matrix
-    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
-    if len(seen) < 6:
-        raise ReflectanceError(
-            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
-        )
-    points = model.at(coefficients)[model.landmark_vertices[seen]]
-    return pose_from_landmarks(camera, points, landmarks[seen])
-
-
 def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
     """Return the size of a pixel at the median depth."""
     return float(np.median(depth) / np.sqrt(abs(np.linalg.det(camera[:, :3]))))
@@ -299,16 +286,12 @@ def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
 def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
     """Return the rigid transform (4, 4), scene from model, that puts points on their lines of sight.
 
-    Minimises the sum over points of the squared distance to the line of sight by orthogonal iteration [1]_:
-    with the projections V_i = d_i d_i^T onto lines of sight, the best translation is linear in the rotation,
-    and the rotation is the Procrustes one from points to their projections.
-
-    Takes a normalised camera (3, 4), four or more points (N, 3) in mm that are not on a line, and their
-    pixels (N, 2). Raises `ReflectanceError` when the pixels coincide, or no pose found has the points in
+    Minimises the sum of squared distances to the lines of sight by orthogonal iteration (Lu, Hager,
+    Mjolsness, IEEE PAMI 22(6), 2000): with the projections V_i = d_i d_i^T onto these lines, the best
+    translation is linear in the rotation, and the rotation is the Procrustes one from points to their
+    projections. Takes a normalised camera (3, 4), four or more points (N, 3) in mm that are not on a line,
+    and their pixels (N, 2). Raises `ReflectanceError` when pixels coincide, or no pose has the points in
     front of the camera.
-
-    .. [1] C.-P. Lu, G. Hager, E. Mjolsness, "Fast and Globally Convergent Pose Estimation from Video Images",
-       IEEE PAMI 22(6), 2000.
     """
     if not np.ptp(pixels, axis=0).max() > 0:
         raise ReflectanceError("all landmarks lie in one point of the image; check them")

@@ -97,10 +97,7 @@ class SmoothImage:
 
 @dataclass(frozen=True)
 class LandmarkTerm:
-    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, weighted.
-
-    A term of the vertices (V, 3) in the scene: `linearized` has a Jacobian (R, 3V) by their coordinates.
-    """
+    """Mean over landmarks of |p(x_k) - q_k|^2 in mm^2, weighted, of the vertices (V, 3) in the scene."""
 
     camera: FloatArray
     """(3, 4), normalised."""
@@ -131,10 +128,7 @@ class LandmarkTerm:
 
 @dataclass(frozen=True)
 class PhotometricTerm:
-    """Mean over the vertices U and channels of sqrt(r^2 + eps^2) - eps, r = (I(p(x)) - shading) / unit.
-
-    The vertices are chosen once; those that become hidden during the search still count.
-    """
+    """Mean over vertices U and channels of sqrt(r^2 + eps^2) - eps, r = (I(p(x)) - shading) / unit."""
 
     image: SmoothImage
     camera: FloatArray
@@ -212,10 +206,7 @@ def photometric_term(
     light: FloatArray,
     *shapes: FloatArray,
 ) -> PhotometricTerm | None:
-    """Return the term over the vertices that are known, seen and on valid pixels in all `shapes` (V, 3).
-
-    None where there are none, or all is black in the first shape.
-    """
+    """Return the term over what is known, seen and valid in all `shapes` (V, 3); None without any."""
     usable = reflectance.known
     for vertices in shapes:
         pixels, depth = project(camera, vertices)

@@ -74,10 +74,10 @@ def fit_image(
 
     over coefficients b of the reflectance, g of the light and log scale_rgb, by Levenberg-Marquardt on
     re-weighted squares; w is 3e-4 where the observation has a transfer and 1e-3 without. P is a function of
-    the caller's. The penalty of Han, Wang and Xu on coloured light is left out: at their weight the albedo's
-    error rose from 0.067 to 0.135, under grey light to 0.070. Raises `ReflectanceError` when no vertex is
-    both seen and known, the topologies differ, or `perceptual` returns something else than finite numbers of
-    the right shape. Warns by `RuntimeWarning` when it stops without having converged.
+    the caller's. Without the penalty of Han, Wang and Xu on coloured light albedos are nearer. Raises
+    `ReflectanceError` when no vertex is both seen and known, the topologies differ, or `perceptual` returns
+    something else than finite numbers of the right shape. Warns by `RuntimeWarning` when it stops without
+    having converged.
 
     Parameters
     ----------
@@ -98,8 +98,7 @@ def fit_image(
     -----
     One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
-    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py). Cost of a step: 3
-    U (N + M)^2 for U vertices used; about a second of CPU for 3,700 vertices, 40 and 80 coefficients.
+    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
     """
     seen = np.asarray(observation.seen)
     if len(seen) != len(model.known):
@@ -250,7 +249,32 @@ class ImageTerms:
         parts = parameters, color, diffuse, total, share, light, diffuse_light, lobe_light
         if self.perceptual is None:
             return Prediction(*parts)
-        distance, gradient = self._distance(color)
+        # Arrays of their own, so that a function that writes into its arguments harms nobody.
+        predicted, observed = np.full((2, self.count, 3), np.nan)
+        predicted[self.used], observed[self.used] = color, self.observed
+        answer = self.perceptual(predicted, observed)
+        try:
+            distance, whole = float(answer[0]), np.asarray(answer[1], np.float64)
+        except (TypeError, ValueError, IndexError) as error:
+            raise ReflectanceError(
+                f"the perceptual function returned {type(answer).__name__}, expected a number and its "
+                f"gradient ({self.count}, 3) by the predicted colours"
+            ) from error
+        if whole.shape != (self.count, 3):
+            raise ReflectanceError(
+                f"the perceptual function returned a gradient {whole.shape}, expected ({self.count}, 3), "
+                "one row for each vertex"
+            )
+        gradient = whole[self.used]
+        bad = ~np.isfinite(gradient).all(1)
+        if not np.isfinite(distance) or bad.any():
+            what = (
+                f"no gradient at {bad.sum()} vertices" if np.isfinite(distance) else f"the value {distance}"
+            )
+            raise ReflectanceError(
+                f"the perceptual function returned {what}; it must leave out vertices that are NaN in the "
+                "predicted colours"
+            )
         if before is not None and before.gradient is not None:
             step = color - before.color
             length, bend = float(np.sum(step**2)), float(np.sum((gradient - before.gradient) * step))
@@ -298,31 +322,3 @@ class ImageTerms:
             by_g[:, channel] = reflected @ (np.exp(t[channel]) * self.lighting.basis[:, :, channel].T)
             by_t[:, channel, channel] = at.color[:, channel]
         return np.concatenate([by_b, by_g, by_t], axis=2)
-
-    def _distance(self, color: FloatArray) -> tuple[float, FloatArray]:
-        """Return the caller's value and gradient (U, 3) at predicted colours (U, 3), checked."""
-        assert self.perceptual is not None
-        # Arrays of their own, so that a function that writes into its arguments harms nobody.
-        predicted, observed = np.full((2, self.count, 3), np.nan)
-        predicted[self.used], observed[self.used] = color, self.observed
-        answer = self.perceptual(predicted, observed)
-        try:
-            value, gradient = float(answer[0]), np.asarray(answer[1], np.float64)
-        except (TypeError, ValueError, IndexError) as error:
-            raise ReflectanceError(
-                f"the perceptual function returned {type(answer).__name__}, expected a number and its "
-                f"gradient ({self.count}, 3) by the predicted colours"
-            ) from error
-        if gradient.shape != (self.count, 3):
-            raise ReflectanceError(
-                f"the perceptual function returned a gradient {gradient.shape}, expected ({self.count}, 3), "
-                "one row for each vertex"
-            )
-        bad = ~np.isfinite(gradient[self.used]).all(1)
-        if not np.isfinite(value) or bad.any():
-            what = f"the value {value}" if not np.isfinite(value) else f"no gradient at {bad.sum()} vertices"
-            raise ReflectanceError(
-                f"the perceptual function returned {what}; it must leave out vertices that are NaN in the "
-                "predicted colours"
-            )
-        return value, gradient[self.used]

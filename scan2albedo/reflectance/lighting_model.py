@@ -31,10 +31,11 @@ class LightingModel(LinearModel):
     rare and strong, and normally distributed coefficients give places with negative light.
     """
 
-    @classmethod
-    def default(cls) -> LightingModel:
+    @staticmethod
+    @cache
+    def default() -> LightingModel:
         """Return the model of 600 generated maps; made once a process, in about a second."""
-        return _default()
+        return LightingModel.generate()
 
     @classmethod
     def generate(cls, *, count: int = 600, components: int = 80, seed: int = 0) -> LightingModel:
@@ -55,11 +56,7 @@ class LightingModel(LinearModel):
 
     @classmethod
     def from_coefficients(cls, lights: ArrayLike, *, components: int = 80) -> LightingModel:
-        """Learn a model from the coefficients (K, 81, 3) of lights.
-
-        Raises `ValueError` for another shape, `ReflectanceError` when a light is not finite or has a dark
-        channel.
-        """
+        """Learn from lights (K, 81, 3); `ValueError` for other shapes, `ReflectanceError` for dark ones."""
         samples = np.asarray(lights, np.float64)
         if samples.ndim != 3 or samples.shape[1:] != (HARMONICS, 3) or len(samples) == 0:
             raise ValueError(f"lights must have shape (K, {HARMONICS}, 3), got {samples.shape}")
@@ -87,11 +84,6 @@ class LightingModel(LinearModel):
         [1.0, 2.0, 3.0]
         """
         return checked_coefficients(scale_rgb, 3, "scale_rgb") * self.at(coefficients)
-
-
-@cache
-def _default() -> LightingModel:
-    return LightingModel.generate()
 
 
 def generated_environment(seed: int | np.random.Generator) -> FloatArray:

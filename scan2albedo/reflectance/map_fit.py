@@ -80,10 +80,7 @@ class MapPoint(Generic[State]):
 def most_probable(
     start: MapPoint[State], *, steps: int, tolerance: float, damping: Damping = Damping()
 ) -> Descent[MapPoint[State]]:
-    """Return where Levenberg-Marquardt leads; every better point is recorded in the meter.
-
-    Converged when the objective falls by less than the part `tolerance` three times running.
-    """
+    """Return where Levenberg-Marquardt leads, until the cost falls by less than `tolerance` three times."""
     return minimize(
         start,
         steps=steps,

@@ -287,10 +287,7 @@ class MorphableReflectanceModel:
 def _mean_and_deviations(
     values: FloatArray, weight: FloatArray, otherwise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the mean (V, ...) of samples of `weight` (K, V), and weighted deviations (K, V, ...).
-
-    The weight is 0 at gaps; the mean is `otherwise` where no sample knows the vertex.
-    """
+    """Return the mean (V, ...) by `weight` (K, V), else `otherwise`, and weighted deviations."""
     part = weight.reshape(weight.shape + (1,) * (values.ndim - 2))
     total = part.sum(0)
     mean = np.where(total > 0, (values * part).sum(0) / np.where(total > 0, total, 1.0), otherwise)

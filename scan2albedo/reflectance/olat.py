@@ -25,10 +25,7 @@ round."""
 
 @dataclass(frozen=True)
 class OlatOptions:
-    """How displayed values become light.
-
-    Raises `ValueError` when a value is outside its range.
-    """
+    """How displayed values become light; `ValueError` for values outside their range."""
 
     gamma: float = 1.2
     """Light is value^gamma; 1 for pictures that are linear already."""
@@ -84,9 +81,7 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
 
         sigma^2 = (g s)^2 (F^(2 g - 2) + m R^(2 g - 2)).
 
-    m is the number of pairs that share the picture of the room's light (are given equal ones): its noise is
-    the same in all of them, so that their mean has no less of it.
-
+    m is the number of pairs that share the picture of the room's light (are given equal ones), and its noise.
     Values count as at least s, for the slope is 0 in the dark. Negative differences stay: cut off, they would
     bias dark skin upwards. A clipped channel is lost, the other two are not. Raises `ValueError` when shapes
     disagree; `ReflectanceError` when there are no pairs, when values are beyond white, or when every pair is
@@ -171,10 +166,7 @@ def _pictures(given: Pictures, name: str) -> list[NDArray[Any]]:
 
 
 def picture_values(picture: NDArray[Any], name: str, saturation: float) -> FloatArray:
-    """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits.
-
-    Raises `ReflectanceError` for another dtype, or when floats reach twice the saturation.
-    """
+    """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits."""
     array = np.asarray(picture)
     if array.dtype in (np.uint8, np.uint16):
         return np.asarray(array / float(np.iinfo(array.dtype).max))

@@ -72,9 +72,8 @@ def light_transfer(
     Notes
     -----
     After Sloan, Kautz, Snyder, "Precomputed radiance transfer", SIGGRAPH 2002. 1,024 directions leave errors
-    of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the highlights, most of it beyond
-    order 8; without shadows they are 16 to 25 % (tools/bench_reflectance_model.py). Light that the surface
-    reflects onto itself is left out. Cost: V directions / 2 rays, 10 V directions 81 operations.
+    of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the highlights
+    (tools/bench_reflectance_model.py). Light that the surface reflects onto itself is left out.
     """
     xyz, index = checked_mesh(vertices, faces)
     n, v = normalized(checked_normals(xyz, index, normals)), np.asarray(toward_camera, np.float64)

@@ -131,10 +131,7 @@ def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill_slopes(vertices, normals, cameras, lights, slopes):  # type: ignore[no-untyped-def]
-    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2; 0 where n.l or n.h is not above 0.
-
-    The tangents of a unit normal are those of Duff et al., "Building an Orthonormal Basis, Revisited".
-    """
+    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2, with tangents as Duff et al. (JCGT 6(1), 2017)."""
     for j in range(len(cameras)):
         for i in range(len(vertices)):
             slopes[j, i, :] = 0.0

@@ -27,10 +27,7 @@ _OF_A_FIT = (
 
 @dataclass(frozen=True)
 class MeshReflectance:
-    """The reflectance of the vertices of a mesh.
-
-    Raises `ReflectanceError` when shapes disagree, vertices are not finite, or faces point outside them.
-    """
+    """The reflectance of a mesh's vertices; `ReflectanceError` for shapes or faces that do not fit."""
 
     vertices: FloatArray
     """(V, 3): millimetres."""

@@ -110,15 +110,11 @@ def fit_reflectance(
 
     Notes
     -----
-    Albedos are in units of the flashes' strength; the prior follows their level.
-
-    Intervals come from the Gaussian posterior before the bounds, cut at 0. They account for noise, the prior
-    and, where samples have slopes, wrong normals: two tilts of each normal are found with the six numbers,
-    their prior Student's t. They widen with the misfit, and by 1 / max n.l where no flash stands above the
-    vertex. With normals off by 0, 1 and 3 degrees 97 % of them hold the truth, at 1 % noise in 90 pictures;
-    on a head rendered by other code 95-96 %, and 90 % with light between parts of the face
-    (``python tools/bench_reflectance.py --heads``). Cost: 0.2 microseconds or less for a vertex in a picture
-    and reweighting; with slopes twice that.
+    Albedos are in units of the flashes' strength; the prior follows their level. Intervals come from the
+    Gaussian posterior before the bounds, cut at 0. They account for noise, the prior and, where samples have
+    slopes, wrong normals: two tilts of each normal are found with the six numbers, their prior Student's t.
+    They widen with the misfit, and by 1 / max n.l where no flash stands above the vertex. ``python
+    tools/bench_reflectance.py --heads`` counts how many hold the truth: 90 to 97 %.
 
     Examples
     --------
@@ -192,6 +188,16 @@ def fit_reflectance(
         too_bright = (estimate[:, :3] > options.most_albedo).any(1)
         impossible[rows] = too_bright
         identified[impossible], low[too_bright] = False, 0.0
+    # Condition numbers of the observations' matrices.
+    normal, matrix = fitted.normal, np.zeros((len(rows), 6, 6))
+    for k in range(3):
+        matrix[:, k, k] = normal[:, k, 0]
+        matrix[:, k, 3:] = matrix[:, 3:, k] = normal[:, k, 1:4]
+    row, column = np.triu_indices(3)
+    matrix[:, 3 + row, 3 + column] = matrix[:, 3 + column, 3 + row] = normal[:, :, 4:10].sum(1)
+    smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, -1]].T
+    singular = smallest <= 64 * np.finfo(float).eps * largest
+    condition = np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
     # Lobes over their peaks, max(0, n.h)^s, whatever the strength of the light.
     broad = samples.lobes[..., 1]
     scale = np.divide(PEAKS[0] * n_h, broad, out=np.zeros_like(broad), where=broad > 0)
@@ -202,7 +208,7 @@ def fit_reflectance(
         low=spread(low),
         high=spread(np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)),
         pair_count=samples.pair_count,
-        condition=spread(_condition(fitted.normal)),
+        condition=spread(condition),
         activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0),
         identifiability=spread(identifiability),
         identified=identified,
@@ -217,19 +223,6 @@ def fit_reflectance(
         residual=fitted.residual,
         trace=meter.trace,
     )
-
-
-def _condition(normal: FloatArray) -> FloatArray:
-    """Return (N,) condition numbers of the observations' matrices from their normal equations (N, 3, 14)."""
-    matrix = np.zeros((len(normal), 6, 6))
-    for k in range(3):
-        matrix[:, k, k] = normal[:, k, 0]
-        matrix[:, k, 3:] = matrix[:, 3:, k] = normal[:, k, 1:4]
-    row, column = np.triu_indices(3)
-    matrix[:, 3 + row, 3 + column] = matrix[:, 3 + column, 3 + row] = normal[:, :, 4:10].sum(1)
-    smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, -1]].T
-    singular = smallest <= 64 * np.finfo(float).eps * largest
-    return np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
 
 
 def divided_by_gain(data: Observations, light: IntArray, gain: FloatArray) -> Observations:
@@ -287,10 +280,7 @@ class RelightingError:
 
 
 def relighting_error(
-    samples: VertexSamples,
-    held_out: ArrayLike,
-    *,
-    options: ReflectanceFitOptions = ReflectanceFitOptions(),
+    samples: VertexSamples, held_out: ArrayLike, *, options: ReflectanceFitOptions = ReflectanceFitOptions()
 ) -> RelightingError:
     """Return how well a fit to the pictures that are not `held_out` predicts those that are.
 

@@ -5,8 +5,7 @@ For channel k with precisions p_jk = 1 / sigma_jk^2 and robust weights u_j,
     a_k = sum u p D^2,  d_k = sum u p D S,  G_k = sum u p S S^T,  b_k = sum u p D y,  g_k = sum u p S y
 
 over the pairs j. With a Gaussian prior N(m, diag(q)^-1) the diffuse albedos are c_k = (b_k - d_k.w) / a_k,
-and the rest is 3 x 3, M w = r with M = sum_k (G_k - d_k d_k^T / a_k) + diag(q_w): G_k alone where c_k is
-0.
+and the rest is 3 x 3, M w = r with M = sum_k (G_k - d_k d_k^T / a_k) + diag(q_w): G_k alone where c_k is 0.
 """
 
 from __future__ import annotations

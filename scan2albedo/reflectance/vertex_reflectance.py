@@ -71,10 +71,8 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
 
     least squares with w >= 0 over half vectors at angles a = 0 ... pi / 4 from the normal, by solid angle.
     The factor pi of the light (an albedo estimate's is the radiance of a white surface) has been divided out.
-    Raises `ReflectanceError` when a number is out of its range.
-
-    `strength`, 0 or more, and `exponent`, more than 0, are those of an albedo estimate's highlight. For
-    exponents 1 ... 24 the highlight is off by 2 ... 24 % in this norm, for sharper ones by more.
+    `strength`, 0 or more, and `exponent`, more than 0, are those of an albedo estimate's highlight; others
+    raise `ReflectanceError`.
     """
     from scipy.optimize import nnls
 
@@ -91,10 +89,7 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
 
 
 def reflectance_from_albedo(
-    albedo_linear: ArrayLike,
-    *,
-    weights: ArrayLike = (0.0, 0.0, 0.0),
-    known: ArrayLike | None = None,
+    albedo_linear: ArrayLike, *, weights: ArrayLike = (0.0, 0.0, 0.0), known: ArrayLike | None = None
 ) -> VertexReflectance:
     """Return the reflectance of vertices with an albedo and weights of the lobes.
 

@@ -24,10 +24,7 @@ from scan2albedo.reflectance.vertex_visibility import (
 
 @dataclass(frozen=True)
 class CaptureRig:
-    """Cameras and flashes of J pictures, in the frame of the face.
-
-    Raises `ReflectanceError` when shapes disagree, or numbers are not finite.
-    """
+    """Cameras and flashes of J pictures, in the face's frame; `ReflectanceError` for other shapes or NaN."""
 
     cameras: FloatArray
     """(J, 3, 4): projection matrices, pixels (column, row) from points in mm, normalised so that depth is
@@ -124,10 +121,7 @@ sigma is larger."""
 
 @dataclass(frozen=True)
 class VertexSamples:
-    """Observations of V vertices in J pictures.
-
-    Raises `ReflectanceError` when shapes disagree, or a valid observation is not finite or has no sigma.
-    """
+    """Observations of V vertices in J pictures; `ReflectanceError` for other shapes or invalid ones."""
 
     observed_linear: FloatArray
     """(J, V, 3): linear, negative where noise made it so; 0 where not valid."""

@@ -32,11 +32,7 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, Int
 
 
 def checked_normals(xyz: FloatArray, faces: IntArray, normals: ArrayLike | None) -> FloatArray:
-    """Return the normals (V, 3) given, or those of the mesh; 0 where there are none.
-
-    Raises `ValueError` for another shape, `ReflectanceError` when vertices or normals are not finite, normals
-    not unit, or faces hold no triangles of the vertices.
-    """
+    """Return the normals (V, 3) given, checked with the mesh, or the mesh's; 0 where there are none."""
     if not np.isfinite(xyz).all():
         raise ReflectanceError("vertices are not all finite")
     if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(xyz):
@@ -114,10 +110,7 @@ class VertexVisibility:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bilinear_samples(picture, sigma, valid, pixels, usable, spread, value, variance, found):  # type: ignore[no-untyped-def]
-    """Fill value, variance and found (V, 3) of the `usable` vertices at pixels (V, 2).
-
-    `spread` is the variance of a vertex's position, px^2.
-    """
+    """Fill value, variance and found (V, 3) of `usable` vertices at pixels, off by variance `spread`."""
     height, width = picture.shape[:2]
     for i in range(len(pixels)):
         x, y = pixels[i, 0], pixels[i, 1]

@@ -73,10 +73,7 @@ def result_panels(
     albedo_srgb: Picture | None,
     unlit: RawScan | None = None,
 ) -> list[Panel]:
-    """Return the panels of a processed scan, from the input to the albedo, whose preview is `albedo_srgb`.
-
-    `unlit` is the scan itself without its light, where that was asked for.
-    """
+    """Return the panels of a scan; `albedo_srgb` previews its albedo, `unlit` is it without light."""
     view, panels = None, list[Panel]()
     if fitted is not None:
         view = View.around(fitted.vertices)
@@ -128,10 +125,7 @@ def preview_srgb(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> Pictu
 
 
 def preview_factor(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> float:
-    """Return the factor that puts the 90th percentile of the brightest channel at 0.55.
-
-    The albedo's global scale is unknown, and a percentile keeps a few wild texels from darkening the rest.
-    """
+    """Return the factor that puts the 90th percentile of the brightest channel at 0.55."""
     return 0.55 / white_level(linear, mask, 90)
 
 

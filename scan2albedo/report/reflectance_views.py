@@ -83,11 +83,7 @@ def albedo_white(diffuse_linear: FloatArray) -> float:
 
 
 def relit_panels(
-    name: str,
-    photograph: FloatArray,
-    relit: FloatArray,
-    shown: BoolArray,
-    valid: BoolArray,
+    name: str, photograph: FloatArray, relit: FloatArray, shown: BoolArray, valid: BoolArray
 ) -> list[Panel]:
     """Return panels of a photograph, of a face relit as it was, both (H, W, 3) linear, and the difference.
 

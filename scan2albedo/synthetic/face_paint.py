@@ -72,7 +72,20 @@ def paint_face(
     albedo += (_BROW - albedo) * np.clip(brows, 0, 0.95)[:, None]
     iris = _IRISES[rng.integers(len(_IRISES))]
     for corners in (landmarks[36:42], landmarks[42:48]):
-        albedo = _with_eye(uv, albedo, corners, iris, rng)
+        upper = _curve(corners[:4])
+        outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]])[1:-1]])
+        near = _near(uv, outline, 0.03)
+        here = uv[near]
+        opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
+        width = np.linalg.norm(corners[3] - corners[0])
+        from_pupil = np.linalg.norm(here - corners.mean(0) - [0, 0.04 * width], axis=1) / width
+        ball = _SCLERA * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
+        rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
+        ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
+        ball = ball * (1 - 0.9 * smoothstep((0.085 - from_pupil) / 0.02))[:, None]
+        lashes = 1.8 * smoothstep(1.4 - _distance(here, upper) / 0.0045)
+        painted = albedo[near] * (1 - opening) + ball * opening
+        albedo[near] = painted * np.exp(-lashes[:, None] * MELANIN)
     return np.clip(albedo, 0.01, 0.95)
 
 
@@ -132,24 +145,3 @@ def _brow(
     if features.brow_reach < 1:
         density[near] *= smoothstep((features.brow_reach - outward) / 0.15 + 0.5)
     return density
-
-
-def _with_eye(
-    uv: FloatArray, albedo: FloatArray, corners: FloatArray, iris: FloatArray, rng: np.random.Generator
-) -> FloatArray:
-    """Return the albedo (N, 3) with one open eye painted inside its six landmarks."""
-    upper = _curve(corners[:4])
-    outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]])[1:-1]])
-    near = _near(uv, outline, 0.03)
-    here = uv[near]
-    opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
-    width = np.linalg.norm(corners[3] - corners[0])
-    from_pupil = np.linalg.norm(here - corners.mean(0) - [0, 0.04 * width], axis=1) / width
-    ball = _SCLERA * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
-    rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
-    ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
-    ball = ball * (1 - 0.9 * smoothstep((0.085 - from_pupil) / 0.02))[:, None]
-    lashes = 1.8 * smoothstep(1.4 - _distance(here, upper) / 0.0045)
-    painted = albedo.copy()
-    painted[near] = (albedo[near] * (1 - opening) + ball * opening) * np.exp(-lashes[:, None] * MELANIN)
-    return painted

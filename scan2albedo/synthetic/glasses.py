@@ -156,10 +156,7 @@ class _Half:
         return numbers.reshape(points.shape[:-1])
 
     def add_tube(self, rings: FloatArray, loop: IntArray | None = None) -> IntArray:
-        """Append rings (R, S, 3) of a tube and return their numbers (R, S).
-
-        The first ring is the `loop` (S,) where that is given, else it is closed.
-        """
+        """Append rings (R, S, 3) of a tube, from `loop` (S,) or closed; return their numbers (R, S)."""
         if loop is not None:
             numbers = np.vstack([loop, self.add(rings[1:])])
         else:
@@ -169,10 +166,7 @@ class _Half:
         return numbers
 
     def add_cap(self, ring: IntArray, points: FloatArray, *, end: bool) -> int:
-        """Close the first ring of a tube, or the last (`end`), with a fan and return its middle vertex.
-
-        The ring (S,) is at points (S, 3).
-        """
+        """Close a ring (S,) at points (S, 3), a tube's first or its `end`; return the middle vertex."""
         middle = int(self.add(points.mean(0)[None])[0])
         fan = np.stack([ring, np.roll(ring, -1), np.full(len(ring), middle)], 1)
         self.faces.append(fan if end else fan[:, ::-1])

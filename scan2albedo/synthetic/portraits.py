@@ -39,9 +39,8 @@ class FlashCapture(GlossyFace):
     """`view`, `light`: (J,): numbers of each pair's camera and flash."""
     head_rotations: FloatArray
     head_translations: FloatArray
-    """`head_rotations`, `head_translations`: (P, 3, 3), (P, 3): poses of the head before each
-    camera, x_cam = R x + t; flash k stands where camera k does. Cameras after the first `views` took no
-    pictures."""
+    """`head_rotations`, `head_translations`: (P, 3, 3), (P, 3): poses of the head before each camera, x_cam =
+    R x + t; flash k stands where camera k does. Cameras after the first `views` took no pictures."""
     intrinsics: FloatArray
     """(3, 3)."""
     exposure: float
@@ -87,7 +86,7 @@ def flash_capture(
 
     Skin reflects as `VertexReflectance` describes; hair, clothes and the rest of the head hide the face and
     cast shadows. Flashes are as far away as cameras, and fall off with the square of the distance to 1 at
-    `portrait.distance_mm`.
+    `portrait.distance_mm`. Raises `ValueError` when a value is outside its range.
 
     Parameters
     ----------
@@ -109,11 +108,6 @@ def flash_capture(
     portrait : Portrait
     model : AnnotatedSurface, optional
         The default model when omitted; it needs landmarks.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range.
     """
     refuse_outside(1, views=views, flashes=flashes)
     refuse_outside(0, gain_deviation=gain_deviation, room=room)
@@ -202,6 +196,8 @@ def face_photograph(
 ) -> FacePhotograph:
     """Return a picture of the person of `flash_capture(seed)` under an environment map.
 
+    Raises `ValueError` when a value is outside its range, or the map has another shape or is not finite.
+
     Parameters
     ----------
     seed : int
@@ -216,11 +212,6 @@ def face_photograph(
         Standard deviation of the labelled landmarks.
     expression, hair, levels, portrait, model
         As in `flash_capture`.
-
-    Raises
-    ------
-    ValueError
-        When a value is outside its range, or the map has another shape or is not finite.
     """
     refuse_outside(1, lights=lights)
     refuse_outside(0, landmark_noise_px=landmark_noise_px)

@@ -368,10 +368,7 @@ def assembled(
     rng: np.random.Generator,
     name: str,
 ) -> RawScan:
-    """Return the scan: noise, holes and crumbs on the measured mesh, textured where pictured, posed.
-
-    The texture holds the pods' square pictures side by side.
-    """
+    """Return the scan: noise, holes and crumbs on the measured mesh, textured by all pods, posed."""
     points = disturbed(measured.vertices, measured.faces, rng, scanner.noise_mm, scanner.spikes)
     centers = points[rng.choice(len(points), scanner.holes)]
     kept = np.ones(len(measured.faces), bool)

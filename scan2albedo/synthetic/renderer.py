@@ -27,10 +27,7 @@ class SceneHits:
 
 
 class RayScene:
-    """Shoot rays at one mesh, in mm, with Open3D's `RaycastingScene` (float32, so the mesh is centred first).
-
-    MissingDependencyError when Open3D or a system library that it needs is missing.
-    """
+    """Shoot rays at one mesh, in mm, with Open3D's `RaycastingScene` (float32: it is centred first)."""
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
         o3d = import_open3d()

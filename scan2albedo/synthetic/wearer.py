@@ -52,10 +52,7 @@ def fit_temples(shape: GlassesShape, seed: int, head: RayScene, nose_top: FloatA
 
 
 def seat(glasses: SyntheticEyeglasses, head: RayScene, eyes: FloatArray) -> FloatArray:
-    """Return the rigid `world_from_glasses` (4, 4) of a frame that just touches a face that looks along +z.
-
-    `eyes` (3,) is about the middle between the eyes, mm.
-    """
+    """Return rigid `world_from_glasses` (4, 4) of a frame that just touches a face with `eyes` (3,)."""
     # Lower rims lean towards the cheeks, and the frame hangs a little, as opticians fit them.
     start = compose(rotation_from_vector([np.deg2rad(3.0), 0, 0]), eyes + [0.0, -3.0, _FAR_MM])
     front = glasses.vertices[:, 2] > glasses.keypoints[:, 2].max() - _FRONT_MM

@@ -11,7 +11,7 @@ import pytest
 from scan2albedo.applications import blend_faces, load_result, relight, swap_texture
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.images import write_exr
-from scan2albedo.recognition.stored_faces import read_face
+from scan2albedo.recognition.manifest import read_face
 from scan2albedo.report.html import write_report
 
 pytestmark = pytest.mark.usefixtures("no_endless_reading")

@@ -1,7 +1,4 @@
-"""Charts of the page: axes and ticks, distributions of a batch's figures, error against time of a stage.
-
-A chart is a dict that the template draws.
-"""
+"""Charts of the page, dicts that the template draws: axes, distributions, errors against time."""
 
 from __future__ import annotations
 

@@ -35,11 +35,7 @@ def quantized(values: FloatArray, low: FloatArray, span: FloatArray) -> NDArray[
 
 
 def octahedral(normals: FloatArray) -> NDArray[np.int16]:
-    """Return (V, 2) 16-bit octahedral coordinates of unit vectors (V, 3), off by 0.005 degrees at most [1]_.
-
-    .. [1] Z. Cigolle et al., "A survey of efficient representations for independent unit vectors", Journal of
-       Computer Graphics Techniques 3(2), 2014.
-    """
+    """Return (V, 2) 16-bit octahedral coordinates of unit vectors (Cigolle et al., JCGT 3(2), 2014)."""
     flat = normals / np.maximum(np.abs(normals).sum(1, keepdims=True), 1e-12)
     sign = np.where(flat[:, :2] >= 0, 1.0, -1.0)
     folded = np.where(flat[:, 2:] < 0, (1 - np.abs(flat[:, 1::-1])) * sign, flat[:, :2])

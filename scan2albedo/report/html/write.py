@@ -76,6 +76,10 @@ def write_report(
 ) -> WrittenReport:
     """Return what a self-contained HTML report of processed scans holds, which is written atomically.
 
+    Raises `ValueError` when `scans` is negative; `Scan2AlbedoError` when the folder holds no result, or that
+    of a single scan cannot be read; the message names the file; `OutputError` when the page cannot be
+    written, or ``out/report.html`` is no such page.
+
     Parameters
     ----------
     out : path
@@ -87,15 +91,6 @@ def write_report(
         How many scans of a batch get a section of their own.
     on_progress : callable, optional
         Called with a line for each scan that is put into the page.
-
-    Raises
-    ------
-    ValueError
-        When `scans` is negative.
-    Scan2AlbedoError
-        When the folder holds no result, or that of a single scan cannot be read; the message names the file.
-    OutputError
-        When the page cannot be written, or ``out/report.html`` is no such page.
     """
     if scans < 0:
         raise ValueError(f"scans is {scans}, expected 0 or more")

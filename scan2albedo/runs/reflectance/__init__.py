@@ -51,10 +51,7 @@ def publishing(
     figures: dict[str, Any],
     notes: Sequence[str] = (),
 ) -> Iterator[Staging[ReflectanceRecord]]:
-    """Give the folder of a command's results; its record is written last.
-
-    Raises `ReflectanceError` when `out` is one of the `inputs`, whose record it would replace.
-    """
+    """Give the folder of a command's results, none of its `inputs`; its record is written last."""
     if any(Path(path).resolve() == out.resolve() for path in inputs):
         raise ReflectanceError(f"{out} is where the command reads from; write to another folder")
     with RunFolder(out, FILES).publishing() as results:

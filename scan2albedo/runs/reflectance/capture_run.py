@@ -206,10 +206,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
 
 
 def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | None = None) -> None:
-    """Write the mesh with its albedo as colours of the vertices, sRGB, as PLY.
-
-    Those that are not `drawn` (V,), by default those that are not known, are filled from the others.
-    """
+    """Write the mesh with its albedo as sRGB of the vertices, filled where not `drawn` (V,), as PLY."""
     import trimesh
 
     colors = np.round(255 * albedo_colors(filled_albedo(mesh, drawn))).astype(np.uint8)
@@ -218,10 +215,7 @@ def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | Non
 
 
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return the light that a flash added (H, W, 3), that of the tested fit, and where it is known (H, W).
-
-    Shadows are those that the mesh casts; where the albedo is not identified it is filled from around.
-    """
+    """Return a flash's light (H, W, 3), that of the tested fit, and where it is known (H, W)."""
     assert done.error is not None
     capture = done.capture
     fit, rig = done.error.fit, capture.rig

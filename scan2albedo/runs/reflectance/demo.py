@@ -174,10 +174,7 @@ _OWN_FILES = OwnFiles(
 
 
 def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
-    """Write pictures, masks, mesh, its landmarks and capture file of a synthetic capture; return its path.
-
-    Raises `ValueError` when its pictures are not integers, `OutputError` when a file cannot be written.
-    """
+    """Write pictures, masks, mesh, landmarks and capture file of a synthetic capture; return its path."""
     options = capture.portrait
     if options.bits is None:
         raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
@@ -223,10 +220,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
 
 
 def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: bool = True) -> Path:
-    """Write image, mask, landmarks and, with `mesh`, the mesh; return the photograph file's path.
-
-    Raises `ValueError` when the image is not of integers, `OutputError` when a file cannot be written.
-    """
+    """Write image, mask, landmarks and, with `mesh`, the mesh; return the photograph file's path."""
     if taken.portrait.bits is None:
         raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
@@ -56,10 +56,7 @@ class FaceModels:
 
 
 def read_sample(path: Path) -> MeshReflectance:
-    """Read the reflectance of a file, of the folder of a fit, or of that of a processed scan.
-
-    Raises `ReflectanceError` or `ApplicationError` when it is none of them, or damaged.
-    """
+    """Read the reflectance of a file, of the folder of a fit, or of that of a processed scan."""
     if not path.is_dir() or (path / RESULT_FILE).is_file():
         return read_reflectance(path)
     if not (path / "result.json").is_file():
@@ -107,9 +104,20 @@ def build_model(
     mean = model.reconstruct(np.zeros(model.components)).reflectance
     shape = None
     if landmark_vertices is not None:
-        shape = MorphableShapeModel.from_samples(
-            shapes, None, samples[0].faces, _read_landmark_vertices(landmark_vertices, len(first))
-        )
+        what = f"landmark vertices {landmark_vertices}"
+        try:
+            numbers = np.asarray(json.loads(landmark_vertices.read_text(encoding="utf-8")))
+        except (OSError, ValueError) as error:
+            raise ReflectanceError(f"{what} cannot be read ({error}); give a JSON list") from error
+        if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
+            raise ReflectanceError(f"{what}: expected a list of {LANDMARKS} integers")
+        if len(np.unique(numbers)) < len(numbers):
+            raise ReflectanceError(f"{what}: two landmarks have one vertex; give 68 different ones")
+        if numbers.min() < 0 or numbers.max() >= len(first):
+            raise ReflectanceError(
+                f"{what} reach {numbers.min()} to {numbers.max()}, but the mesh has {len(first)} vertices"
+            )
+        shape = MorphableShapeModel.from_samples(shapes, None, samples[0].faces, numbers)
     return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
 
@@ -143,10 +151,7 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
 
 
 def default_model() -> FaceModels:
-    """Return `synthetic_model(200)` from the file that `python tools/build_reflectance_model.py` makes.
-
-    Directions are rounded: 0.5 % of the albedo, 0.04 mm. Raises `ReflectanceError` when the file is damaged.
-    """
+    """Return `synthetic_model(200)`, rounded, from what tools/build_reflectance_model.py makes."""
 
     advice = "install the package anew"
     arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)
@@ -183,27 +188,6 @@ def default_model() -> FaceModels:
     return FaceModels(model, MeshReflectance(shape.mean, faces, mean_face), shape)
 
 
-def _read_landmark_vertices(path: Path, count: int) -> IntArray:
-    try:
-        numbers = np.asarray(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
-        raise ReflectanceError(
-            f"landmark vertices {path} cannot be read ({error}); give a JSON list"
-        ) from error
-    if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
-        raise ReflectanceError(f"landmark vertices {path}: expected a list of {LANDMARKS} integers")
-    if len(np.unique(numbers)) < len(numbers):
-        raise ReflectanceError(
-            f"landmark vertices {path}: two landmarks have one vertex; give 68 different ones"
-        )
-    if numbers.min() < 0 or numbers.max() >= count:
-        raise ReflectanceError(
-            f"landmark vertices {path} reach {numbers.min()} to {numbers.max()}, but the mesh has {count} "
-            "vertices"
-        )
-    return numbers.astype(np.int64)
-
-
 def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) -> dict[str, Any]:
     """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
     model = built.model
@@ -235,10 +219,7 @@ def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) ->
 
 
 def read_model_folder(path: Path) -> FaceModels:
-    """Read the folder that `build` or `finetune` wrote.
-
-    Raises `ReflectanceError` when files are missing or damaged, or do not belong together.
-    """
+    """Read the folder that `build` or `finetune` wrote, whose files must belong together."""
     if not path.is_dir():
         raise ReflectanceError(f"{path} is not a folder; give the one that `reflectance build` wrote")
     model, mean = MorphableReflectanceModel.load(path / MODEL_FILE), read_reflectance(path / MEAN_FILE)
