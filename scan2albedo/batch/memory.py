@@ -9,8 +9,7 @@ from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io import limits
-from scan2albedo.io.image_headers import declared_pixels
-from scan2albedo.io.images import SUPPORTED_IMAGES
+from scan2albedo.io.images import SUPPORTED_IMAGES, declared_pixels
 from scan2albedo.io.input_hash import files_of_scan
 
 MB = 1 << 20
@@ -29,10 +28,7 @@ _CGROUP_FILES = (
 
 @dataclass(frozen=True)
 class JobLimit:
-    """How many jobs, at least one, fit into memory; `worker_mb` is the expected peak of a worker.
-
-    `note` is one sentence for the user when jobs were cut, else empty.
-    """
+    """How many jobs fit into memory, the expected peak of a worker, and a note for the user or ""."""
 
     jobs: int
     worker_mb: float

@@ -194,11 +194,7 @@ METRICS = {
 
 
 def path_column(file: str) -> str:
-    """Return the column that holds the path of a file.
-
-    >>> path_column("albedo.exr")
-    'path_albedo_exr'
-    """
+    """Return the column that holds the path of a file: path_albedo_exr."""
     return f"path_{file.replace('.', '_')}"
 
 

@@ -78,6 +78,8 @@ def process_task(task: ScanTask) -> BatchScanRecord:
     The scan is marked as in progress meanwhile. An alarm ends the process when it takes too long, even inside
     compiled code, where an exception could not clean up.
     """
+    import resource
+
     layout = Layout(task.out)
     earlier = layout.row(task.name)
     if earlier is not None and earlier.run == task.run:
@@ -88,7 +90,24 @@ def process_task(task: ScanTask) -> BatchScanRecord:
         if task.timeout_s is not None:
             signal.setitimer(signal.ITIMER_REAL, task.timeout_s)
         try:
-            row = _attempted(task, layout)
+            start, cpu = time.perf_counter(), time.process_time()
+            known: dict[str, Any] = {"worker": f"{platform.node()}:{os.getpid()}"}
+            status: BatchOutcome = "done"
+            try:
+                known |= _processed(task, layout)
+            except Exception as error:  # noqa: BLE001  one bad scan never stops the others, whatever it raises
+                name = "" if isinstance(error, Scan2AlbedoError) else f"{type(error).__name__}: "
+                status, known["reason"] = "failed", f"{name}{error}"
+                known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
+                with suppress(Scan2AlbedoError):
+                    known["input_sha256"] = input_sha256(task.path, task.options.textures)
+                if (layout.out / task.name / "result.json").exists():
+                    known["notes"] += ("the result of an earlier run is still in its folder",)
+            known["seconds"] = time.perf_counter() - start
+            known["cpu_seconds"] = time.process_time() - cpu
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # KB, on macOS bytes
+            known["peak_memory_mb"] = peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+            row = task.record(status, **known)
             if layout.is_running(task.run):
                 layout.keep(row)
             return row
@@ -96,29 +115,6 @@ def process_task(task: ScanTask) -> BatchScanRecord:
             if task.timeout_s is not None:
                 signal.setitimer(signal.ITIMER_REAL, 0)
             layout.unmark(task.name)
-
-
-def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
-    start, cpu = time.perf_counter(), time.process_time()
-    known: dict[str, Any] = {"worker": f"{platform.node()}:{os.getpid()}"}
-    status: BatchOutcome = "done"
-    try:
-        known |= _processed(task, layout)
-    except Exception as error:  # noqa: BLE001  one bad scan never stops the others, whatever it raises
-        name = "" if isinstance(error, Scan2AlbedoError) else f"{type(error).__name__}: "
-        status, known["reason"] = "failed", f"{name}{error}"
-        known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
-        with suppress(Scan2AlbedoError):
-            known["input_sha256"] = input_sha256(task.path, task.options.textures)
-        if (layout.out / task.name / "result.json").exists():
-            known["notes"] += ("the result of an earlier run is still in its folder",)
-    known["seconds"] = time.perf_counter() - start
-    known["cpu_seconds"] = time.process_time() - cpu
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # KB, on macOS bytes
-    known["peak_memory_mb"] = peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
-    return task.record(status, **known)
 
 
 def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:

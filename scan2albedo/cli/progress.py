@@ -97,11 +97,7 @@ class BatchLines(ProgressLines):
 
 
 def _duration(seconds: float) -> str:
-    """Return seconds as a person says them.
-
-    >>> _duration(59), _duration(600), _duration(9000)
-    ('59 s', '10 min', '2.5 h')
-    """
+    """Return seconds as a person says them: 59 s, 10 min, 2.5 h."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -29,11 +29,7 @@ class Budget:
 
     @classmethod
     def of(cls, value: Budget | float | None) -> Budget:
-        """Return `value` as a Budget: a number means seconds, None means no limit.
-
-        >>> Budget.of(2.5)
-        Budget(seconds=2.5, evaluations=None)
-        """
+        """Return `value` as a Budget: a number means seconds, None means no limit."""
         return value if isinstance(value, Budget) else cls(seconds=value)
 
 
@@ -46,17 +42,8 @@ def checked_seed(seed: int) -> int:
 
 ProgressCallback = Callable[[TraceRow], None]
 
-
 GRACE_S = 0.3
-
-
-def grace(seconds: float) -> float:
-    """Return the seconds by which a budget of `seconds` may be overrun to bring an answer to its end.
-
-    >>> grace(1.0), grace(10.0)
-    (0.3, 2.0)
-    """
-    return max(seconds / 5, GRACE_S)
+"""A budget may be overrun by a fifth, or by this, to bring an answer to its end."""
 
 
 @dataclass
@@ -95,9 +82,9 @@ class Meter:
         return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
 
     def would_overrun(self, seconds: float) -> bool:
-        """Whether work that takes `seconds` would overrun the budget by more than its `grace`."""
+        """Whether work that takes `seconds` would overrun the budget by more than a fifth and `GRACE_S`."""
         budget = self.budget.seconds
-        return budget is not None and self.elapsed_s + seconds > budget + grace(budget)
+        return budget is not None and self.elapsed_s + seconds > budget + max(budget / 5, GRACE_S)
 
     def count(self, evaluations: int = 1) -> None:
         """Add to the evaluations spent."""
@@ -121,10 +108,7 @@ class Meter:
         return Meter(stage, unit, left, self.on_progress)
 
     def untraced(self) -> Meter:
-        """Return a meter with what is left of the budget, for a part whose errors have another meaning.
-
-        Its rows are neither kept nor shown.
-        """
+        """Return a meter with what is left of the budget, whose rows, of other errors, are dropped."""
         return Meter(self.stage, self.unit, self.sub_meter(self.stage, self.unit).budget)
 
     def merge(self, finished: Meter) -> None:

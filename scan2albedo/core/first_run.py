@@ -1,8 +1,7 @@
 """The first run after an installation: helper processes compile kernels that its later stages need.
 
-Numba compiles one kernel at a time in a process, and keeps it on disk. While the first run compiles what its
-first stages call, helpers compile what its last stages call; the run finds that on disk. What no helper has
-compiled in time, the run compiles itself.
+Numba compiles one kernel at a time in a process and keeps it on disk, where the run finds what helpers have
+compiled meanwhile. What they have not compiled in time, it compiles itself.
 """
 
 from __future__ import annotations

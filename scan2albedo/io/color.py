@@ -41,10 +41,7 @@ def decode_srgb_integers(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDAr
 
 
 def linear_of_srgb_numbers(colors: NDArray[np.generic]) -> NDArray[np.float32]:
-    """Return linear colours of sRGB numbers as mesh files hold them: 8 or 16 bits, or floats up to 1 or 255.
-
-    NaN and negative numbers are black.
-    """
+    """Return linear colours of sRGB integers, or floats up to 1 or 255; NaN and negative are black."""
     if colors.dtype in (np.uint8, np.uint16):
         return decode_srgb_integers(np.asarray(colors))
     values = np.nan_to_num(colors.astype(np.float64)).clip(0)

@@ -26,10 +26,7 @@ _unfinished: set[Path] = set()
 
 
 def hidden_path(target: Path, suffix: str = "") -> Path:
-    """Return a new hidden path beside `target`, which tells which process makes it.
-
-    It counts as unfinished until `finished` is called.
-    """
+    """Return a new hidden path beside `target` that names its process; unfinished until `finished`."""
     stem = target.name.removesuffix(suffix) if suffix else target.name
     stem = os.fsdecode(os.fsencode(stem)[:_LONGEST_STEM])
     path = target.with_name(f".{stem}-{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part{suffix}")
@@ -134,10 +131,7 @@ def folder_lock(folder: Path) -> Iterator[bool]:
 
 
 def settle(folder: Path) -> None:
-    """Roll a folder back to its state before a publication that was killed between two renames.
-
-    Raises OSError when that is impossible.
-    """
+    """Undo a publication into a folder that was killed between two renames; OSError when impossible."""
     if os.path.lexists(folder / JOURNAL):
         folder = Path(os.path.realpath(folder))
         with folder_lock(folder) as locked:

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 class Reader(NamedTuple):
     """The functions of a kind of file, in a module that is imported when such a file is read.
 
-    `read` is called with the path and a `ScanFolder` and returns a `ParsedMesh`; `files`, where there are
-    such, with the same for the names of the files that the scan refers to.
+    Both take the path and a `ScanFolder`: `read` returns a `ParsedMesh`, `files` the names of other files.
     """
 
     module: str
@@ -169,9 +168,8 @@ def load_scan_with(
 
 
 def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
-    """Return the mesh of a file: vertices in its own order and unit, nothing repaired.
+    """Return the mesh of a file as it is, with materials from its folder and `textures` (`ScanFolder`).
 
-    Materials and textures come from its folder, and from `textures` where given (`ScanFolder`).
     Raises ScanError when the file is missing, of an unsupported kind or damaged.
     """
     if os.path.isdir(file):  # false, where Path.is_dir raises, for names that are too long

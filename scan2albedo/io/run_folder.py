@@ -146,8 +146,7 @@ class RunFolder(Generic[Kind]):
     def publishing(self) -> Iterator[Staging[Kind]]:
         """Give a hidden folder whose files replace those of earlier runs when the block ends well.
 
-        Whatever ends the block or the process, the folder is as it was or has all new files, see `publish`.
-        Raises OutputError like `check`, and when the folder cannot be written.
+        See `publish`. Raises OutputError like `check`, and when the folder cannot be written.
         """
         self.check()
         target = Path(os.path.realpath(self.path))

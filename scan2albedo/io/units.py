@@ -53,8 +53,7 @@ def millimetres_per_unit(
 ) -> tuple[float, str]:
     """Return (factor to millimetres, note on unit and size).
 
-    Raises ScanError when `unit` is "auto" and the size fits a head in none of mm, cm and m; ValueError for an
-    unknown unit.
+    Raises ScanError when `unit` is "auto" and no unit makes it a head; ValueError for an unknown unit.
     """
     return _decided(largest_extent(vertices, components), unit, name, "scan", "head", PLAUSIBLE_EXTENT_MM)
 

@@ -33,25 +33,10 @@ if TYPE_CHECKING:
     from scan2albedo.registration import Registration
 
 RESULT_FILE = "result.json"
-UNLIT_FILES = (
-    "unlit.glb",
-    "unlit.obj",
-    "unlit.mtl",
-    "unlit.png",
-    "unlit.*.png",
-    "unlit_confidence.png",
-    "unlit_confidence.*.png",
-)
+_MESH = (".glb", ".obj", ".mtl", ".png", ".*.png")
+UNLIT_FILES = (*(f"unlit{end}" for end in _MESH), "unlit_confidence.png", "unlit_confidence.*.png")
 """With several pictures each has a number, in the order of the scan's materials."""
-TEMPLATE_FILES = (
-    "template.glb",
-    "template.obj",
-    "template.mtl",
-    "template.png",
-    "template.*.png",
-    "template_normal.png",
-    "template_normal.*.png",
-)
+TEMPLATE_FILES = (*(f"template{end}" for end in _MESH), "template_normal.png", "template_normal.*.png")
 """With several tiles each has pictures with its UDIM number."""
 FILES = OwnFiles(
     RESULT_FILE,
