@@ -55,7 +55,7 @@ class ManifestScan:
 
 @dataclass(frozen=True)
 class BatchManifest:
-    """The scans of a batch, one or more, no two of one name, in the order of the file or folder `path`."""
+    """The `scans` of a batch, one or more, no two of one name, in the order of the file or folder `path`."""
 
     path: Path
     scans: tuple[ManifestScan, ...]

@@ -237,7 +237,7 @@ def batch(
 
     try:
         # The stages run in workers, so that signals may unwind here.
-        with interrupts_raise(), removed_if_empty(out), BatchLines() as lines:
+        with interrupts_raise(), removed_if_empty(out), BatchLines("batch") as lines:
             done = run_batch(
                 manifest,
                 out,

@@ -74,9 +74,6 @@ class ProgressLines:
 class BatchLines(ProgressLines):
     """Shows how far a batch is; use as a context manager."""
 
-    def __init__(self) -> None:
-        super().__init__("batch")
-
     def show(self, progress: BatchProgress) -> None:
         """Show a scan that has ended, or a note."""
         if progress.note:

@@ -43,11 +43,7 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
 
 
 def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
-    """Read the samples of an image as they are stored, (H, W, 3) RGB, nothing decoded; floats may be NaN.
-
-    Raises ScanError when the file is missing, unreadable or damaged, TooLargeError when it is too large to be
-    read; the message names it.
-    """
+    """Read an image's samples as stored, (H, W, 3), floats may be NaN; errors as in `read_image_linear`."""
     file = Path(path)
     try:
         limits.require_file(file, math.inf)
@@ -179,8 +175,7 @@ def write_png(path: str | Path, image: ArrayLike) -> None:
 def write_image(path: str | Path, image: ArrayLike) -> None:
     """Write an image in the format its extension names: `write_exr`, or 8-bit sRGB as `write_png` does.
 
-    Raises OutputError when the folder cannot be written, or the extension is not supported; ValueError for
-    another shape, another dtype, or NaN.
+    Raises OutputError when it cannot be written so, ValueError for another shape, another dtype, or NaN.
     """
     extension = Path(path).suffix.lower()
     if extension == ".exr":

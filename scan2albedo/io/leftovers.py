@@ -109,10 +109,7 @@ def _at_work(path: Path) -> bool:
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[bool]:
-    """Keep other publishers out of a folder during the block; give whether there is such a lock here.
-
-    It is on the folder around it, which stays in place; it leaves no file and ends with its process.
-    """
+    """Keep other publishers out of a folder by a lock on its parent; give whether there is such a lock."""
     descriptor, locked = None, False
     try:
         # Not POSIX, a folder that cannot be read, or a file system without locks: then there is none.

@@ -94,10 +94,7 @@ def load_scan(
 
 
 def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None) -> RawScan:
-    """Return a scan, of the file `path`, with landmarks as `load_scan` takes them.
-
-    A note says how many there are. Raises ScanError when they cannot be read.
-    """
+    """Return a scan, of the file `path`, with landmarks as `load_scan` takes them; may raise ScanError."""
     from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
     from scan2albedo.io.landmark_files import landmarks_file, read_landmarks
 
@@ -124,8 +121,7 @@ def load_scan_with(
 ) -> RawScan:
     """Load a scan as `load_scan` does, of something whose size is not a head's.
 
-    `decide_unit` maps the repaired mesh, in file units, and its (V,) component labels to (factor to
-    millimetres, note).
+    `decide_unit` maps repaired mesh and component labels (V,) to (factor to millimetres, note).
     """
     require_type(path, (str, PathLike), "load_scan: path", "give the path of a scan's file")
     file = Path(path)

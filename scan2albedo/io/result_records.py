@@ -219,9 +219,5 @@ def metric_columns(metrics: Mapping[str, Any]) -> dict[str, float | bool]:
 
 
 def column_name(name: str) -> str:
-    """Return a name with "_" for what is neither a letter nor a digit.
-
-    >>> column_name("new-stage")
-    'new_stage'
-    """
+    """Return a name with "_" for what is neither a letter nor a digit."""
     return re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")

@@ -19,8 +19,7 @@ _CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
 class ScanFolder:
     """The files that a scan may refer to: those in its folder and, where given, in the folder `textures`.
 
-    Links are resolved: one that leads elsewhere is not a file of these folders. Raises ScanError when
-    `textures` is not a folder.
+    Links that lead elsewhere lead to none of these files. Raises ScanError when `textures` is not a folder.
     """
 
     path: Path

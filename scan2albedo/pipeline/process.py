@@ -96,6 +96,8 @@ landmarks, unlit, texture_size
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
+    **unknown
+        Refused.
     """
     given = locals()
     for wrong in unknown:  # a misspelt option is refused with the one that was meant

@@ -74,7 +74,7 @@ SURE = 0.5
 
 @dataclass(frozen=True)
 class ProcessResult:
-    """All results of one scan."""
+    """All results of one `scan`, with the `plan` and `trace` of its stages and the `seed` they had."""
 
     scan: RawScan
     registration: Registration | None
@@ -246,8 +246,7 @@ def write_result(
 def write_unlit(folder: Path, unlit: UnlitScan) -> None:
     """Write `UNLIT_FILES`: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
 
-    Scans with a texture keep the pictures and coordinates they came with, and get a picture of how sure each
-    texel is; those without one have vertex colours there, and no pictures.
+    Pictures and coordinates stay, with a picture of how sure each texel is; without them colours of vertices.
     """
     scan, uv, texture = unlit.scan, unlit.scan.uv, unlit.scan.texture_linear
     if uv is None or texture is None:
