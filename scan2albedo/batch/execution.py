@@ -70,10 +70,7 @@ def run_in_processes(
 
 
 def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | None]:
-    """Return the records of tasks that ended without an answer; None for those in progress.
-
-    A task beyond its time limit ended its own worker: then others in progress are left out.
-    """
+    """Return the records of tasks that ended without an answer; None for those in progress."""
     ended: dict[str, BatchScanRecord | None] = {}
     late: dict[str, BatchScanRecord | None] = {}
     for task in tasks:
@@ -85,7 +82,7 @@ def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanReco
             late[task.name] = _failed(task, layout, f"took longer than {task.timeout_s:g} s (--timeout)")
         elif begun is not None:
             ended[task.name] = None
-    if late:
+    if late:  # they ended their workers: others in progress are not at fault
         ended = {name: row for name, row in ended.items() if row is not None}
     return ended | late
 

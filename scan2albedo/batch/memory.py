@@ -38,10 +38,9 @@ class JobLimit:
 def job_limit(
     asked: int, scans: Iterable[Path], size: int, running_mb: float = 0.0, textures: str | Path | None = None
 ) -> JobLimit:
-    """Return how many of the jobs asked for fit into the available memory.
+    """Return how many of the jobs asked for fit into the available memory with the largest scan.
 
-    The largest of the `scans` counts, `size` is the geometry images' height and width, and `running_mb` the
-    measured peak of a worker, when it is higher than the estimate. `textures` is as in `load_scan`.
+    `size` is the side of geometry images, `running_mb` a worker's measured peak; `textures` as in `load_scan`.
     """
     largest = 0.0
     for path in scans:

@@ -31,8 +31,7 @@ _ONE_AT_A_TIME = threading.Lock()
 class ScanTask:
     """One scan to process; paths are absolute, for workers may run elsewhere.
 
-    `run` names the run of the batch, since a worker of an older run writes nothing; `version` is that of the
-    package that made the task; after `timeout_s` seconds the worker's process ends itself.
+    `run` names the batch's run, `version` the package's; after `timeout_s` seconds the worker ends itself.
     """
 
     name: str
@@ -75,8 +74,7 @@ def begin_worker(parent: int) -> None:
 def process_task(task: ScanTask) -> BatchScanRecord:
     """Process one scan, write its files and its record, and return the record, also of any failure.
 
-    The scan is marked as in progress meanwhile. An alarm ends the process when it takes too long, even inside
-    compiled code, where an exception could not clean up.
+    An alarm ends the process when it takes too long, even inside compiled code that no exception ends.
     """
     import resource
 

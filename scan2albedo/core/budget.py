@@ -59,9 +59,8 @@ class Meter:
     on_progress: ProgressCallback | None = None
     """Called with every recorded `TraceRow`."""
     evaluations: int = 0
-    """Spent so far."""
     rows: list[TraceRow] = field(default_factory=list)
-    """Recorded so far."""
+    """`evaluations` spent and `rows` recorded so far."""
     _wall_start: float = field(default_factory=time.perf_counter)
     _cpu_start: float = field(default_factory=time.process_time)
 

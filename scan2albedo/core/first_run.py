@@ -48,8 +48,7 @@ class RecordedKernel(NamedTuple):
         """Return numba's types: as a tuple, by which a call looks the kernel up on disk."""
         from numba.core.sigutils import normalize_signature
 
-        types, _ = normalize_signature(self.signature)
-        return tuple(types)
+        return tuple(normalize_signature(self.signature)[0])
 
 
 def recorded_kernels() -> tuple[RecordedKernel, ...]:

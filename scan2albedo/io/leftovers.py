@@ -57,10 +57,7 @@ def remove_unfinished() -> None:
 
 
 def remove_leftovers(*folders: Path) -> int:
-    """Remove what killed processes left under hidden paths in folders, which are settled; return how many.
-
-    What processes still work on stays: those of this machine that run, those of others for an hour.
-    """
+    """Remove what killed processes left under hidden paths in folders, settle these; return how many."""
     removed = 0
     for folder in folders:
         with suppress(OSError):
@@ -81,7 +78,7 @@ def _remove(path: Path) -> None:
 
 
 def _at_work(path: Path) -> bool:
-    """Return whether the process that made a hidden path may still work on it."""
+    """Return whether the process that made a hidden path may still work on it; elsewhere for an hour."""
     found = _PATTERN.fullmatch(path.name)
     assert found is not None
     host, number = found[1], int(found[2])

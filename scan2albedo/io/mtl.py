@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear
@@ -117,11 +118,7 @@ class ScanPictures:
         return self.read[file]
 
     def or_named_like(
-        self,
-        scan: Path,
-        uv: NDArray[np.float64] | None,
-        materials: tuple[Material, ...],
-        notes: tuple[str, ...],
+        self, scan: Path, uv: FloatArray | None, materials: tuple[Material, ...], notes: tuple[str, ...]
     ) -> tuple[tuple[Material, ...], tuple[str, ...]]:
         """Return materials and notes; where all textures are missing, the image with the scan's own name."""
         lost = not materials or any(note.startswith("texture ") for note in notes)

@@ -32,12 +32,10 @@ _HEADER_END = re.compile(rb"^[ \t]*end_header[ \t]*(?:\r\n|\n|\r)", re.MULTILINE
 
 
 class _ListColumn(NamedTuple):
-    """A list property of all rows."""
+    """A list property: how many entries each row has (N,), and all of them, row after row."""
 
     counts: IntArray
-    """(N,) entries of each row."""
     items: NDArray[Any]
-    """All entries, row after row."""
 
 
 @dataclass

@@ -21,8 +21,7 @@ from scan2albedo.io.leftovers import JOURNAL, finished, hidden_path, keep, remov
 def staged(target: Path) -> Iterator[Path]:
     """Give a new hidden folder to make the files of `target` in, removed when the block ends.
 
-    It is beside `target`, so that `publish` can exchange both; in `target` itself where no folder can be made
-    there, or that is another file system.
+    It is beside `target`, so that `publish` can exchange both; where that is impossible, in `target` itself.
     """
     home = target.parent
     with suppress(FileExistsError):

@@ -106,10 +106,9 @@ class RunFolder(Generic[Kind]):
         self.path, self.files, self._also = Path(path), files, also
 
     def check(self, subfolders: Collection[str] = ()) -> frozenset[str]:
-        """Return the files of earlier runs here, to be replaced or removed, by their paths in the folder.
+        """Return the files of earlier runs here, and in the `subfolders` that a run writes, by their paths in it.
 
-        `subfolders` are the folders in it that a run writes. Raises OutputError, naming it, for a file that
-        no run wrote under a name of `OwnFiles`, and for a link in the place of a folder.
+        Raises OutputError for a file under our names that no run wrote, and for a link in the place of a folder.
         """
         own: set[str] = set()
         with cannot_write(self.path):

@@ -208,14 +208,11 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
 
 
 class NumberTable(NamedTuple):
-    """The numbers of lines of any length, in as much memory as they need."""
+    """The numbers of lines of any length, one after the other, `counts` (N,) of each from `first` (N,)."""
 
     values: FloatArray
-    """The numbers of all lines, one after the other."""
     first: IntArray
-    """(N,) where in `values` each line begins."""
     counts: IntArray
-    """(N,) numbers of each line."""
     bad: int
     """The first line that is not made of numbers, -1 for none; numbers from there on are not set."""
 
