@@ -40,7 +40,7 @@ def job_limit(
 ) -> JobLimit:
     """Return how many of the jobs asked for fit into the available memory with the largest scan.
 
-    `size` is the side of geometry images, `running_mb` a worker's measured peak; `textures` as in `load_scan`.
+    `size` is the geometry images' side, `running_mb` a worker's measured peak, `textures` as in `load_scan`.
     """
     largest = 0.0
     for path in scans:

@@ -43,7 +43,11 @@ def checked_seed(seed: int) -> int:
 ProgressCallback = Callable[[TraceRow], None]
 
 GRACE_S = 0.3
-"""A budget may be overrun by a fifth, or by this, to bring an answer to its end."""
+
+
+def grace(seconds: float) -> float:
+    """Return the seconds by which a budget of `seconds` may be overrun to bring an answer to its end."""
+    return max(seconds / 5, GRACE_S)
 
 
 @dataclass
@@ -81,9 +85,9 @@ class Meter:
         return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
 
     def would_overrun(self, seconds: float) -> bool:
-        """Whether work that takes `seconds` would overrun the budget by more than a fifth and `GRACE_S`."""
+        """Whether work that takes `seconds` would overrun the budget by more than its `grace`."""
         budget = self.budget.seconds
-        return budget is not None and self.elapsed_s + seconds > budget + max(budget / 5, GRACE_S)
+        return budget is not None and self.elapsed_s + seconds > budget + grace(budget)
 
     def count(self, evaluations: int = 1) -> None:
         """Add to the evaluations spent."""

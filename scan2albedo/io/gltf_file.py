@@ -148,7 +148,7 @@ class GltfFile:
     def for_trimesh(self) -> bytes:
         """Return the file's bytes with what trimesh leaves out or misreads changed.
 
-        Coordinates of 8 or 16 bits become floats, also in `tree`; with skins, nodes are numbered, attributes marked.
+        Texture coordinates of 8 or 16 bits become floats; for skins nodes are numbered, attributes marked.
         """
         tree, changed = json.loads(json.dumps(self.tree)), False
         meshes, accessors = tree.get("meshes", ()), tree.get("accessors", ())

@@ -106,9 +106,9 @@ class RunFolder(Generic[Kind]):
         self.path, self.files, self._also = Path(path), files, also
 
     def check(self, subfolders: Collection[str] = ()) -> frozenset[str]:
-        """Return the files of earlier runs here, and in the `subfolders` that a run writes, by their paths in it.
+        """Return the files of earlier runs here and in the `subfolders` of a run, by their paths in it.
 
-        Raises OutputError for a file under our names that no run wrote, and for a link in the place of a folder.
+        Raises OutputError for a file that no run wrote under our names, and for a link instead of a folder.
         """
         own: set[str] = set()
         with cannot_write(self.path):
