@@ -113,8 +113,7 @@ class BatchProgress:
 class BatchReport:
     """The result of a batch in the folder `out`, which came as far as `progress`.
 
-    `failures` are reasons by name, `jobs` the processes that worked, `files_verified` of results that were
-    kept, `notes` what was decided and found on the way, one sentence each.
+    `failures` are reasons by name, `jobs` processes, `files_verified` those of kept results, `notes` sentences.
     """
 
     out: Path

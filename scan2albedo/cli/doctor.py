@@ -26,7 +26,7 @@ DEVELOPERS = ("test", "docs", "dev")
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check: the version found or the error, and what mends it; extras may be missing."""
+    """The result of one check: the version found, or the error and its remedy; extras may be missing."""
 
     subject: str
     good: bool
