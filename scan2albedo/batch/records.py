@@ -113,7 +113,7 @@ class BatchProgress:
 class BatchReport:
     """The result of a batch in the folder `out`, which came as far as `progress`.
 
-    `failures` are reasons by name, `jobs` processes, `files_verified` those of kept results, `notes` sentences.
+    `failures` are reasons by name, `jobs` processes, `files_verified` those of kept results, `notes` texts.
     """
 
     out: Path
