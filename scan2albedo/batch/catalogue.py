@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]) -> pyarrow.Table:
     """Return the catalogue of a batch: a row for each scan of the manifest, in its order.
 
-    `rows` are by name, of the scans that were tried. Columns are those of `records`, figures of stages that
-    only some scans have, and the manifest's own as text. Numbers are float64, empty where a scan has none.
+    Of `rows`, by name, come the columns of `records` and further figures as float64; the manifest's are text.
     """
     import pyarrow as pa
 

@@ -8,7 +8,7 @@ import re
 import secrets
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -30,7 +30,7 @@ _ONE_THREAD = dict.fromkeys(
 
 def run_in_processes(
     tasks: Sequence[ScanTask], layout: Layout, jobs: Callable[[Sequence[ScanTask]], int]
-) -> Iterator[BatchScanRecord]:
+) -> Generator[BatchScanRecord]:
     """Yield the record of each task as it is finished by local processes.
 
     When a worker dies, all of them do. The scans that were being processed then are tried again at the end,
@@ -70,11 +70,7 @@ def run_in_processes(
 
 
 def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanRecord | None]:
-    """Return the records of tasks that ended without an answer; None for those in progress.
-
-    A task beyond its time limit ended its own worker; the tasks of other workers are not at fault and are
-    left out.
-    """
+    """Return the records of tasks that ended without an answer; None for those in progress."""
     ended: dict[str, BatchScanRecord | None] = {}
     late: dict[str, BatchScanRecord | None] = {}
     for task in tasks:
@@ -86,7 +82,7 @@ def _ended(tasks: Sequence[ScanTask], layout: Layout) -> dict[str, BatchScanReco
             late[task.name] = _failed(task, layout, f"took longer than {task.timeout_s:g} s (--timeout)")
         elif begun is not None:
             ended[task.name] = None
-    if late:
+    if late:  # they ended their workers: others in progress are not at fault
         ended = {name: row for name, row in ended.items() if row is not None}
     return ended | late
 
@@ -132,14 +128,12 @@ def _processed(tasks: Sequence[ScanTask], jobs: int) -> Iterator[BatchScanRecord
 
 def run_on_cluster(
     tasks: Sequence[ScanTask], layout: Layout, address: str, on_jobs: Callable[[int], None]
-) -> Iterator[BatchScanRecord]:
+) -> Generator[BatchScanRecord]:
     """Yield the record of each task as it is finished by the workers of a dask scheduler.
 
     A scan whose worker dies is given to others as often as the scheduler allows, and has failed then, as has
-    one that raises in its worker. The scheduler also counts scans that only waited at workers that died;
-    those that never began are tried again.
-    `on_jobs` is called with the number of workers. Raises `MissingDependencyError` when distributed is not
-    installed, `BatchError` when no scheduler or no worker answers, or the scheduler is lost.
+    one that raises in its worker. `on_jobs` is called with the number of workers. Raises
+    `MissingDependencyError` without distributed, `BatchError` when no scheduler or worker answers.
     """
     with _client(address) as client:
         on_jobs(len(client.nthreads()))
@@ -165,7 +159,7 @@ def run_on_cluster(
                     reason = _reason(error)
                     if reason.startswith("KilledWorker"):
                         begun = layout.started_at(task.name)
-                        if begun is None:  # it only waited at workers that died
+                        if begun is None:  # it only waited at workers that died, which the scheduler counts
                             again.append(task)
                             continue
                         late = "; it takes longer than --timeout" if _took_too_long(task, begun) else ""

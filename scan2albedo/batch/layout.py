@@ -89,10 +89,7 @@ class Layout:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Keep other batches out of the folder during the block; a killed process holds no lock.
-
-        Raises `BatchError` when another batch works there.
-        """
+        """Keep other batches out of the folder during the block; BatchError when one works there already."""
         import fcntl
 
         lock = make_folder(self.kept) / "lock"

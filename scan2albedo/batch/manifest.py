@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -40,10 +40,7 @@ class ManifestScan:
     """Place in the manifest, for messages."""
 
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
-        """Return the batch's options with those that the line sets; paths start from `folder`.
-
-        Raises `BatchError` when a cell is not a valid option.
-        """
+        """Return the batch's options with the line's, paths from `folder`; BatchError for a wrong cell."""
         given: dict[str, Any] = {name: text for name, text in self.own.items() if text}
         try:
             chosen = replace(batch, **given)
@@ -58,7 +55,7 @@ class ManifestScan:
 
 @dataclass(frozen=True)
 class BatchManifest:
-    """The scans of a batch, one or more, no two of one name, in the order of the file or folder `path`."""
+    """The `scans` of a batch, one or more, no two of one name, in the order of the file or folder `path`."""
 
     path: Path
     scans: tuple[ManifestScan, ...]
@@ -97,8 +94,15 @@ def read_manifest(
     """
     source = Path(path)
     if source.is_dir():
-        files = sorted(_scans_below(source, leave_out))
-        scans = [_scan(str(f.relative_to(source)), source, where=str(f)) for f in files]
+        found, out = list[Path](), None if leave_out is None else leave_out.resolve()
+        for place, folders, files in os.walk(source):
+            folders[:] = [f for f in folders if not f.startswith(".") and Path(place, f).resolve() != out]
+            if "batch.json" in files:
+                folders.clear()
+            elif "result.json" not in files:
+                scans_here = [f for f in files if Path(f).suffix.lower() in SUPPORTED_SCANS and f[0] != "."]
+                found += [Path(place, file) for file in scans_here]
+        scans = [_scan(str(f.relative_to(source)), source, where=str(f)) for f in sorted(found)]
         manifest = BatchManifest(source, tuple(scans))
     elif source.suffix.lower() in SUPPORTED_SCANS:
         raise BatchError(f"{source}: is a scan; give a CSV file, a list of paths or a folder of scans")
@@ -134,19 +138,6 @@ def read_manifest(
 def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any) -> ManifestScan:
     path = Path(os.path.normpath((folder / source).absolute()))
     return ManifestScan(name or scan_name(path), printable(source), path, where=where, **more)
-
-
-def _scans_below(folder: Path, leave_out: Path | None) -> Iterator[Path]:
-    out = None if leave_out is None else leave_out.resolve()
-    for place, folders, files in os.walk(folder):
-        folders[:] = sorted(f for f in folders if not f.startswith(".") and Path(place, f).resolve() != out)
-        if "batch.json" in files:
-            folders.clear()
-        if "batch.json" in files or "result.json" in files:
-            continue
-        for file in files:
-            if Path(file).suffix.lower() in SUPPORTED_SCANS and not file.startswith("."):
-                yield Path(place, file)
 
 
 def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchManifest:

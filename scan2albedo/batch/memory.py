@@ -9,8 +9,7 @@ from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io import limits
-from scan2albedo.io.image_headers import declared_pixels
-from scan2albedo.io.images import SUPPORTED_IMAGES
+from scan2albedo.io.images import SUPPORTED_IMAGES, declared_pixels
 from scan2albedo.io.input_hash import files_of_scan
 
 MB = 1 << 20
@@ -29,10 +28,7 @@ _CGROUP_FILES = (
 
 @dataclass(frozen=True)
 class JobLimit:
-    """How many jobs, at least one, fit into memory; `worker_mb` is the expected peak of a worker.
-
-    `note` is one sentence for the user when jobs were cut, else empty.
-    """
+    """How many jobs fit into memory, the expected peak of a worker, and a note for the user or ""."""
 
     jobs: int
     worker_mb: float
@@ -42,10 +38,9 @@ class JobLimit:
 def job_limit(
     asked: int, scans: Iterable[Path], size: int, running_mb: float = 0.0, textures: str | Path | None = None
 ) -> JobLimit:
-    """Return how many of the jobs asked for fit into the available memory.
+    """Return how many of the jobs asked for fit into the available memory with the largest scan.
 
-    The largest of the `scans` counts, `size` is the geometry images' height and width, and `running_mb` the
-    measured peak of a worker, when it is higher than the estimate. `textures` is as in `load_scan`.
+    `size` is the geometry images' side, `running_mb` a worker's measured peak, `textures` as in `load_scan`.
     """
     largest = 0.0
     for path in scans:

@@ -84,7 +84,8 @@ class BatchProgress:
     done: int = 0
     failed: int = 0
     kept: int = 0
-    """`total`, `done`, `failed`, `kept`: scans; `done` counts those that were `kept` from an earlier run."""
+    """`total`, `done`, `failed`, `kept`: scans; `done` counts those that were `kept` from an earlier run;
+    `elapsed_s` is the wall-clock time of this one."""
     elapsed_s: float = 0.0
     last: BatchScanRecord | None = None
     """The scan that has just ended; None with a `note`, a message for the user."""
@@ -110,10 +111,9 @@ class BatchProgress:
 
 @dataclass(frozen=True)
 class BatchReport:
-    """The result of a batch in the folder `out`.
+    """The result of a batch in the folder `out`, which came as far as `progress`.
 
-    `failures` are reasons by name, `jobs` the processes that worked, `files_verified` of results that were
-    kept, `notes` what was decided and found on the way, one sentence each.
+    `failures` are reasons by name, `jobs` processes, `files_verified` those of kept results, `notes` texts.
     """
 
     out: Path
@@ -194,11 +194,7 @@ METRICS = {
 
 
 def path_column(file: str) -> str:
-    """Return the column that holds the path of a file.
-
-    >>> path_column("albedo.exr")
-    'path_albedo_exr'
-    """
+    """Return the column that holds the path of a file: path_albedo_exr."""
     return f"path_{file.replace('.', '_')}"
 
 

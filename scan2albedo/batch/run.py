@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import os
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
@@ -240,12 +241,29 @@ class _Run:
         """Process the remaining scans and return the report on all."""
         self.layout.begin_run(self.run)
         status: BatchStatus = "interrupted"
+        todo = tasks
         try:
-            todo = self.resumed(tasks) if resume else tasks
+            if resume:  # keeps valid results of earlier runs, and removes their leftovers
+                if removed := remove_leftovers(*self.layout.folders):
+                    what = "half-written files and folders of a run that was killed"
+                    self.show(note=f"removed {removed} {what}")
+                with ThreadPoolExecutor() as readers:
+                    found = list(readers.map(lambda task: _still_valid(task, self.layout), tasks))
+                self.rows |= {row.name: row for row, _ in found if row is not None}
+                todo = [task for task in tasks if task.name not in self.rows]
+                reasons = Counter(reason for row, reason in found if row is None)
+                why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+                detail = f" ({why})" if why else ""
+                self.show(note=f"kept {len(self.rows)} (hashes verified), {len(todo)} to do{detail}")
             self.start = time.monotonic()
             self.write("running")
             # Closed at once when Ctrl-C ends the loop: workers hold hundreds of MB each.
-            with closing(self.processed(todo)) as ended:
+            if todo and self.scheduler is not None:
+                set_jobs = functools.partial(setattr, self, "jobs")
+                ended = run_on_cluster(todo, self.layout, self.scheduler, set_jobs)
+            else:
+                ended = run_in_processes(todo, self.layout, self.limited)
+            with closing(ended):
                 for row in ended:
                     self.rows[row.name] = row
                     self.show(last=row)
@@ -263,28 +281,6 @@ class _Run:
                 remove_leftovers(*self.layout.folders)
                 self.write(status)
         return self.outcome()
-
-    def resumed(self, tasks: Sequence[ScanTask]) -> Sequence[ScanTask]:
-        """Keep valid results of earlier runs, remove their leftovers, and return the other tasks."""
-        if removed := remove_leftovers(*self.layout.folders):
-            self.show(note=f"removed {removed} half-written files and folders of a run that was killed")
-        with ThreadPoolExecutor() as readers:
-            found = list(readers.map(lambda task: _still_valid(task, self.layout), tasks))
-        self.rows |= {row.name: row for row, _ in found if row is not None}
-        todo = [task for task in tasks if task.name not in self.rows]
-        reasons = Counter(reason for row, reason in found if row is None)
-        why = ", ".join(f"{count} {reason}" for reason, count in reasons.items())
-        detail = f" ({why})" if why else ""
-        self.show(note=f"kept {len(self.rows)} (hashes verified), {len(todo)} to do{detail}")
-        return todo
-
-    def processed(self, tasks: Sequence[ScanTask]) -> Generator[BatchScanRecord]:
-        if tasks and self.scheduler is not None:
-            yield from run_on_cluster(
-                tasks, self.layout, self.scheduler, lambda jobs: setattr(self, "jobs", jobs)
-            )
-        elif tasks:
-            yield from run_in_processes(tasks, self.layout, self.limited)
 
     def limited(self, tasks: Sequence[ScanTask]) -> int:
         """Return how many processes to use for these tasks: as many as fit into memory now."""

@@ -31,8 +31,7 @@ _ONE_AT_A_TIME = threading.Lock()
 class ScanTask:
     """One scan to process; paths are absolute, for workers may run elsewhere.
 
-    `run` names the run of the batch, since a worker of an older run writes nothing; `version` is that of the
-    package that made the task; after `timeout_s` seconds the worker's process ends itself.
+    `run` names the batch's run, `version` the package's; after `timeout_s` seconds the worker ends itself.
     """
 
     name: str
@@ -75,9 +74,10 @@ def begin_worker(parent: int) -> None:
 def process_task(task: ScanTask) -> BatchScanRecord:
     """Process one scan, write its files and its record, and return the record, also of any failure.
 
-    The scan is marked as in progress meanwhile. An alarm ends the process when it takes too long, even inside
-    compiled code, where an exception could not clean up.
+    An alarm ends the process when it takes too long, even inside compiled code that no exception ends.
     """
+    import resource
+
     layout = Layout(task.out)
     earlier = layout.row(task.name)
     if earlier is not None and earlier.run == task.run:
@@ -88,7 +88,24 @@ def process_task(task: ScanTask) -> BatchScanRecord:
         if task.timeout_s is not None:
             signal.setitimer(signal.ITIMER_REAL, task.timeout_s)
         try:
-            row = _attempted(task, layout)
+            start, cpu = time.perf_counter(), time.process_time()
+            known: dict[str, Any] = {"worker": f"{platform.node()}:{os.getpid()}"}
+            status: BatchOutcome = "done"
+            try:
+                known |= _processed(task, layout)
+            except Exception as error:  # noqa: BLE001  one bad scan never stops the others, whatever it raises
+                name = "" if isinstance(error, Scan2AlbedoError) else f"{type(error).__name__}: "
+                status, known["reason"] = "failed", f"{name}{error}"
+                known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
+                with suppress(Scan2AlbedoError):
+                    known["input_sha256"] = input_sha256(task.path, task.options.textures)
+                if (layout.out / task.name / "result.json").exists():
+                    known["notes"] += ("the result of an earlier run is still in its folder",)
+            known["seconds"] = time.perf_counter() - start
+            known["cpu_seconds"] = time.process_time() - cpu
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # KB, on macOS bytes
+            known["peak_memory_mb"] = peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+            row = task.record(status, **known)
             if layout.is_running(task.run):
                 layout.keep(row)
             return row
@@ -96,29 +113,6 @@ def process_task(task: ScanTask) -> BatchScanRecord:
             if task.timeout_s is not None:
                 signal.setitimer(signal.ITIMER_REAL, 0)
             layout.unmark(task.name)
-
-
-def _attempted(task: ScanTask, layout: Layout) -> BatchScanRecord:
-    start, cpu = time.perf_counter(), time.process_time()
-    known: dict[str, Any] = {"worker": f"{platform.node()}:{os.getpid()}"}
-    status: BatchOutcome = "done"
-    try:
-        known |= _processed(task, layout)
-    except Exception as error:  # noqa: BLE001  one bad scan never stops the others, whatever it raises
-        name = "" if isinstance(error, Scan2AlbedoError) else f"{type(error).__name__}: "
-        status, known["reason"] = "failed", f"{name}{error}"
-        known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
-        with suppress(Scan2AlbedoError):
-            known["input_sha256"] = input_sha256(task.path, task.options.textures)
-        if (layout.out / task.name / "result.json").exists():
-            known["notes"] += ("the result of an earlier run is still in its folder",)
-    known["seconds"] = time.perf_counter() - start
-    known["cpu_seconds"] = time.process_time() - cpu
-    import resource
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # KB, on macOS bytes
-    known["peak_memory_mb"] = peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
-    return task.record(status, **known)
 
 
 def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:

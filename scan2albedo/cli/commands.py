@@ -25,7 +25,6 @@ from scan2albedo.cli.common import (
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
-from scan2albedo.cli.report import report
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import Scan2AlbedoError, one_line
@@ -48,7 +47,6 @@ app.add_typer(glasses_app, name="glasses")
 app.add_typer(reflectance_app, name="reflectance")
 add_commands(app)
 app.command()(identify)
-app.command()(report)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 
@@ -239,7 +237,7 @@ def batch(
 
     try:
         # The stages run in workers, so that signals may unwind here.
-        with interrupts_raise(), removed_if_empty(out), BatchLines() as lines:
+        with interrupts_raise(), removed_if_empty(out), BatchLines("batch") as lines:
             done = run_batch(
                 manifest,
                 out,
@@ -334,6 +332,36 @@ def doctor(json_summary: JsonOption = False) -> None:
         echo_json([asdict(finding) for finding in findings])
     if not all(finding.good for finding in findings):
         raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+def report(
+    out: Annotated[
+        Path,
+        typer.Argument(help="What process or batch wrote: OUT, or the folder of one scan.", metavar="OUT"),
+    ],
+    path: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The page; OUT/report.html when omitted.")
+    ] = None,
+    scans: Annotated[
+        int, typer.Option(help="How many scans of a batch are shown in full, the worst first.", min=0)
+    ] = 40,
+    json_summary: JsonOption = False,
+) -> None:
+    """Show what happened to a scan or a batch as one HTML page that needs no network."""
+    if path is not None and path.suffix.lower() not in (".html", ".htm"):
+        raise typer.BadParameter(f"-o takes a name that ends in .html, not {path}")
+    from dataclasses import asdict
+
+    from scan2albedo.report.html import write_report
+    from scan2albedo.report.html.texts import size_text
+
+    stop_cleanly_on_interrupt(None)
+    written = write_report(out, path, scans=scans, on_progress=say)
+    say(f"{written.path}: {written.scans} scans, {size_text(written.size_bytes)}")
+    if json_summary:
+        figures = asdict(written)
+        echo_json({"status": "done", "out": str(figures.pop("path")), **figures})
 
 
 def main() -> None:

@@ -103,12 +103,9 @@ def interrupts_raise() -> Iterator[None]:
 
 
 def stop_cleanly_on_interrupt(out: Path | None) -> None:
-    """Make Ctrl-C and SIGTERM remove half-written files, print a message, and end the process at once.
+    """Make Ctrl-C and SIGTERM remove half-written files, also an empty `out` that is new, and end at once.
 
-    `out` goes as well when it was not there and is empty.
-
-    Raising KeyboardInterrupt instead would unwind through compilers and ray tracers in whatever state they
-    are in; numba has crashed on that.
+    KeyboardInterrupt would unwind through compilers and ray tracers in any state; numba has crashed on that.
     """
 
     there = out is None or out.exists()

@@ -26,10 +26,7 @@ DEVELOPERS = ("test", "docs", "dev")
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one check; `good` is also True for an extra that is not installed.
-
-    `detail` is the version found, or the error, `remedy` the command that mends it.
-    """
+    """The result of one check: the version found, or the error and its remedy; extras may be missing."""
 
     subject: str
     good: bool
@@ -38,11 +35,7 @@ class Finding:
 
 
 def libraries(requirements: Iterable[str]) -> dict[str, tuple[str, str]]:
-    """Return requirement and extra of each package that commands need; "" is what all need.
-
-    >>> libraries(["libigl<2.7,>=2.6.3", "loky>=3.5; extra == 'batch'", "mypy; extra == 'dev'"])
-    {'libigl': ('libigl<2.7,>=2.6.3', ''), 'loky': ('loky>=3.5', 'batch')}
-    """
+    """Return requirement and extra of each package that commands need; "" is what all need."""
     found: dict[str, tuple[str, str]] = {}
     for line in requirements:
         requirement, _, marker = line.partition(";")

@@ -74,9 +74,6 @@ class ProgressLines:
 class BatchLines(ProgressLines):
     """Shows how far a batch is; use as a context manager."""
 
-    def __init__(self) -> None:
-        super().__init__("batch")
-
     def show(self, progress: BatchProgress) -> None:
         """Show a scan that has ended, or a note."""
         if progress.note:
@@ -97,11 +94,7 @@ class BatchLines(ProgressLines):
 
 
 def _duration(seconds: float) -> str:
-    """Return seconds as a person says them.
-
-    >>> _duration(59), _duration(600), _duration(9000)
-    ('59 s', '10 min', '2.5 h')
-    """
+    """Return seconds as a person says them: 59 s, 10 min, 2.5 h."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -87,10 +87,7 @@ def fit(
         sigma = float(normal_sigma)
     try:
         options = ReflectanceFitOptions(
-            loss=loss,
-            light_gains=light_gains,
-            least_pairs=least_pairs,
-            normal_sigma_degrees=sigma,
+            loss=loss, light_gains=light_gains, least_pairs=least_pairs, normal_sigma_degrees=sigma
         )
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
@@ -111,14 +108,8 @@ def fit(
         figures = write_fit(
             done,
             out,
-            {
-                "light_gains": light_gains,
-                "loss": loss,
-                "held_out_every": held_out_every,
-                "least_pairs": least_pairs,
-                "normal_sigma": normal_sigma,
-                "budget": budget,
-            },
+            {"light_gains": light_gains, "loss": loss, "held_out_every": held_out_every}
+            | {"least_pairs": least_pairs, "normal_sigma": normal_sigma, "budget": budget},
         )
         known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
         text = f"{known} from {figures['pairs']} pairs"

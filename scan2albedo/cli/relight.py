@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG
-
-if TYPE_CHECKING:
-    from scan2albedo.core import PointLight
 
 LAMP_INTENSITY = 3.0
 PICTURES, TEXTURED, ANIMATED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"), ".glb", ".gif"
@@ -86,7 +83,17 @@ def relight(
     json_summary: JsonOption = False,
 ) -> None:
     """Show a processed face under other light, with its shadows."""
-    lights = [_light(text, lamp_radius) for text in light or ()]
+    from scan2albedo.core import PointLight
+
+    lights = []
+    for text in light or ():
+        az, el, *others = _angles("--light", text, 2, 4)
+        intensity, distance = (*others, *(LAMP_INTENSITY, math.inf)[len(others) :])
+        if intensity < 0 or distance <= 0:
+            raise typer.BadParameter(f"--light {text}: intensity may not be negative, a distance is above 0")
+        lights.append(
+            PointLight(math.radians(az), math.radians(el), distance, intensity, radius_deg=lamp_radius)
+        )
     camera_at = _angles("--view", view, 2, 2)
     extension = out.suffix.lower()
     if sweep is None and extension not in (*PICTURES, TEXTURED):
@@ -156,19 +163,6 @@ def relight(
     if json_summary:
         summary = {"face": face.name, "status": "done", "out": str(out), "lights": len(lights)}
         echo_json({**summary, "notes": list(relit.notes)})
-
-
-def _light(text: str, radius_deg: float) -> PointLight:
-    from scan2albedo.core import PointLight
-
-    numbers = _angles("--light", text, 2, 4)
-    intensity = numbers[2] if len(numbers) > 2 else LAMP_INTENSITY
-    distance = numbers[3] if len(numbers) > 3 else math.inf
-    if intensity < 0 or distance <= 0:
-        raise typer.BadParameter(f"--light {text}: intensity may not be negative, a distance is above 0")
-    return PointLight(
-        math.radians(numbers[0]), math.radians(numbers[1]), distance, intensity, radius_deg=radius_deg
-    )
 
 
 def _angles(option: str, text: str, fewest: int, most: int) -> list[float]:

@@ -29,11 +29,7 @@ class Budget:
 
     @classmethod
     def of(cls, value: Budget | float | None) -> Budget:
-        """Return `value` as a Budget: a number means seconds, None means no limit.
-
-        >>> Budget.of(2.5)
-        Budget(seconds=2.5, evaluations=None)
-        """
+        """Return `value` as a Budget: a number means seconds, None means no limit."""
         return value if isinstance(value, Budget) else cls(seconds=value)
 
 
@@ -46,16 +42,11 @@ def checked_seed(seed: int) -> int:
 
 ProgressCallback = Callable[[TraceRow], None]
 
-
 GRACE_S = 0.3
 
 
 def grace(seconds: float) -> float:
-    """Return the seconds by which a budget of `seconds` may be overrun to bring an answer to its end.
-
-    >>> grace(1.0), grace(10.0)
-    (0.3, 2.0)
-    """
+    """Return the seconds by which a budget of `seconds` may be overrun to bring an answer to its end."""
     return max(seconds / 5, GRACE_S)
 
 
@@ -72,9 +63,8 @@ class Meter:
     on_progress: ProgressCallback | None = None
     """Called with every recorded `TraceRow`."""
     evaluations: int = 0
-    """Spent so far."""
     rows: list[TraceRow] = field(default_factory=list)
-    """Recorded so far."""
+    """`evaluations` spent and `rows` recorded so far."""
     _wall_start: float = field(default_factory=time.perf_counter)
     _cpu_start: float = field(default_factory=time.process_time)
 
@@ -121,10 +111,7 @@ class Meter:
         return Meter(stage, unit, left, self.on_progress)
 
     def untraced(self) -> Meter:
-        """Return a meter with what is left of the budget, for a part whose errors have another meaning.
-
-        Its rows are neither kept nor shown.
-        """
+        """Return a meter with what is left of the budget, whose rows, of other errors, are dropped."""
         return Meter(self.stage, self.unit, self.sub_meter(self.stage, self.unit).budget)
 
     def merge(self, finished: Meter) -> None:

@@ -1,8 +1,7 @@
 """The first run after an installation: helper processes compile kernels that its later stages need.
 
-Numba compiles one kernel at a time in a process, and keeps it on disk. While the first run compiles what its
-first stages call, helpers compile what its last stages call; the run finds that on disk. What no helper has
-compiled in time, the run compiles itself.
+Numba compiles one kernel at a time in a process and keeps it on disk, where the run finds what helpers have
+compiled meanwhile. What they have not compiled in time, it compiles itself.
 """
 
 from __future__ import annotations
@@ -49,8 +48,7 @@ class RecordedKernel(NamedTuple):
         """Return numba's types: as a tuple, by which a call looks the kernel up on disk."""
         from numba.core.sigutils import normalize_signature
 
-        types, _ = normalize_signature(self.signature)
-        return tuple(types)
+        return tuple(normalize_signature(self.signature)[0])
 
 
 def recorded_kernels() -> tuple[RecordedKernel, ...]:
@@ -94,11 +92,7 @@ def _helper_count() -> int:
 
 
 def _is_cold(kernels: Sequence[Any]) -> bool:
-    """Whether many of the kernels are not on disk, and can be kept there once they are compiled.
-
-    Files older than a kernel's source are removed: numba does not use them, but where one process writes the
-    new index first, another might read an old file by it.
-    """
+    """Whether many of the kernels are not on disk, and can be kept there once they are compiled."""
     missing, listed = 0, dict[str, list[os.DirEntry[str]]]()
     for kernel in kernels:
         # A plain function where numba is switched off, no path where nothing is kept.
@@ -112,6 +106,7 @@ def _is_cold(kernels: Sequence[Any]) -> bool:
         start, changed = f"{source.stem}.{kernel.py_func.__qualname__}-", source.stat().st_mtime
         fresh = False
         for entry in listed[folder]:
+            # Older than the source: where one process writes the index anew, another might read it by that.
             if entry.name.startswith(start) and entry.stat().st_mtime < changed <= time.time():
                 Path(entry.path).unlink(missing_ok=True)
             elif entry.name.startswith(start):
@@ -143,16 +138,15 @@ def _started(count: int) -> list[subprocess.Popen[bytes]]:
     return helpers
 
 
-def _end_with_parent() -> None:
-    """End this process when the pipe from its parent closes, which it does however that ends."""
-    with contextlib.suppress(OSError):
-        os.read(0, 1)
-    os._exit(0)
-
-
 def _help(number: int, count: int) -> None:
     """Compile every `count`-th of the recorded kernels, those that the run comes to last at the end."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+    def end_with_parent() -> None:
+        with contextlib.suppress(OSError):
+            os.read(0, 1)  # the pipe from the parent closes however that ends
+        os._exit(0)
+
+    threading.Thread(target=end_with_parent, daemon=True).start()
     if hasattr(os, "nice"):
         os.nice(5)
     gc.disable()

@@ -142,10 +142,7 @@ class GeometryImage:
         return self.mask & ~surrounded
 
     def toward_camera(self, view_direction: ArrayLike) -> NDArray[np.float64]:
-        """Return (N, 3) unit directions from the texels of `mask` to the camera that took each.
-
-        `view_direction` (3,), unit, serves where the camera is not known.
-        """
+        """Return (N, 3) unit directions from the texels of `mask` to their cameras, else `view_direction`."""
         position = self.position[self.mask]
         toward = np.broadcast_to(np.asarray(view_direction, np.float64), position.shape).copy()
         if self.camera is None or self.camera_positions is None:

@@ -66,7 +66,7 @@ class PlanStep:
 
 @dataclass(frozen=True)
 class Plan:
-    """Decisions in the order they were taken.
+    """Decisions, `steps`, in the order they were taken.
 
     >>> plan = Plan((PlanStep("albedo.shadows", False, "the surface casts none", "0 % of lit texels"),))
     >>> plan.ran("albedo.shadows")
@@ -74,7 +74,6 @@ class Plan:
     """
 
     steps: tuple[PlanStep, ...] = ()
-    """In the order they were decided."""
 
     def __iter__(self) -> Iterator[PlanStep]:
         return iter(self.steps)

@@ -15,30 +15,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TraceRow:
-    """One point of the error-against-run-time curve of a stage."""
+    """One point of the error-against-run-time curve of a `stage`: its `error` in `unit`."""
 
     stage: str
-    """That recorded the row."""
     elapsed_s: float
     cpu_s: float
-    """`elapsed_s` and `cpu_s` are wall-clock and CPU seconds since the stage began."""
     evaluations: int
-    """Spent by then."""
+    """`elapsed_s`, `cpu_s`, `evaluations`: wall-clock and CPU seconds and evaluations since it began."""
     error: float
-    """In `unit`."""
     unit: str
-    """Of the error."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Rows (stage, elapsed_s, cpu_s, evaluations, error, unit) in the order they were recorded.
-
-    Times and evaluations count from the start of each row's own stage.
-    """
+    """The `rows` of one or several stages in the order they were recorded."""
 
     rows: tuple[TraceRow, ...] = ()
-    """In the order they were recorded."""
 
     def __iter__(self) -> Iterator[TraceRow]:
         return iter(self.rows)
@@ -79,11 +71,7 @@ class Trace:
         return text.getvalue()
 
     def plot(self) -> Figure:
-        """Draw error against elapsed seconds, one panel a stage, and return the matplotlib figure.
-
-        A stage that ran twice has two curves, each over the time since its own run began; an error that does
-        not change is written, for it makes no curve.
-        """
+        """Draw error against elapsed seconds, a panel a stage, a curve a run; return the figure."""
         from matplotlib.figure import Figure
         from matplotlib.ticker import MaxNLocator
 
@@ -95,7 +83,7 @@ class Trace:
             axis = figure.add_subplot(panel_rows, columns, number, title=stage)
             found = self.of_stage(stage)
             errors = [row.error for row in found]
-            if len(set(errors)) < 2:
+            if len(set(errors)) < 2:  # no curve: the error is written
                 axis.set_axis_off()
                 for last in found.rows[-1:]:
                     spent = f"{last.evaluations} evaluations, {last.elapsed_s:.3g} s"

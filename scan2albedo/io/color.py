@@ -20,11 +20,7 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
 
 def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
-    """Encode linear values: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above.
-
-    >>> linear_to_srgb([0.0, 0.214, 1.0]).round(3).tolist()
-    [0.0, 0.5, 1.0]
-    """
+    """Encode linear values: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above."""
     value = np.asarray(linear, np.float64)
     size = np.abs(value)
     return np.copysign(np.where(size <= 0.0031308, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055), value)
@@ -41,10 +37,7 @@ def decode_srgb_integers(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDAr
 
 
 def linear_of_srgb_numbers(colors: NDArray[np.generic]) -> NDArray[np.float32]:
-    """Return linear colours of sRGB numbers as mesh files hold them: 8 or 16 bits, or floats up to 1 or 255.
-
-    NaN and negative numbers are black.
-    """
+    """Return linear colours of sRGB integers, or floats up to 1 or 255; NaN and negative are black."""
     if colors.dtype in (np.uint8, np.uint16):
         return decode_srgb_integers(np.asarray(colors))
     values = np.nan_to_num(colors.astype(np.float64)).clip(0)

@@ -11,10 +11,7 @@ from scan2albedo.io.limits import TABLE_BYTES, read_bytes
 
 
 def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError]) -> str:
-    """Return the text of a UTF-8 file, with or without a byte order mark.
-
-    Raises `error`, which calls the file `what`, when it cannot be read, is not a file or no text.
-    """
+    """Return the text of a UTF-8 file; raises `error`, which calls it `what`, for anything else."""
     try:
         data = read_bytes(file, TABLE_BYTES, "split it")
     except (OSError, ScanError) as cause:
@@ -32,10 +29,8 @@ def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoErro
 
 
 def table_rows(text: str, file: Path, error: type[Scan2AlbedoError]) -> list[tuple[int, list[str]]]:
-    """Return the rows that hold something, the header first, with the numbers of their lines in `file`.
-
-    The header shows whether commas, semicolons or tabs separate cells. Raises `error` for unbalanced quotes.
-    """
+    """Return the rows that hold something with the numbers of their lines; `error` for wrong quotes."""
+    # The header shows whether commas, semicolons or tabs separate cells.
     first = next((line for line in text.splitlines() if line.strip()), "")
     reader = csv.reader(StringIO(text, newline=""), delimiter=max(",;\t", key=first.count), strict=True)
     try:

@@ -121,8 +121,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
 def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:
     """Return the geometry image and the albedo (H, W, 3) of a result folder.
 
-    Raises GeometryImageError or ScanError when a file is missing or damaged, or the files come from different
-    runs; the message names the file.
+    Raises GeometryImageError or ScanError, naming the file, when one is missing, damaged or of another run.
     """
     files = folder / "geometry_image.npz", folder / "albedo.exr"
     for file in files:

@@ -69,10 +69,7 @@ class GlbFile:
         *,
         normals: NDArray[np.float64] | None = None,
     ) -> int:
-        """Append a mesh with its normals and further attributes (array, kind); return its number.
-
-        `normals` (V, 3) are given where the mesh was split, so that light has no seams.
-        """
+        """Append a mesh, attributes (array, kind), `normals` (V, 3) where it was split; return its number."""
         of_vertices, of_indices = 34962, 34963  # what a view is for, in the standard's numbers
         places = vertices_mm * METRES_PER_MM
         normals = vertex_normals(places, faces) if normals is None else normals.copy()
@@ -159,13 +156,11 @@ def write_glb(
 
 @dataclass(frozen=True)
 class GlbPart:
-    """A mesh of one colour."""
+    """A mesh of one colour, its vertices (V, 3) in mm, its faces (F, 3)."""
 
     name: str
     vertices: ArrayLike
-    """(V, 3) mm."""
     faces: ArrayLike
-    """(F, 3)"""
     color_linear: tuple[float, float, float]
     opacity: float = 1.0
     roughness: float = 0.6
@@ -174,8 +169,7 @@ class GlbPart:
 def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
     """Write meshes of one colour each, opaque or not, atomically; lengths as metres, glTF's unit.
 
-    Raises OutputError when the folder cannot be written; ValueError when there is no part, a part has no
-    faces, or numbers are not finite.
+    Raises OutputError when it cannot be written; ValueError for no part, no faces or numbers not finite.
     """
     if not parts:
         raise ValueError("a GLB file needs a mesh")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -27,10 +28,8 @@ if TYPE_CHECKING:
 def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     """Read a GLB or glTF file: scene transforms applied, all meshes joined, base colours as materials.
 
-    Skinned meshes come as their joints hold them in the file, without animation.
-
-    Base colour textures are sRGB; base colour factors and vertex colours are linear (glTF 2.0, 3.7.2 and
-    3.9.2). Raises ScanError when the file is damaged; the message names it.
+    Skinned meshes come as their joints hold them, without animation. Base colour textures are sRGB, factors
+    and vertex colours linear (glTF 2.0, 3.7.2 and 3.9.2). Raises ScanError when the file is damaged.
     """
     try:
         return _read_parts(GltfFile.read(path, folder))
@@ -103,16 +102,25 @@ def _part(
     pictures: dict[int, NDArray[np.float32]],
     name: str,
 ) -> ParsedMesh:
-    """Return one mesh, moved by a transform, (4, 4) or one a vertex (V, 4, 4), and its material's index.
-
-    A new material is added to `materials` and its pictures to `pictures`: materials that share one decode it
-    once. Faces that are mirrored are turned to face out again.
-    """
+    """Return a mesh moved by (4, 4) or (V, 4, 4); its material and pictures are added to those known."""
     visual: Any = mesh.visual
     source = getattr(visual, "material", None)
     if id(source) not in materials:
         limits.require_at_most(name, "materials", 1 + len(materials), limits.MATERIALS, "join its materials")
-        materials[id(source)] = _material(source, pictures, name)
+        factor = getattr(source, "baseColorFactor", None)
+        color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0]
+        image, texture = getattr(source, "baseColorTexture", None), None
+        if image is not None and id(image) not in pictures:
+            pixels, advice = image.size[0] * image.size[1], "save it with fewer pixels"
+            limits.require_at_most(f"a texture of {name}", "pixels", pixels, limits.PIXELS, advice)
+            with suppress(OSError, SyntaxError, ValueError):
+                pictures[id(image)] = decode_srgb_integers(np.asarray(image.convert("RGB"), np.uint8))
+        if image is not None and id(image) in pictures:
+            texture = pictures[id(image)]
+            texture = texture if (color == 1).all() else texture * color
+        base = (float(color[0]), float(color[1]), float(color[2]))
+        title = str(getattr(source, "name", None) or "material")
+        materials[id(source)] = Material(title, texture, base)
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
     require_valid_indices(faces, len(vertices), name)
@@ -130,25 +138,6 @@ def _part(
         material=np.full(len(faces), list(materials).index(id(source))),
         vertex_color_linear=None if colors is None else _scaled(np.asarray(colors)),
     )
-
-
-def _material(material: Any, pictures: dict[int, NDArray[np.float32]], place: str) -> Material:
-    factor = getattr(material, "baseColorFactor", None)
-    color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0]
-    base = (float(color[0]), float(color[1]), float(color[2]))
-    image = getattr(material, "baseColorTexture", None)
-    name = str(getattr(material, "name", None) or "material")
-    if image is None:
-        return Material(name, None, base)
-    if id(image) not in pictures:
-        pixels, advice = image.size[0] * image.size[1], "save it with fewer pixels"
-        limits.require_at_most(f"a texture of {place}", "pixels", pixels, limits.PIXELS, advice)
-        try:
-            pictures[id(image)] = decode_srgb_integers(np.asarray(image.convert("RGB"), np.uint8))
-        except (OSError, SyntaxError, ValueError):
-            return Material(name, None, base)
-    texture = pictures[id(image)]
-    return Material(name, texture if (color == 1).all() else texture * color, base)
 
 
 def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:

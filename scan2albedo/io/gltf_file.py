@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,7 +17,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import MissingDependencyError, ScanError
 from scan2albedo.io import limits
 from scan2albedo.io.glb import glb_bytes
-from scan2albedo.io.image_headers import picture_pixels
+from scan2albedo.io.images import picture_pixels
 from scan2albedo.io.scan_folder import ScanFolder
 
 MARK = "_"
@@ -52,10 +51,7 @@ class GltfFile:
         return cls(path, folder, data, limits.parse_json(path.name, data[start:end]), data[end:], binary=True)
 
     def __getitem__(self, uri: str) -> bytes:
-        """Return the content of a file that the scan may refer to, as trimesh asks for it.
-
-        Raises FileNotFoundError for any other.
-        """
+        """Return the content of a file that the scan may refer to; FileNotFoundError for any other."""
         name = unquote(uri)
         file = self.folder.find(name)
         if file is None:
@@ -105,7 +101,17 @@ class GltfFile:
                 triangles += corners if primitive.get("mode") == 5 else corners // 3  # 5 is a strip
             meshes.append((vertices, triangles, len(mesh["primitives"])))
         most = {"vertices": limits.VERTICES, "triangles": limits.TRIANGLES, "primitives": limits.NODES}
-        shown = [meshes[node["mesh"]] for node in self._nodes() if "mesh" in node]
+        # Nodes of the scene, each as often as it is reached; a circle has too many.
+        shown, nodes, scenes, reached = [], tree.get("nodes", []), tree.get("scenes"), 0
+        left = list(range(len(nodes)) if scenes is None else scenes[tree.get("scene", 0)].get("nodes", []))
+        advice = "export the scan alone, without its scene"
+        limits.require_at_most(name, "nodes", len(nodes), limits.NODES, advice)
+        while left:
+            limits.require_at_most(name, "nodes in its scene", reached + len(left), limits.NODES, advice)
+            node = nodes[left.pop()]
+            reached += 1
+            shown += [meshes[node["mesh"]]] if "mesh" in node else []
+            left += node.get("children", ())
         for sizes in (meshes, shown):
             totals = [sum(column) for column in zip(*sizes, strict=True)] or [0, 0, 0]
             for (what, limit), count in zip(most.items(), totals, strict=True):
@@ -139,27 +145,10 @@ class GltfFile:
         what, advice = f"the textures of {name}", "save its textures with fewer pixels"
         limits.require_at_most(what, "pixels", total, limits.PIXELS, advice)
 
-    def _nodes(self) -> Iterator[dict[str, Any]]:
-        """Yield the nodes of the scene, each as often as it is reached; a circle has too many."""
-        tree, nodes = self.tree, self.tree.get("nodes", [])
-        scenes = tree.get("scenes")
-        left = list(range(len(nodes)) if scenes is None else scenes[tree.get("scene", 0)].get("nodes", []))
-        advice, reached = "export the scan alone, without its scene", 0
-        limits.require_at_most(self.path.name, "nodes", len(nodes), limits.NODES, advice)
-        while left:
-            limits.require_at_most(
-                self.path.name, "nodes in its scene", reached + len(left), limits.NODES, advice
-            )
-            node = nodes[left.pop()]
-            reached += 1
-            yield node
-            left += node.get("children", ())
-
     def for_trimesh(self) -> bytes:
         """Return the file's bytes with what trimesh leaves out or misreads changed.
 
-        Texture coordinates of 8 or 16 bits, which it does not scale, become floats, also in `tree`. In a file
-        with skins, nodes are named by number and skin attributes marked.
+        Texture coordinates of 8 or 16 bits become floats; for skins nodes are numbered, attributes marked.
         """
         tree, changed = json.loads(json.dumps(self.tree)), False
         meshes, accessors = tree.get("meshes", ()), tree.get("accessors", ())

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 import warnings
 import zlib
+from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 from typing import Any, cast
@@ -17,9 +19,9 @@ from scan2albedo.errors import OutputError, ScanError, needs_extra
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
-from scan2albedo.io.image_headers import is_cut_png, picture_pixels
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+_RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
 SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
 
 
@@ -41,11 +43,7 @@ def read_image_linear(path: str | Path) -> NDArray[np.float32]:
 
 
 def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
-    """Read the samples of an image as they are stored, (H, W, 3) RGB, nothing decoded; floats may be NaN.
-
-    Raises ScanError when the file is missing, unreadable or damaged, TooLargeError when it is too large to be
-    read; the message names it.
-    """
+    """Read an image's samples as stored, (H, W, 3), floats may be NaN; errors as in `read_image_linear`."""
     file = Path(path)
     try:
         limits.require_file(file, math.inf)
@@ -119,8 +117,7 @@ def _decoded(data: bytes) -> NDArray[Any] | None:
 def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
     """Return every channel of the first part of an EXR file as (H, W) float32, by its full name.
 
-    Raises ScanError when the file is missing or no complete EXR, TooLargeError when its parts together have
-    more samples than are read.
+    Raises ScanError when it is missing or not whole, TooLargeError for too many samples in all parts.
     """
     import OpenEXR
 
@@ -161,11 +158,7 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
 
 
 def write_exr(path: str | Path, linear: ArrayLike) -> None:
-    """Write a linear image (H, W, 3 or 4), or (H, W) as channel Y, as a 32-bit float EXR, atomically.
-
-    Raises OutputError when the folder cannot be written; ValueError for another shape, or values that are not
-    finite in 32 bits.
-    """
+    """Write a linear image (H, W, 3 or 4), or (H, W) as channel Y; see `write_exr_channels` for errors."""
     image = np.asarray(linear, np.float32)
     if image.ndim == 2:
         write_exr_channels(path, {"Y": image})
@@ -175,18 +168,14 @@ def write_exr(path: str | Path, linear: ArrayLike) -> None:
 
 
 def write_png(path: str | Path, image: ArrayLike) -> None:
-    """Write a PNG atomically; see `encode_image` for what each dtype means.
-
-    Raises OutputError when the folder cannot be written; ValueError for another shape, another dtype, or NaN.
-    """
+    """Write a PNG atomically; see `encode_image` for what each dtype means, `write_image` for errors."""
     write_bytes(path, encode_image(image, ".png"))
 
 
 def write_image(path: str | Path, image: ArrayLike) -> None:
     """Write an image in the format its extension names: `write_exr`, or 8-bit sRGB as `write_png` does.
 
-    Raises OutputError when the folder cannot be written, or the extension is not supported; ValueError for
-    another shape, another dtype, or NaN.
+    Raises OutputError when it cannot be written so, ValueError for another shape, another dtype, or NaN.
     """
     extension = Path(path).suffix.lower()
     if extension == ".exr":
@@ -249,3 +238,67 @@ def encode_image(image: ArrayLike, extension: str) -> bytes:
 def _check_rgb(image: NDArray[np.generic]) -> None:
     if image.ndim != 3 or image.shape[2] not in (3, 4):
         raise ValueError(f"an image has shape {image.shape}, expected (H, W), (H, W, 3) or (H, W, 4)")
+
+
+def picture_pixels(data: bytes, place: str | Path) -> int | None:
+    """Return how many pixels a picture has, see `declared_pixels`; TooLargeError for too many."""
+    pixels = declared_pixels(data)
+    limits.require_at_most(
+        f"image {place}", "pixels", pixels or 0, limits.PIXELS, "save it with fewer pixels"
+    )
+    return pixels
+
+
+def declared_pixels(data: bytes) -> int | None:
+    """Return how many pixels the header of a PNG, JPEG, TIFF, BMP, WebP or Radiance picture declares.
+
+    Pixels that take more bytes than three 32-bit floats count as several. None when it is none of these, or
+    damaged. `data` may be the picture's beginning. EXR files have a header a part and are judged in
+    `read_exr_channels`.
+    """
+    readers = {b"\x89PNG\r\n\x1a\n": "Png", b"\xff\xd8": "Jpeg", b"BM": "Bmp"}
+    pillows = next((reader for magic, reader in readers.items() if data.startswith(magic)), None)
+    try:
+        if pillows is not None:
+            # Not `Image.open`, which refuses large pictures by a limit of its own.
+            plugin = import_module(f"PIL.{pillows}ImagePlugin")
+            width, height = getattr(plugin, f"{pillows}ImageFile")(BytesIO(data)).size
+        elif data.startswith((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")):
+            # Pillow reads tags also of kinds of TIFF whose pixels it cannot decode.
+            from PIL.TiffImagePlugin import ImageFileDirectory_v2
+
+            big = b"+" in data[2:4]
+            head = b"II+\0" + data[4:16] if big else b"II*\0" + data[4:8]
+            tags = ImageFileDirectory_v2(head, data[:2])
+            stream = BytesIO(data)
+            stream.seek(tags.next)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of other tags
+                tags.load(stream)
+            bits = tags.get(258, 1)
+            pixel_bytes = (max(bits) if isinstance(bits, tuple) else bits) // 8 * tags.get(277, 1)
+            width, height = tags[256] * max(-(-pixel_bytes // 12), 1), tags[257]
+        elif data.startswith(b"#?") and (size := _RADIANCE.match(data)) is not None:
+            width, height = int(size[1]), int(size[2])
+        elif data[8:16] == b"WEBPVP8X":  # Pillow makes room for a WebP picture when it opens one
+            width, height = (1 + int.from_bytes(data[i : i + 3], "little") for i in (24, 27))
+        elif data[8:16] == b"WEBPVP8L":
+            packed = struct.unpack_from("<I", data, 21)[0]
+            width, height = 1 + (packed & 0x3FFF), 1 + (packed >> 14 & 0x3FFF)
+        elif data[8:16] == b"WEBPVP8 ":
+            width, height = (side & 0x3FFF for side in struct.unpack_from("<HH", data, 26))
+        else:
+            return None
+    except (OSError, SyntaxError, ValueError, TypeError, LookupError, OverflowError, struct.error):
+        return None
+    return int(width * height)
+
+
+def is_cut_png(data: bytes) -> bool:
+    """Return whether a PNG declares a chunk beyond its end; decoders make room for it before they look."""
+    place = 8
+    if not data.startswith(b"\x89PNG"):
+        return False
+    while place + 8 <= len(data) and data[place + 4 : place + 8] != b"IEND":
+        place += 12 + int(struct.unpack_from(">I", data, place)[0])
+    return place > len(data)

@@ -29,13 +29,11 @@ PARTS = {
     "lips": range(48, 68),
 }
 """iBUG-68 numbers, from 0; right and left are the subject's."""
-_HEADER = "number,part,model_x_mm,model_y_mm,model_z_mm,scan_x,scan_y,scan_z,deviation_mm"
 
 _ADVICE = (
     f"give rows of number (0 to {COUNT - 1}), x, y, z; a landmarks.json or landmarks.csv of `process`; or a "
     ".pp of MeshLab whose points have numbers as names"
 )
-_COLUMNS = (("scan_x", "scan_y", "scan_z"), ("x", "y", "z"))
 
 Point = tuple[Number, Number, Number]
 
@@ -74,7 +72,8 @@ def write_landmarks_csv(file: Path, record: LandmarksRecord) -> None:
     """Write the landmarks as a table, a row each."""
     with file.open("w", encoding="utf-8", newline="") as opened:
         writer = csv.writer(opened, lineterminator="\n")
-        writer.writerow(_HEADER.split(","))
+        places = ("model_x_mm", "model_y_mm", "model_z_mm", "scan_x", "scan_y", "scan_z")
+        writer.writerow(("number", "part", *places, "deviation_mm"))
         for point in record.landmarks:
             scan = (f"{value:.9g}" for value in point.scan)
             model_mm = (f"{value:.4f}" for value in point.model_mm)
@@ -139,7 +138,8 @@ def _of_table(text: str, file: Path) -> _Points:
         for line, row in rows:
             yield f"{file}, line {line}", row[0].strip(), row[1:4], PLACED_SIGMA_MM
         return
-    columns = next((names for names in _COLUMNS if set(names) <= set(header)), None)
+    kinds = (("scan_x", "scan_y", "scan_z"), ("x", "y", "z"))
+    columns = next((names for names in kinds if set(names) <= set(header)), None)
     if columns is None:
         raise ScanError(f"{file}: has no columns x, y and z; {_ADVICE}")
     deviation = next((name for name in ("sigma_mm", "deviation_mm") if name in header), "")

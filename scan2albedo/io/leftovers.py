@@ -26,10 +26,7 @@ _unfinished: set[Path] = set()
 
 
 def hidden_path(target: Path, suffix: str = "") -> Path:
-    """Return a new hidden path beside `target`, which tells which process makes it.
-
-    It counts as unfinished until `finished` is called.
-    """
+    """Return a new hidden path beside `target` that names its process; unfinished until `finished`."""
     stem = target.name.removesuffix(suffix) if suffix else target.name
     stem = os.fsdecode(os.fsencode(stem)[:_LONGEST_STEM])
     path = target.with_name(f".{stem}-{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part{suffix}")
@@ -60,10 +57,7 @@ def remove_unfinished() -> None:
 
 
 def remove_leftovers(*folders: Path) -> int:
-    """Remove what killed processes left under hidden paths in folders, which are settled; return how many.
-
-    What processes still work on stays: those of this machine that run, those of others for an hour.
-    """
+    """Remove what killed processes left under hidden paths in folders, settle these; return how many."""
     removed = 0
     for folder in folders:
         with suppress(OSError):
@@ -84,7 +78,7 @@ def _remove(path: Path) -> None:
 
 
 def _at_work(path: Path) -> bool:
-    """Return whether the process that made a hidden path may still work on it."""
+    """Return whether the process that made a hidden path may still work on it; elsewhere for an hour."""
     found = _PATTERN.fullmatch(path.name)
     assert found is not None
     host, number = found[1], int(found[2])
@@ -112,10 +106,7 @@ def _at_work(path: Path) -> bool:
 
 @contextmanager
 def folder_lock(folder: Path) -> Iterator[bool]:
-    """Keep other publishers out of a folder during the block; give whether there is such a lock here.
-
-    It is on the folder around it, which stays in place; it leaves no file and ends with its process.
-    """
+    """Keep other publishers out of a folder by a lock on its parent; give whether there is such a lock."""
     descriptor, locked = None, False
     try:
         # Not POSIX, a folder that cannot be read, or a file system without locks: then there is none.
@@ -134,10 +125,7 @@ def folder_lock(folder: Path) -> Iterator[bool]:
 
 
 def settle(folder: Path) -> None:
-    """Roll a folder back to its state before a publication that was killed between two renames.
-
-    Raises OSError when that is impossible.
-    """
+    """Undo a publication into a folder that was killed between two renames; OSError when impossible."""
     if os.path.lexists(folder / JOURNAL):
         folder = Path(os.path.realpath(folder))
         with folder_lock(folder) as locked:

@@ -65,32 +65,21 @@ DAMAGE = (
 
 
 def require_at_most(name: str, what: str, count: float, limit: float, advice: str) -> None:
-    """Raise TooLargeError, naming the file, when `count` of something is above its limit.
-
-    >>> require_at_most("a.obj", "lines of text", 30, 20, "decimate it")
-    Traceback (most recent call last):
-        ...
-    scan2albedo.errors.TooLargeError: a.obj: 30 lines of text are more than the 20 that are read; decimate it
-    """
+    """Raise TooLargeError, naming the file, when `count` of something is above its limit."""
     if count > limit:
         raise TooLargeError(f"{name}: {count:,} {what} are more than the {limit:,} that are read; {advice}")
 
 
 def parse_json(name: str, text: bytes) -> Any:
-    """Return what JSON text holds; raises ValueError, RecursionError, and TooLargeError for too many values.
-
-    Text inside quotes counts too, but no more than its commas and brackets: base64 has none.
-    """
+    """Return what JSON text holds; raises ValueError, RecursionError, TooLargeError for too many values."""
+    # Text inside quotes counts too, but no more than its commas and brackets: base64 has none.
     values = 1 + text.count(b",") + text.count(b"[") + text.count(b"{")
     require_at_most(name, "JSON values", values, VALUES, "decimate or simplify the scene")
     return json.loads(text.decode("utf-8", "replace"))
 
 
 def require_file(file: Path, limit: float = FILE_BYTES, advice: str = "make it smaller") -> int:
-    """Return the bytes of a file; raises TooLargeError for more than `limit`, OSError for a missing file.
-
-    Raises ScanError for a pipe, a device or a socket, which may never end.
-    """
+    """Return the bytes of a file; TooLargeError above `limit`, OSError if missing, ScanError for a pipe."""
     status = file.stat()
     if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
         raise ScanError(f"{file}: is a pipe or a device, not a file; give a file")

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 class Reader(NamedTuple):
     """The functions of a kind of file, in a module that is imported when such a file is read.
 
-    `read` is called with the path and a `ScanFolder` and returns a `ParsedMesh`; `files`, where there are
-    such, with the same for the names of the files that the scan refers to.
+    Both take the path and a `ScanFolder`: `read` returns a `ParsedMesh`, `files` the names of other files.
     """
 
     module: str
@@ -95,10 +94,7 @@ def load_scan(
 
 
 def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None) -> RawScan:
-    """Return a scan, of the file `path`, with landmarks as `load_scan` takes them.
-
-    A note says how many there are. Raises ScanError when they cannot be read.
-    """
+    """Return a scan, of the file `path`, with landmarks as `load_scan` takes them; may raise ScanError."""
     from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
     from scan2albedo.io.landmark_files import landmarks_file, read_landmarks
 
@@ -125,8 +121,7 @@ def load_scan_with(
 ) -> RawScan:
     """Load a scan as `load_scan` does, of something whose size is not a head's.
 
-    `decide_unit` maps the repaired mesh, in file units, and its (V,) component labels to (factor to
-    millimetres, note).
+    `decide_unit` maps repaired mesh and component labels (V,) to (factor to millimetres, note).
     """
     require_type(path, (str, PathLike), "load_scan: path", "give the path of a scan's file")
     file = Path(path)
@@ -169,9 +164,8 @@ def load_scan_with(
 
 
 def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
-    """Return the mesh of a file: vertices in its own order and unit, nothing repaired.
+    """Return the mesh of a file as it is, with materials from its folder and `textures` (`ScanFolder`).
 
-    Materials and textures come from its folder, and from `textures` where given (`ScanFolder`).
     Raises ScanError when the file is missing, of an unsupported kind or damaged.
     """
     if os.path.isdir(file):  # false, where Path.is_dir raises, for names that are too long

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.image_headers import picture_pixels
-from scan2albedo.io.images import read_image_linear
+from scan2albedo.io.images import picture_pixels, read_image_linear
 from scan2albedo.io.parsed_mesh import Material
 from scan2albedo.io.scan_folder import ScanFolder
 
@@ -80,10 +80,7 @@ class ScanPictures:
     read: dict[Path, NDArray[np.float32] | str] = field(default_factory=dict)
 
     def materials(self, texts: Iterable[MaterialText]) -> tuple[tuple[Material, ...], tuple[str, ...]]:
-        """Return materials with their textures read, and notes on textures that are missing or damaged.
-
-        Raises TooLargeError when a picture, or all pictures together, have too many pixels.
-        """
+        """Return materials with textures, and notes on missing or damaged ones; may raise TooLargeError."""
         materials, notes = [], []
         for text in texts:
             red, green, blue = (float(c) for c in srgb_to_linear(text.diffuse_srgb))
@@ -121,11 +118,7 @@ class ScanPictures:
         return self.read[file]
 
     def or_named_like(
-        self,
-        scan: Path,
-        uv: NDArray[np.float64] | None,
-        materials: tuple[Material, ...],
-        notes: tuple[str, ...],
+        self, scan: Path, uv: FloatArray | None, materials: tuple[Material, ...], notes: tuple[str, ...]
     ) -> tuple[tuple[Material, ...], tuple[str, ...]]:
         """Return materials and notes; where all textures are missing, the image with the scan's own name."""
         lost = not materials or any(note.startswith("texture ") for note in notes)

@@ -15,10 +15,7 @@ from scan2albedo.io import limits
 
 @dataclass(frozen=True)
 class Material:
-    """One surface material; `base_color_linear` shows where there is no texture.
-
-    `texture_linear` (H, W, 3) is None when the material has none, or its file is missing.
-    """
+    """One surface material; its base colour shows where it has no texture (H, W, 3), or none was found."""
 
     name: str
     texture_linear: NDArray[np.float32] | None = None

@@ -32,20 +32,15 @@ _HEADER_END = re.compile(rb"^[ \t]*end_header[ \t]*(?:\r\n|\n|\r)", re.MULTILINE
 
 
 class _ListColumn(NamedTuple):
-    """A list property of all rows."""
+    """A list property: how many entries each row has (N,), and all of them, row after row."""
 
     counts: IntArray
-    """(N,) entries of each row."""
     items: NDArray[Any]
-    """All entries, row after row."""
 
 
 @dataclass
 class _Element:
-    """One kind of row, such as vertex or face, as the header declares it.
-
-    `properties` are (name, type of an item, type of a list's count, None where the property is no list).
-    """
+    """Rows as the header declares them; `properties` are (name, type, type of a list's count or None)."""
 
     name: str
     count: int
@@ -131,16 +126,36 @@ def _texture_files(header: str) -> list[str]:
 
 
 def _read_elements(path: Path) -> tuple[dict[str, Columns], list[str]]:
-    """Return the values of every element, by element and property name, and the names of textures.
-
-    Raises ScanError, naming the file, for a damaged header or a body cut short.
-    """
+    """Return all values, by element and property name, and the names of textures; ScanError for damage."""
     data = limits.read_bytes(path, advice="decimate it")
     end = _HEADER_END.search(data[: 1 << 20])
     if not data.lstrip()[:3].lower() == b"ply" or end is None:
         raise damaged(path, "it has no complete PLY header", "PLY")
     header = data[: end.start()].decode("latin-1")
-    order, elements = _parse_header(path, header.splitlines())
+    # Byte order "<" or ">", None for text.
+    orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+    order: str | None = "?"
+    elements: list[_Element] = []
+    for line in header.splitlines():
+        words = line.split()
+        try:
+            if words[:1] == ["format"]:
+                order = orders[words[1]]
+            elif words[:1] == ["element"]:
+                elements.append(_Element(words[1], int(words[2])))
+            elif words[:2] == ["property", "list"]:
+                count_type, item_type = (np.dtype(_TYPES[word]) for word in words[2:4])
+                elements[-1].properties.append((words[4], item_type, count_type))
+            elif words[:1] == ["property"]:
+                elements[-1].properties.append((words[2], np.dtype(_TYPES[words[1]]), None))
+        except (LookupError, ValueError) as error:
+            raise damaged(path, f"its header holds '{line.strip()[:60]}'", "PLY") from error
+    if order == "?" or any(element.count < 0 for element in elements):
+        raise damaged(path, "its header names no known format", "PLY")
+    for element in elements:
+        names = {name for name, _, _ in element.properties}
+        if len(names) < max(len(element.properties), min(element.count, 1)):
+            raise damaged(path, f"its {element.name} has no properties, or one twice", "PLY")
     for element in elements:
         if element.count <= len(data):  # else it is cut short, which is reported below
             most = {"vertex": limits.VERTICES, "face": limits.TRIANGLES}.get(element.name, limits.TEXT_LINES)
@@ -164,34 +179,6 @@ def _read_elements(path: Path) -> tuple[dict[str, Columns], list[str]]:
         columns[element.name], size = result
         body = body[size:]
     return columns, _texture_files(header)
-
-
-def _parse_header(path: Path, lines: list[str]) -> tuple[str | None, list[_Element]]:
-    """Return (byte order "<" or ">", None for ASCII; elements)."""
-    orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
-    order: str | None = "?"
-    elements: list[_Element] = []
-    for line in lines:
-        words = line.split()
-        try:
-            if words[:1] == ["format"]:
-                order = orders[words[1]]
-            elif words[:1] == ["element"]:
-                elements.append(_Element(words[1], int(words[2])))
-            elif words[:2] == ["property", "list"]:
-                count_type, item_type = (np.dtype(_TYPES[word]) for word in words[2:4])
-                elements[-1].properties.append((words[4], item_type, count_type))
-            elif words[:1] == ["property"]:
-                elements[-1].properties.append((words[2], np.dtype(_TYPES[words[1]]), None))
-        except (LookupError, ValueError) as error:
-            raise damaged(path, f"its header holds '{line.strip()[:60]}'", "PLY") from error
-    if order == "?" or any(element.count < 0 for element in elements):
-        raise damaged(path, "its header names no known format", "PLY")
-    for element in elements:
-        names = {name for name, _, _ in element.properties}
-        if len(names) < max(len(element.properties), min(element.count, 1)):
-            raise damaged(path, f"its {element.name} has no properties, or one twice", "PLY")
-    return order, elements
 
 
 def _ascii_columns(path: Path, lines: NumberLines, elements: list[_Element]) -> dict[str, Columns]:
@@ -226,9 +213,7 @@ def _ascii_columns(path: Path, lines: NumberLines, elements: list[_Element]) -> 
                 if not fits.all():
                     wrong = f"{values[~fits][0]:g}, which {item_type.name} cannot hold"
                     raise damaged(path, f"{name} of {element.name} holds {wrong}", "PLY")
-            with np.errstate(
-                over="ignore"
-            ):  # beyond float32 is infinite; infinite vertices in use raise later
+            with np.errstate(over="ignore"):  # to infinity; infinite vertices in use raise later
                 items = values.astype(item_type)
             found[name] = items if counts is None else _ListColumn(counts, items)
     return columns
@@ -240,10 +225,7 @@ def _cut_short(path: Path, element: _Element) -> ScanError:
 
 
 def _uniform_rows(body: NDArray[np.uint8], element: _Element, order: str) -> tuple[Columns, int] | None:
-    """Read rows of equal size in one view: no lists, or lists all as long as in the first row.
-
-    Returns the columns and the bytes of all rows, None where lists differ or the body ends before.
-    """
+    """Return (columns, bytes of all rows); None where lists differ in length or the body ends before."""
     lengths: dict[str, int] = {}
     fields: list[Any] = []
     for name, item_type, count_type in element.properties:

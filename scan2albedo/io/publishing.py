@@ -18,13 +18,12 @@ from scan2albedo.io.leftovers import JOURNAL, finished, hidden_path, keep, remov
 
 
 @contextmanager
-def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
+def staged(target: Path) -> Iterator[Path]:
     """Give a new hidden folder to make the files of `target` in, removed when the block ends.
 
-    It is in `home`, beside `target` when omitted, so that `publish` can exchange both; in `target` itself
-    where no folder can be made there, or that is another file system.
+    It is beside `target`, so that `publish` can exchange both; where that is impossible, in `target` itself.
     """
-    home = target.parent if home is None else home
+    home = target.parent
     with suppress(FileExistsError):
         home.mkdir(parents=True)
     remove_leftovers(home, target)
@@ -55,8 +54,7 @@ def publish(staging: Path, target: Path, dropped: Collection[str], last: Collect
     under `JOURNAL`, those named in `last` at the end. The caller holds `folder_lock(target)`. Raises OSError,
     and OutputError for a link or a file in the place of a folder, with `target` as it was.
     """
-    made = _moves(staging, target)
-    made.sort(key=lambda name: name in last)
+    made = sorted(_moves(staging, target), key=lambda name: name in last)
     with signals_held():
         if not os.path.lexists(target):
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +110,6 @@ def _exchanged(staging: Path, target: Path, dropped: Collection[str]) -> bool:
 def _link_others(
     old: Path, new: Path, dropped: Collection[str], linked: dict[str, int], prefix: str = ""
 ) -> None:
-    """Give `new` what is in `old` alone and not dropped, with its mode and owner; note the inodes."""
     for path in old.iterdir():
         name, place = prefix + path.name, new / path.name
         if path.is_dir() and not path.is_symlink():

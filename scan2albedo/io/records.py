@@ -61,10 +61,7 @@ def _printable_texts(value: Any) -> Any:
 
 
 class Record(BaseModel):
-    """Base of every record: unknown fields and numbers that are not finite raise; values are fixed.
-
-    Texts are `printable`, whether they come from a scan's files or from a record that was edited.
-    """
+    """Base of every record: unknown fields and numbers not finite raise, texts become `printable`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     _printable = field_validator("*", mode="before")(_printable_texts)
@@ -125,10 +122,7 @@ def parse_record(
     error: type[Scan2AlbedoError],
     whole: str = "the file",
 ) -> Content:
-    """Return the record that JSON text holds.
-
-    Messages say that the text was read from `place` and call it `whole`; the rest as in `read_record`.
-    """
+    """Return the record in JSON text that messages place in `place` and call `whole`; see `read_record`."""
     try:
         return kind.model_validate_json(text)
     except ValidationError as cause:

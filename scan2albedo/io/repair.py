@@ -43,11 +43,10 @@ def require_usable(mesh: ParsedMesh, name: str) -> None:
 def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
     """Return (N,) the index of the first row equal to each row of (N, K) numbers.
 
-    Only rows whose hash occurs twice are compared: few equal rows cost one sort of N integers.
-
     >>> first_equal_row(np.array([[1.0, 2], [3, 4], [1, 2]])).tolist()
     [0, 1, 0]
     """
+    # Only rows whose hash occurs twice are compared: few equal rows cost one sort of N integers.
     first = np.arange(len(rows))
     hashes = np.zeros(len(rows), np.uint64)
     for column in range(rows.shape[1]):

@@ -79,14 +79,10 @@ def _read_light(given: Any) -> PointLight:
     if isinstance(given, PointLight):
         return given
     light = LightRecord.model_validate(given)
-    return PointLight(
-        math.radians(light.azimuth_deg),
-        math.radians(light.elevation_deg),
-        math.inf if light.distance_mm is None else light.distance_mm,
-        light.intensity,
-        light.color_linear,
-        light.radius_deg,
-    )
+    azimuth_rad, elevation_rad = math.radians(light.azimuth_deg), math.radians(light.elevation_deg)
+    distance_mm = math.inf if light.distance_mm is None else light.distance_mm
+    looks = (light.intensity, light.color_linear, light.radius_deg)
+    return PointLight(azimuth_rad, elevation_rad, distance_mm, *looks)
 
 
 def _light_content(light: PointLight) -> LightRecord:
@@ -219,9 +215,5 @@ def metric_columns(metrics: Mapping[str, Any]) -> dict[str, float | bool]:
 
 
 def column_name(name: str) -> str:
-    """Return a name with "_" for what is neither a letter nor a digit.
-
-    >>> column_name("new-stage")
-    'new_stage'
-    """
+    """Return a name with "_" for what is neither a letter nor a digit."""
     return re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")

@@ -106,10 +106,9 @@ class RunFolder(Generic[Kind]):
         self.path, self.files, self._also = Path(path), files, also
 
     def check(self, subfolders: Collection[str] = ()) -> frozenset[str]:
-        """Return the files of earlier runs here, to be replaced or removed, by their paths in the folder.
+        """Return the files of earlier runs here and in the `subfolders` of a run, by their paths in it.
 
-        `subfolders` are the folders in it that a run writes. Raises OutputError, naming it, for a file that
-        no run wrote under a name of `OwnFiles`, and for a link in the place of a folder.
+        Raises OutputError for a file that no run wrote under our names, and for a link instead of a folder.
         """
         own: set[str] = set()
         with cannot_write(self.path):
@@ -146,8 +145,7 @@ class RunFolder(Generic[Kind]):
     def publishing(self) -> Iterator[Staging[Kind]]:
         """Give a hidden folder whose files replace those of earlier runs when the block ends well.
 
-        Whatever ends the block or the process, the folder is as it was or has all new files, see `publish`.
-        Raises OutputError like `check`, and when the folder cannot be written.
+        See `publish`. Raises OutputError like `check`, and when the folder cannot be written.
         """
         self.check()
         target = Path(os.path.realpath(self.path))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import unicodedata
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -20,8 +19,7 @@ _CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
 class ScanFolder:
     """The files that a scan may refer to: those in its folder and, where given, in the folder `textures`.
 
-    Links are resolved: one that leads elsewhere is not a file of these folders. Raises ScanError when
-    `textures` is not a folder.
+    Links that lead elsewhere lead to none of these files. Raises ScanError when `textures` is not a folder.
     """
 
     path: Path
@@ -32,23 +30,26 @@ class ScanFolder:
             raise ScanError(f"{self.textures}: is not a folder; give the folder that holds the textures")
 
     def find(self, name: str) -> Path | None:
-        """Return a file by its path as written, or by its name alone, in any case; None when there is none.
-
-        MTL files often hold absolute or Windows paths of another machine, and names in another case, code
-        page or Unicode form.
-        """
+        """Return a file by its path or name, in any case, code page and Unicode form, or None."""
         spellings = [name]
         if any("\udc80" <= letter <= "\udcff" for letter in name):  # not UTF-8
             data = name.encode("utf-8", "surrogateescape")
             spellings += [data.decode(page, "replace") for page in _CODE_PAGES]
         for spelling in spellings:
             relative = Path(spelling.replace("\\", "/"))
+            wanted = _folded(relative.name)
             try:
-                found = next(self._found(relative), None)
+                for home in filter(None, (self.path, self.textures)):
+                    folders = dict.fromkeys((home / relative.parent, home))
+                    places = [place for place in folders if self._allows(place)]
+                    named = (place / relative.name for place in places)
+                    others = (file for place in places if place.is_dir() for file in sorted(place.iterdir()))
+                    alike = (file for file in others if _folded(file.name) == wanted)
+                    for file in chain(named, alike):
+                        if file.is_file() and self._allows(file):
+                            return file
             except (OSError, ValueError):  # a name that no file may have, a folder that may not be read
                 continue
-            if found is not None:
-                return found
         return None
 
     def library_names(self, words: str) -> list[str]:
@@ -65,15 +66,6 @@ class ScanFolder:
         if os.path.isfile(self.path / name.replace("\\", "/")):
             return "lies outside the scan's folder, and only --textures (in Python: textures) allows another"
         return "is missing beside the scan"
-
-    def _found(self, relative: Path) -> Iterator[Path]:
-        wanted = _folded(relative.name)
-        for home in filter(None, (self.path, self.textures)):
-            places = [place for place in {home / relative.parent: None, home: None} if self._allows(place)]
-            named = (place / relative.name for place in places)
-            others = (file for place in places if place.is_dir() for file in sorted(place.iterdir()))
-            alike = (file for file in others if _folded(file.name) == wanted)
-            yield from (file for file in chain(named, alike) if file.is_file() and self._allows(file))
 
     def _allows(self, path: Path) -> bool:
         homes = (self.path, self.textures)

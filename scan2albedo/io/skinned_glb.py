@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io.glb import METRES_PER_MM, GlbFile, plain_material
 
 _MATERIAL = plain_material("frame", (0.25, 0.25, 0.28, 1.0), 0.6)
@@ -95,7 +95,19 @@ def write_skinned_glb(
             climb = int(parent[climb]) if climb >= 0 else -1
         if climb >= 0:
             raise ValueError(f"parents go round in a circle from joint {joint}")
-    order, kept, cut = _largest(shares[:, known], influences)
+    # Joints (V, 4 n) of each vertex, heaviest first, and their weights.
+    present = shares[:, known]
+    some = present > np.finfo(np.float32).epsneg  # others vanish beside 1 in 32 bits
+    width = int(some.sum(1).max())
+    if influences is not None:
+        width = min(influences, width)
+    order = np.argsort(-present, axis=1, kind="stable")[:, :width]
+    kept = np.take_along_axis(np.where(some, present, 0.0), order, 1)
+    total = kept.sum(1, keepdims=True)
+    cut = max(float((present.sum(1) - total[:, 0]).max()), 0.0)
+    filling = ((0, 0), (0, -width % 4))
+    kept = np.pad((kept / total).astype(np.float32), filling)
+    order = np.where(kept > 0, np.pad(order, filling), 0)  # the standard wants joint 0 where a weight is 0
     file = GlbFile()
     kind, attributes = "u1" if order.max() < 256 else "u2", dict[str, tuple[NDArray[Any], str]]()
     for n, start in enumerate(range(0, order.shape[1], 4)):
@@ -124,19 +136,3 @@ def write_skinned_glb(
     written = np.zeros(shares.shape)
     np.add.at(written, (np.arange(len(shares))[:, None], known[order]), kept)
     return SkinWritten(written / written.sum(1, keepdims=True), cut)
-
-
-def _largest(weights: FloatArray, influences: int | None) -> tuple[IntArray, NDArray[np.float32], float]:
-    """Return joints (V, 4 n) of each vertex, heaviest first, their weights, and the most that was cut off."""
-    some = weights > np.finfo(np.float32).epsneg  # others vanish beside 1 in 32 bits
-    width = int(some.sum(1).max())
-    if influences is not None:
-        width = min(influences, width)
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :width]
-    kept = np.take_along_axis(np.where(some, weights, 0.0), order, 1)
-    total = kept.sum(1, keepdims=True)
-    cut = float((weights.sum(1) - total[:, 0]).max())
-    rounded = (kept / total).astype(np.float32)
-    order = np.where(rounded > 0, order, 0)  # the standard wants joint 0 where a weight is 0
-    filling = ((0, 0), (0, -width % 4))
-    return np.pad(order, filling), np.pad(rounded, filling), max(cut, 0.0)

@@ -28,10 +28,7 @@ def line_ranges(text: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
 
 @njit(cache=True, nogil=True)
 def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
-    """Return the first word (L,) of each line and where its body starts (L,), after that.
-
-    Words are integers, see `keyword`; 0 for a blank line and words of more than 7 bytes.
-    """
+    """Return the first word (L,) of each line, 0 for none or a long one, see `keyword`, and its end (L,)."""
     words = np.zeros(starts.size, np.int64)
     bodies = np.empty(starts.size, np.int64)
     for line in range(starts.size):
@@ -48,7 +45,7 @@ def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
 
 
 def keyword(word: bytes) -> int:
-    """Return a word as `split_keywords` does."""
+    """Return a word of at most 7 bytes as `split_keywords` does."""
     return int.from_bytes(word, "big")
 
 
@@ -68,15 +65,14 @@ def _parse_unsigned(text, position, end):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
-    """Return (value, whether it is a number) of the token text[position:end]."""
+    """Return (value, whether the token at `position` is a number, where it ends); its line ends at `end`."""
     sign = 1.0
     if text[position] == 43 or text[position] == 45:
         sign = -1.0 if text[position] == 45 else 1.0
         position += 1
-    if position < end and (text[position] | 32) == _N:
-        return np.nan, True
-    if position < end and (text[position] | 32) == _I:
-        return sign * np.inf, True
+    letter = text[position] | 32 if position < end else 0
+    if letter in (_N, _I):
+        return np.nan if letter == _N else sign * np.inf, True, _token_end(text, position, end)
     mantissa, dropped, seen, position = _parse_unsigned(text, position, end)
     exponent = dropped
     if position < end and text[position] == _POINT:
@@ -88,7 +84,8 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
             seen += 1
             position += 1
     if position < end and text[position] == _HASH:
-        return np.nan, seen > 0  # 1.#QNAN and 1.#INF of old Microsoft compilers
+        # 1.#QNAN and 1.#INF of old Microsoft compilers
+        return np.nan, seen > 0, _token_end(text, position, end)
     if position < end and (text[position] | 32) == _E:
         position += 1
         negative = position < end and text[position] == 45
@@ -97,19 +94,25 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
         power, _, digits, position = _parse_unsigned(text, position, end)
         exponent += -power if negative else power
         if digits == 0:
-            return np.nan, False
-    # Powers up to 10^22 are exact: numbers of up to 15 digits are rounded once.
-    if -22 <= exponent < 0:
-        return sign * (mantissa / 10.0**-exponent), seen > 0 and position == end
-    return sign * (mantissa * 10.0**exponent), seen > 0 and position == end
+            return np.nan, False, position
+    power, good = 1.0, seen > 0 and (position == end or _is_blank(text[position]))
+    if abs(exponent) > 22:
+        return sign * (mantissa * 10.0**exponent), good, position
+    for _ in range(abs(exponent)):  # up to 10^22 exact: numbers of up to 15 digits are rounded once
+        power *= 10.0
+    return sign * (mantissa / power if exponent < 0 else mantissa * power), good, position
+
+
+@njit(cache=True, nogil=True)
+def _token_end(text, position, end):  # type: ignore[no-untyped-def]
+    while position < end and not _is_blank(text[position]):
+        position += 1
+    return position
 
 
 @njit(cache=True, nogil=True)
 def parse_tokens(text, starts, ends, counts):  # type: ignore[no-untyped-def]
-    """Return (the numbers of all lines, one after the other, and the first line not made of numbers or -1).
-
-    `counts` (N,) are the tokens of each line as `count_tokens` returns them.
-    """
+    """Return (the numbers of lines with `counts` (N,) tokens, the first line not made of numbers or -1)."""
     values = np.empty(counts.sum())
     row = 0
     for line in range(starts.size):
@@ -117,10 +120,7 @@ def parse_tokens(text, starts, ends, counts):  # type: ignore[no-untyped-def]
         for _ in range(counts[line]):
             while _is_blank(text[position]):
                 position += 1
-            begin = position
-            while position < ends[line] and not _is_blank(text[position]):
-                position += 1
-            values[row], is_number = _parse_float(text, begin, position)
+            values[row], is_number, position = _parse_float(text, position, ends[line])
             if not is_number:
                 return values, line
             row += 1
@@ -132,13 +132,14 @@ def count_tokens(text, starts, ends):  # type: ignore[no-untyped-def]
     """Return (N,) number of blank-separated tokens of each line before a comment."""
     counts = np.zeros(starts.size, np.int64)
     for line in range(starts.size):
-        inside = False
+        count, inside = 0, False
         for position in range(starts[line], ends[line]):
             blank = _is_blank(text[position])
             if not inside and text[position] == _HASH:
                 break
-            counts[line] += not blank and not inside
+            count += not blank and not inside
             inside = not blank
+        counts[line] = count
     return counts
 
 
@@ -156,8 +157,7 @@ def _parse_integer(text, position, end):  # type: ignore[no-untyped-def]
 def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
     """Read face corners written v, v/vt, v//vn or v/vt/vn; also return the first bad line, -1 for none.
 
-    Corners (sum of counts, 2) int64 are vertex and texture indices as written: 1-based, negative = from the
-    end, 0 = not given.
+    Corners (sum of counts, 2) are indices as written: 1-based, negative = from the end, 0 = not given.
     """
     corners = np.zeros((counts.sum(), 2), np.int64)
     row = 0
@@ -208,14 +208,11 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
 
 
 class NumberTable(NamedTuple):
-    """The numbers of lines of any length, in as much memory as they need."""
+    """The numbers of lines of any length, one after the other, `counts` (N,) of each from `first` (N,)."""
 
     values: FloatArray
-    """The numbers of all lines, one after the other."""
     first: IntArray
-    """(N,) where in `values` each line begins."""
     counts: IntArray
-    """(N,) numbers of each line."""
     bad: int
     """The first line that is not made of numbers, -1 for none; numbers from there on are not set."""
 

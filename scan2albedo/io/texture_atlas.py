@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import TextureTile
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
@@ -77,24 +77,38 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
         names.append(one.name)
     if len(tiles) == 1:
         return PackedTexture(uv, tiles[0], tuple(notes))
-    texture, boxes = _lay_out(tiles)
+    # Tiles on shelves of about square total: (left, top, width, height) of each.
+    sizes = [(t.shape[1] + 2 * GUTTER, t.shape[0] + 2 * GUTTER) for t in tiles]
+    most = max(max(w for w, _ in sizes), math.ceil(math.sqrt(sum(w * h for w, h in sizes))))
+    boxes = np.zeros((len(tiles), 4), np.int64)
+    column = row = shelf = 0
+    for i in sorted(range(len(tiles)), key=lambda i: (-sizes[i][1], i)):
+        if column + sizes[i][0] > most:
+            column, row, shelf = 0, row + shelf, 0
+        boxes[i] = (column + GUTTER, row + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
+        column, shelf = column + sizes[i][0], max(shelf, sizes[i][1])
+    shape = (row + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, 3)
+    most = limits.PIXELS * 5 // 4  # gutters and sizes leave gaps
+    what, advice = "the texture of the scan's materials", "save its textures as one picture"
+    limits.require_at_most(what, "pixels", shape[0] * shape[1], most, advice)
+    atlas = np.zeros(shape, np.float32)
+    for picture, (x, y, w, h) in zip(tiles, boxes, strict=True):
+        area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
+        area[:] = np.pad(picture, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), mode="edge")
     if len(plain):
         notes.append(f"faces without texture, given their material's colour: {len(plain)}")
     if (count := len(np.unique(material_of_picture[textured]))) > 1:
-        notes.append(f"packed {count} textures into one of {texture.shape[1]}x{texture.shape[0]}")
+        notes.append(f"packed {count} textures into one of {shape[1]}x{shape[0]}")
     placed = tuple(TextureTile(name, *box) for name, box in zip(names, boxes.tolist(), strict=True))
     # Texel centres of a tile stay texel centres in its box of the atlas.
     start, top, width, height = (boxes[tile, k, None].astype(float) for k in range(4))
     across, down = start + uv[..., 0] * width, top + (1 - uv[..., 1]) * height
-    uv = np.stack([across / texture.shape[1], 1 - down / texture.shape[0]], axis=-1)
-    return PackedTexture(uv, texture, tuple(notes), placed)
+    uv = np.stack([across / shape[1], 1 - down / shape[0]], axis=-1)
+    return PackedTexture(uv, atlas, tuple(notes), placed)
 
 
 def _inside_unit_square(uv: FloatArray, texture: Image, most: int) -> tuple[FloatArray, Image, str]:
-    """Return (uv in [0, 1] (F, 3, 2), the texture repeated as often as they need, note).
-
-    A texture that would have more texels than `most` is not repeated.
-    """
+    """Return (uv in [0, 1], the texture repeated as they need, up to `most` texels, note)."""
     texel = 1.0 / np.array([texture.shape[1], texture.shape[0]])
     if (uv >= -texel).all() and (uv <= 1 + texel).all():
         return np.clip(uv, 0.0, 1.0), texture, ""
@@ -116,25 +130,3 @@ def in_first_period(uv: FloatArray, texture_shape: tuple[int, ...]) -> FloatArra
     """Return uv (F, 3, 2) with each face moved by whole periods, so that it begins in [0, 1)."""
     texel = 1.0 / np.array([texture_shape[1], texture_shape[0]])
     return uv - np.floor(uv.min(axis=1, keepdims=True) + texel)
-
-
-def _lay_out(tiles: list[Image]) -> tuple[Image, IntArray]:
-    """Place tiles on shelves of about square total; return (atlas, (left, top, width, height) of each)."""
-    sizes = [(t.shape[1] + 2 * GUTTER, t.shape[0] + 2 * GUTTER) for t in tiles]
-    width = max(max(w for w, _ in sizes), math.ceil(math.sqrt(sum(w * h for w, h in sizes))))
-    boxes = np.zeros((len(tiles), 4), np.int64)
-    left = top = shelf = 0
-    for i in sorted(range(len(tiles)), key=lambda i: (-sizes[i][1], i)):
-        if left + sizes[i][0] > width:
-            left, top, shelf = 0, top + shelf, 0
-        boxes[i] = (left + GUTTER, top + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
-        left, shelf = left + sizes[i][0], max(shelf, sizes[i][1])
-    height, width = top + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER
-    most = limits.PIXELS * 5 // 4  # gutters and sizes leave gaps
-    what, advice = "the texture of the scan's materials", "save its textures as one picture"
-    limits.require_at_most(what, "pixels", height * width, most, advice)
-    atlas = np.zeros((height, width, 3), np.float32)
-    for tile, (x, y, w, h) in zip(tiles, boxes, strict=True):
-        area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
-        area[:] = np.pad(tile, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), mode="edge")
-    return atlas, boxes

@@ -88,10 +88,7 @@ def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: flo
 
 
 def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
-    """Write a mesh as GLB with its pictures inside, in metres; vertices are split where coordinates differ.
-
-    Where there is a normal map they have tangents too. Raises OutputError.
-    """
+    """Write a mesh as GLB, in metres, split where coordinates differ, with tangents for normal maps."""
     file, materials = GlbFile(), list[dict[str, Any]]()
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for name, chosen in _materials(mesh):

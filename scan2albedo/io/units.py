@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError, UnitError
 from scan2albedo.geometry.mesh import far_vertices
 
@@ -28,7 +28,7 @@ def check_unit(unit: str) -> None:
         raise ValueError(f"unit is {unit!r}, expected 'auto', 'mm', 'cm' or 'm'")
 
 
-def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64]) -> float:
+def largest_extent(vertices: FloatArray, components: IntArray) -> float:
     """Return how long the scan is along its longest principal axis, in file units.
 
     `components` (V,) labels the loose components. Far vertices do not count, whatever they hang on, and of
@@ -49,17 +49,16 @@ def largest_extent(vertices: NDArray[np.float64], components: NDArray[np.int64])
 
 
 def millimetres_per_unit(
-    vertices: NDArray[np.float64], components: NDArray[np.int64], unit: str, name: str
+    vertices: FloatArray, components: IntArray, unit: str, name: str
 ) -> tuple[float, str]:
     """Return (factor to millimetres, note on unit and size).
 
-    Raises ScanError when `unit` is "auto" and the size fits a head in none of mm, cm and m; ValueError for an
-    unknown unit.
+    Raises ScanError when `unit` is "auto" and no unit makes it a head; ValueError for an unknown unit.
     """
     return _decided(largest_extent(vertices, components), unit, name, "scan", "head", PLAUSIBLE_EXTENT_MM)
 
 
-def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: float, name: str) -> str:
+def rounding_note(vertices: FloatArray, extent: float, mm_per_unit: float, name: str) -> str:
     """Return a note on how single precision rounds a scan far from the origin, "" when it hardly does.
 
     Raises ScanError when positions are rounded to more than a hundredth of the scan's `extent` (file units).
@@ -80,10 +79,7 @@ def rounding_note(vertices: NDArray[np.float64], extent: float, mm_per_unit: flo
 
 
 def glasses_millimetres_per_unit(
-    keypoints: NDArray[np.float64],
-    unit: str,
-    name: str,
-    sizes_mm: tuple[float, float] = PLAUSIBLE_GLASSES_MM,
+    keypoints: FloatArray, unit: str, name: str, sizes_mm: tuple[float, float] = PLAUSIBLE_GLASSES_MM
 ) -> tuple[float, str]:
     """Return (factor to millimetres, note on unit and size) of a pair of glasses with key points (K, 3).
 

@@ -76,8 +76,7 @@ def run_demo(
 ) -> DemoReport:
     """Scan a synthetic person, process the scan, compare with the truth.
 
-    The `seed` is that of the person, its pose and its lights, and of the pipeline; `size` and `quality` are
-    as in `process`, which also writes files to `out` unless it is None.
+    `seed` is that of person, pose, lights and pipeline; `out`, `size`, `quality` are as in `process`.
     """
     texels = ProcessOptions(size=size, quality=quality).texels
     if out is not None:

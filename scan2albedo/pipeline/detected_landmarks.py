@@ -62,10 +62,7 @@ def require_detector() -> None:
 def with_detected(
     scan: RawScan, pose: FloatArray, seconds: float | None = None
 ) -> tuple[RawScan, list[PlanStep]]:
-    """Return the scan with the landmarks that MediaPipe finds on it, beside those it has; these win.
-
-    It stays as it is, with a doubt, where no face is seen, or where `seconds` are too few.
-    """
+    """Return the scan with landmarks that MediaPipe finds beside its own, which win; or as it is, and why."""
     if seconds is not None and seconds < _LEAST_SECONDS:
         reason = "too little of the budget is left to look for landmarks with MediaPipe"
         return scan, [PlanStep.doubt("fit.landmarks", reason)]

@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, Never
@@ -95,6 +96,8 @@ landmarks, unlit, texture_size
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
+    **unknown
+        Refused.
     """
     given = locals()
     for wrong in unknown:  # a misspelt option is refused with the one that was meant
@@ -204,8 +207,22 @@ def _processed(
             reason = "skipped by the caller: the scan is taken to lie in the model's frame"
             plan["register"] = [PlanStep("register", False, reason)]
         else:
+            tuning, step = options.stages.registration, "register.depth_annealing"
+            if step in options.skip:
+                tuning = replace(tuning, annealing_evaluations=0)
+            elif step in options.force:
+                tuning = replace(tuning, force_annealing=True)
+
+            def posed(of: RawScan) -> Registration:
+                share = clock.share("register")
+                return register(of, model, share, options.seed, options=tuning, on_progress=on_progress)
+
             with clock.timed("register"):
-                scan, registration = _registered(scan, size_fits, model, clock, options, on_progress)
+                if size_fits is None:
+                    scan, registration = registered_outward(scan, posed)
+                else:  # nobody gave the unit: the scale of a face in it
+                    outward = partial(registered_outward, register=posed)
+                    scan, registration = registered_at_any_scale(scan, size_fits, outward)
             pose = registration.model_from_scan
             plan["register"] = _register_rows(registration)
         with clock.timed("fit"):
@@ -286,33 +303,6 @@ def _processed(
     )
 
 
-def _registered(
-    scan: RawScan,
-    size_fits: bool | None,
-    model: AnnotatedFaceModel,
-    clock: _Clock,
-    options: ProcessOptions,
-    on_progress: ProgressCallback | None,
-) -> tuple[RawScan, Registration]:
-    """Return the scan, its triangles reversed where they face inward, and the pose of its face.
-
-    A scan whose unit nobody gave, where `size_fits` is not None, is brought to the scale of a face in it.
-    """
-    stage, step = options.stages.registration, "register.depth_annealing"
-    if step in options.skip:
-        stage = replace(stage, annealing_evaluations=0)
-    elif step in options.force:
-        stage = replace(stage, force_annealing=True)
-
-    def pose(of: RawScan) -> Registration:
-        share = clock.share("register")
-        return register(of, model, share, options.seed, options=stage, on_progress=on_progress)
-
-    if size_fits is None:
-        return registered_outward(scan, pose)
-    return registered_at_any_scale(scan, size_fits, lambda of: registered_outward(of, pose))
-
-
 def _register_rows(registration: Registration) -> list[PlanStep]:
     evidence = f"rmse {registration.rmse_mm:.2f} mm"
     rows = [PlanStep("register", True, "pose of the face in the scan", evidence), *registration.plan]
@@ -365,10 +355,7 @@ def _without_light(
     unlit_s: float,
     left_s: float,
 ) -> tuple[UnlitScan | None, TemplateTexture | None, list[PlanStep]]:
-    """Return the unlit scan where it is asked for, the texture of a template that has coordinates, the plan.
-
-    What would take longer than `left_s` is left out; the unlit scan needs `unlit_s`.
-    """
+    """Return the unlit scan and the template's texture, where asked for and in time, and the plan."""
     unlit, template, steps = None, None, list[PlanStep]()
     late, left = "the budget ended before it", f"{left_s:.1f} s left"
     if options.unlit is not None:

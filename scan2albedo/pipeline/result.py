@@ -33,25 +33,10 @@ if TYPE_CHECKING:
     from scan2albedo.registration import Registration
 
 RESULT_FILE = "result.json"
-UNLIT_FILES = (
-    "unlit.glb",
-    "unlit.obj",
-    "unlit.mtl",
-    "unlit.png",
-    "unlit.*.png",
-    "unlit_confidence.png",
-    "unlit_confidence.*.png",
-)
+_MESH = (".glb", ".obj", ".mtl", ".png", ".*.png")
+UNLIT_FILES = (*(f"unlit{end}" for end in _MESH), "unlit_confidence.png", "unlit_confidence.*.png")
 """With several pictures each has a number, in the order of the scan's materials."""
-TEMPLATE_FILES = (
-    "template.glb",
-    "template.obj",
-    "template.mtl",
-    "template.png",
-    "template.*.png",
-    "template_normal.png",
-    "template_normal.*.png",
-)
+TEMPLATE_FILES = (*(f"template{end}" for end in _MESH), "template_normal.png", "template_normal.*.png")
 """With several tiles each has pictures with its UDIM number."""
 FILES = OwnFiles(
     RESULT_FILE,
@@ -89,7 +74,7 @@ SURE = 0.5
 
 @dataclass(frozen=True)
 class ProcessResult:
-    """All results of one scan."""
+    """All results of one `scan`, with the `plan` and `trace` of its stages and the `seed` they had."""
 
     scan: RawScan
     registration: Registration | None
@@ -261,8 +246,7 @@ def write_result(
 def write_unlit(folder: Path, unlit: UnlitScan) -> None:
     """Write `UNLIT_FILES`: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
 
-    Scans with a texture keep the pictures and coordinates they came with, and get a picture of how sure each
-    texel is; those without one have vertex colours there, and no pictures.
+    Pictures and coordinates stay, with a picture of how sure each texel is; without them colours of vertices.
     """
     scan, uv, texture = unlit.scan, unlit.scan.uv, unlit.scan.texture_linear
     if uv is None or texture is None:

@@ -31,10 +31,7 @@ Register = Callable[[RawScan], tuple[RawScan, Registration]]
 
 
 def load_of_any_size(file: Path, name: str | None, textures: str | Path | None) -> tuple[RawScan, bool]:
-    """Load a scan as `load_scan` does; one of no head's size in any unit becomes as long as a head.
-
-    Returns the scan, and whether its size fits a head in the unit that its file was taken to have.
-    """
+    """Load a scan, as long as a head where no unit makes it one; return whether its size fits, too."""
     fits = True
 
     def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:

@@ -19,7 +19,6 @@ from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.recognition import ResultIdentification, cmc_curve, roc_curve
 from scan2albedo.recognition.templates import Kind
 
-IDENTIFICATION_FILE = "identification.json"
 Interval = tuple[Number, Number]
 
 
@@ -72,7 +71,7 @@ class IdentificationRecord(Record):
 
 
 FILES = OwnFiles(
-    IDENTIFICATION_FILE,
+    "identification.json",
     IdentificationRecord,
     ("identification.csv", "similarities.npz", "cmc.png", "roc.png"),
     command="scan2albedo identify",
@@ -85,9 +84,8 @@ def write_identification(
 ) -> IdentificationRecord:
     """Write identification.csv, similarities.npz, cmc.png, roc.png and identification.json, all or none.
 
-    Return the record; without a folder nothing is written. The curves are those of the probes whose person is
-    known; without such probes there are none. OutputError when the folder cannot be written, or holds a file
-    of somebody else under such a name.
+    Return the record; without a folder nothing is written. Curves are of the probes whose person is known.
+    Raises OutputError when the folder cannot be written, or holds a file of somebody else under such a name.
     """
     # With a gallery of one person nobody is an impostor: no ROC.
     matches = found.matches

@@ -106,15 +106,19 @@ def quick_stages(monkeypatch, tmp_path, tries):
     return tries
 
 
+def processed_here(tasks, layout, jobs):
+    yield from map(worker.process_task, tasks)
+
+
 @pytest.fixture
 def no_workers(monkeypatch, tmp_path, tries):
     """Neither workers nor stages."""
     monkeypatch.setattr(worker, "_processed", stand_in(tmp_path / "diary"))
-    monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
+    monkeypatch.setattr(run, "run_in_processes", processed_here)
     return tries
 
 
 @pytest.fixture
 def stages_in_this_process(monkeypatch):
     """The stages, without workers."""
-    monkeypatch.setattr(run, "run_in_processes", lambda tasks, layout, jobs: map(worker.process_task, tasks))
+    monkeypatch.setattr(run, "run_in_processes", processed_here)
