@@ -105,7 +105,8 @@ def minimize(
     trials, steps : int, optional
         Most steps tried, and most of them that lower the cost.
     tolerance, flat_steps, step_tolerance : float, int, float
-        Converged after so many steps in a row that each lower the cost by less than this part, or a short step.
+        Converged after that many steps in a row that each lower the cost by less than this part, or a short
+        step.
     damping : Damping
     meter : Meter, optional
         Its budget ends the descent with the best so far.
@@ -145,7 +146,7 @@ def minimize(
 
 
 def damped_step(model: NormalEquations, damping: float) -> FloatArray:
-    """Return the step (P,) with `damping` times the matrix's diagonal added to it, within its bounds.
+    """Return the step (P,) of `model` with `damping` times its matrix's diagonal added, within its bounds.
 
     Parameters that would leave these at once stay.
     """
