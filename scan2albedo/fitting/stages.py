@@ -21,8 +21,8 @@ from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import vertex_areas
 from scan2albedo.geometry.operators import bending, laplacian
 
-TIME_STEP, DAMPING = 10.0, 0.1
-"""dt, and D as a multiple of M, which is the surface's area (a unit force is a unit area)."""
+TIME_STEP, MASS, DAMPING = 10.0, 1.0, 0.1
+"""dt, and M and D as multiples of the surface's area (a unit force is a unit area)."""
 MEMBRANE_MM = (6.0, 0.5)
 """Membrane smoothing length in the first and last stage."""
 GAIN_TOLERANCE = 0.003
@@ -204,8 +204,8 @@ def _run_stage(
     """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
     meter, reference, pull = deformation.meter, deformation.reference, deformation.landmarks
     samples, usual = deformation.sampled(level)
-    mass, stiffness = deformation.control_area, deformation.elasticity(progress, stiffening)
-    system = ImplicitSystem(mass, DAMPING * mass, stiffness, usual, TIME_STEP)
+    area, stiffness = deformation.control_area, deformation.elasticity(progress, stiffening)
+    system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
     gates = ForceGates.at(deformation.options, progress)
     state = State(q, np.zeros_like(q))
     errors: list[float] = []

@@ -45,7 +45,7 @@ def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tupl
     `pixels` (V, 2) are column and row of each vertex; pixel centres lie at integers.
     """
     face, barycentric = np.full(shape, -1, np.int64), np.zeros((*shape, 3))
-    _rasterize(*_contiguous(pixels, depth, faces), face, barycentric)
+    _rasterize(*_contiguous(pixels, depth, faces), np.full(shape, -np.inf), face, barycentric)
     return Raster(face, barycentric)
 
 
@@ -54,8 +54,17 @@ def nearest_faces(
 ) -> NDArray[np.int32]:
     """Return `rasterize`'s `face` (H, W) alone: faster, where few pixels need weights."""
     face = np.full(shape, -1, np.int32)
-    _rasterize(*_contiguous(pixels, depth, faces), face, np.zeros((0, 0, 3)))
+    _rasterize(*_contiguous(pixels, depth, faces), np.full(shape, -np.inf), face, np.zeros((0, 0, 3)))
     return face
+
+
+def nearest_depths(
+    pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Return the largest depth (H, W) at each pixel centre, -inf where nothing covers it."""
+    nearest, none = np.full(shape, -np.inf), np.zeros((0, 0), np.int32)
+    _rasterize(*_contiguous(pixels, depth, faces), nearest, none, np.zeros((0, 0, 3)))
+    return nearest
 
 
 def _contiguous(
@@ -69,11 +78,10 @@ def _contiguous(
 
 
 @njit(cache=True, nogil=True)
-def _rasterize(pixels, depth, faces, owner, weights):  # type: ignore[no-untyped-def]
-    """Fill `owner` (H, W) with the nearest faces, `weights` (H, W, 3) unless it is empty."""
-    height, width = owner.shape
-    weighted = weights.size > 0
-    nearest = np.full((height, width), -np.inf)
+def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[no-untyped-def]
+    """Fill `nearest` (H, W), -inf before, with depths; `owner` (H, W), `weights` (H, W, 3) unless empty."""
+    height, width = nearest.shape
+    owned, weighted = owner.size > 0, weights.size > 0
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ax, ay = pixels[a, 0], pixels[a, 1]
@@ -98,7 +106,8 @@ def _rasterize(pixels, depth, faces, owner, weights):  # type: ignore[no-untyped
                 z = wa * za + wb * zb + wc * zc
                 if z > nearest[row, column]:
                     nearest[row, column] = z
-                    owner[row, column] = f
+                    if owned:
+                        owner[row, column] = f
                     if weighted:
                         weights[row, column, 0] = wa
                         weights[row, column, 1] = wb

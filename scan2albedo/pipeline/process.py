@@ -99,7 +99,6 @@ landmarks, unlit, texture_size
     **unknown
         Refused.
     """
-    given = locals()
     for wrong in unknown:  # a misspelt option is refused with the one that was meant
         names = ["name", "on_progress", *(option.name for option in fields(ProcessOptions))]
         near = difflib.get_close_matches(wrong, names, 1)
@@ -109,7 +108,24 @@ landmarks, unlit, texture_size
     require_type(source, (str, Path, RawScan), "process: source", advice)
     if out is not None:
         require_type(out, (str, Path), "process: out", "give the folder for the results")
-    chosen = ProcessOptions(**{option.name: given[option.name] for option in fields(ProcessOptions)})
+    chosen = ProcessOptions(
+        model=model,
+        size=size,
+        lights=lights,
+        brdf=brdf,
+        unit=unit,
+        quality=quality,
+        budget=budget,
+        seed=seed,
+        skip=skip,
+        force=force,
+        pictures=pictures,
+        files=files,
+        textures=textures,
+        landmarks=landmarks,
+        unlit=unlit,
+        texture_size=texture_size,
+    )
     if name is None:
         known = source.name if isinstance(source, RawScan) else scan_name(source)
     elif not is_folder_name(known := name):

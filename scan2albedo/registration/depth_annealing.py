@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from scan2albedo.core import Meter, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -75,11 +76,7 @@ class DepthDerivativeObjective:
         if total == 0:
             return 1.0
         limit = 0.5 * self._frame.pixel
-        with np.errstate(invalid="ignore"):
-            off = np.minimum(np.abs(self._slopes_of(self._draw(parameters)) - self._slopes), limit).sum(0)
-        counted = self._pixel_weights > 0
-        # Beside nothing a step is infinite or NaN.
-        cost = np.where(np.isnan(off), 2 * limit, off)[counted] @ self._pixel_weights[counted]
+        cost = _slope_cost(self._draw(parameters), self._slopes, self._pixel_weights, limit)
         return float(cost) / (2 * limit * total)
 
     def depth_shift_mm(self, parameters: FloatArray) -> float:
@@ -92,6 +89,21 @@ class DepthDerivativeObjective:
         order = np.argsort(difference, kind="stable")
         cumulated = np.cumsum(self._weights[common][order])
         return float(difference[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
+
+
+@njit(cache=True, nogil=True)
+def _slope_cost(image, slopes, weights, limit):  # type: ignore[no-untyped-def]
+    """Return sum w min(|D image - slopes|, limit); steps beside nothing, infinite or NaN, count `limit`."""
+    cost = 0.0
+    for row in range(weights.shape[0]):
+        for column in range(weights.shape[1]):
+            if weights[row, column] > 0:
+                here = image[row, column]
+                right = abs(image[row, column + 1] - here - slopes[0, row, column])
+                down = abs(image[row + 1, column] - here - slopes[1, row, column])
+                off = (right if right < limit else limit) + (down if down < limit else limit)
+                cost += weights[row, column] * off
+    return cost
 
 
 def anneal_depth_derivatives(

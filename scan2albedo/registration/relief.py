@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.alignment import NearestGrid
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rasterization import nearest_depths
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise
 
@@ -74,8 +74,7 @@ def depth_image(
     index, depth = np.asarray(faces), np.ascontiguousarray(points[:, 2])
     if depth.max(initial=-np.inf) > z_limit:
         index = index[(depth[index] <= z_limit).all(1)]
-    raster = rasterize(frame.pixels(points), depth, index, (frame.size, frame.size))
-    return np.where(raster.covered, interpolate(raster, index, depth), -np.inf)
+    return nearest_depths(frame.pixels(points), depth, index, (frame.size, frame.size))
 
 
 @dataclass(frozen=True)

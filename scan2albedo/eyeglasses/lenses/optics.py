@@ -79,7 +79,9 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         if not np.isfinite(array).all():
             raise EyeglassesError(f"{name} holds numbers that are not finite; leave such rays out")
     if not np.isfinite(lens.dioptres):
-        raise EyeglassesError(f"the lens has {lens.dioptres} dioptres; plane glass has 0")
+        raise EyeglassesError(
+            f"the lens has {lens.dioptres} dioptres, which is not finite; plane glass has 0"
+        )
     if not normal.any():
         raise EyeglassesError("the lens's normal is zero; give the direction of its optical axis")
     normal = normal / np.linalg.norm(normal)
