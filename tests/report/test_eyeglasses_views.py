@@ -53,7 +53,7 @@ def off_mask(panel):
     shade = panel.picture[:, :, 0].astype(int)
     gray = (panel.picture == panel.picture[:, :, :1]).all(-1)
     light = gray & (shade >= 64)
-    outline = painted(panel, eyeglasses_views._SEEN_COLOR)
+    outline = painted(panel, "darkorange")
     assert outline.any()
     return float(np.percentile(distance_transform_edt(~light)[outline], 90))
 
@@ -74,8 +74,8 @@ def test_what_the_head_hides_is_blue(person, frame, views):
     assert len(bare) == 5
     covered = registration_panels(frame, views, (person.head_vertices, person.head_faces))
     for number in (0, 2):  # from the sides the far temple is behind the head
-        assert not painted(bare[number], eyeglasses_views._HIDDEN_COLOR).any()
-        assert painted(covered[number], eyeglasses_views._HIDDEN_COLOR).sum() > 50
+        assert not painted(bare[number], "cornflowerblue").any()
+        assert painted(covered[number], "cornflowerblue").sum() > 50
 
 
 def test_labels_are_green_and_outliers_red(frame, views):
@@ -88,8 +88,8 @@ def test_labels_are_green_and_outliers_red(frame, views):
     assert "1 outliers" in panel.title
     assert "no mask" in panel.title
     assert panel.dot_colors.shape == (20, 3)
-    np.testing.assert_array_equal(panel.dot_colors[0], to_rgb(eyeglasses_views._OUTLIER_COLOR))
-    np.testing.assert_array_equal(panel.dot_colors[1:], [to_rgb(eyeglasses_views._INLIER_COLOR)] * 19)
+    np.testing.assert_array_equal(panel.dot_colors[0], to_rgb("crimson"))
+    np.testing.assert_array_equal(panel.dot_colors[1:], [to_rgb("lime")] * 19)
     assert (panel.dots >= 0).all()
     assert (panel.dots < panel.picture.shape[0]).all()
 
@@ -116,4 +116,4 @@ def test_a_frame_behind_the_camera_and_many_views_are_drawn(frame, views):
     many = replace(many, label_errors_px=np.full((20, 20), np.nan))
     panels = registration_panels(many, 20 * [nowhere])
     assert len(panels) == eyeglasses_views.MOST_SHOWN + 2
-    assert not painted(panels[0], eyeglasses_views._SEEN_COLOR).any()
+    assert not painted(panels[0], "darkorange").any()
