@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scan2albedo.errors import OutputError
-from scan2albedo.io.leftovers import finished, hidden_path
+from scan2albedo.io.leftovers import finished, folder_lock, hidden_path, roll_back
+from scan2albedo.io.publishing import publish, staged
 
 
 @contextmanager
@@ -61,6 +62,34 @@ def write_bytes(path: str | Path, data: bytes) -> None:
 def write_text(path: str | Path, text: str) -> None:
     """Write a whole UTF-8 text file atomically; raises `OutputError` like `atomic_path`."""
     write_bytes(path, text.encode("utf-8"))
+
+
+@contextmanager
+def result_folder(
+    out: Path, *records: str, obsolete: Collection[str] = (), staged_in: Path | None = None
+) -> Iterator[Path]:
+    """Give a hidden folder whose files, also those in its folders, go to `out` when the block ends well.
+
+    Whatever ends the block or the process, `out` is as it was or has all new files, see `publish`. Files of
+    the same names are replaced, whoever made them, and those named in `obsolete` removed: a `RunFolder` knows
+    whose they are. The hidden folder is made in `staged_in`, beside `out` when omitted. `records` come last
+    where files are renamed one by one. Raises OutputError, naming `out` and the cause, when it cannot be
+    written, or a folder in it is a link.
+
+    >>> import tempfile
+    >>> out = Path(tempfile.mkdtemp())
+    >>> with result_folder(out, "result.json") as folder:
+    ...     _ = (folder / "result.json").write_text("{}")
+    >>> [path.name for path in out.iterdir()]
+    ['result.json']
+    """
+    target = Path(os.path.realpath(out))
+    with cannot_write(out), staged(target, staged_in and Path(os.path.realpath(staged_in))) as staging:
+        yield staging
+        with folder_lock(target) as locked:
+            roll_back(target, locked)
+            # A record may have been edited: nothing outside `out` is touched.
+            publish(staging, target, {name for name in obsolete if Path(name).name == name}, records)
 
 
 @contextmanager

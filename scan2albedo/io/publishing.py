@@ -18,12 +18,13 @@ from scan2albedo.io.leftovers import JOURNAL, finished, hidden_path, keep, remov
 
 
 @contextmanager
-def staged(target: Path) -> Iterator[Path]:
+def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
     """Give a new hidden folder to make the files of `target` in, removed when the block ends.
 
-    It is beside `target`, so that `publish` can exchange both; where that is impossible, in `target` itself.
+    It is in `home`, beside `target` when omitted, so that `publish` can exchange both; where that fails,
+    in `target` itself.
     """
-    home = target.parent
+    home = target.parent if home is None else home
     with suppress(FileExistsError):
         home.mkdir(parents=True)
     remove_leftovers(home, target)

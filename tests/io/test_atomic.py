@@ -1,5 +1,4 @@
 import resource
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -8,15 +7,14 @@ import pytest
 from scan2albedo.errors import OutputError
 from scan2albedo.io.atomic import (
     atomic_path,
-    cannot_write,
     check_writable,
     make_folder,
     removed_if_empty,
+    result_folder,
     write_text,
 )
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.leftovers import remove_unfinished
-from scan2albedo.io.publishing import publish, staged
 
 
 def test_a_good_block_leaves_the_file_and_nothing_else(tmp_path):
@@ -94,16 +92,8 @@ def contents(folder):
     return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
 
 
-@contextmanager
-def published(out, *records, obsolete=()):
-    """Publish a folder without rules whose files are whose."""
-    with cannot_write(out), staged(out) as folder:
-        yield folder
-        publish(folder, out, obsolete, records)
-
-
 def write_folder(out, files, *records, **options):
-    with published(out, *records, **options) as folder:
+    with result_folder(out, *records, **options) as folder:
         for name, text in files.items():
             (folder / name).parent.mkdir(exist_ok=True)
             (folder / name).write_text(text)
@@ -113,7 +103,9 @@ def test_files_replace_older_ones_and_obsolete_ones_go(tmp_path):
     out = tmp_path / "a" / "b"
     write_folder(out, {"x.txt": "1", "y.txt": "1", "result.json": "1"}, "result.json")
     (out / "mine.txt").write_text("kept")
-    write_folder(out, {"x.txt": "2", "result.json": "2"}, "result.json", obsolete=["x.txt", "y.txt"])
+    write_folder(
+        out, {"x.txt": "2", "result.json": "2"}, "result.json", obsolete=["x.txt", "y.txt", "../b/mine.txt"]
+    )
     assert contents(out) == {"x.txt": "2", "result.json": "2", "mine.txt": "kept"}
 
 
@@ -139,7 +131,7 @@ def test_a_link_in_a_result_folder_is_not_followed(tmp_path):
 
 
 def write_half_a_folder(out, interruption):
-    with published(out, "result.json") as folder:
+    with result_folder(out, "result.json") as folder:
         (folder / "result.json").write_text("ha")
         raise interruption
 
@@ -155,18 +147,19 @@ def test_an_interrupted_block_leaves_the_folder_as_it_was(tmp_path, interruption
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").write_text("I am a file")
-    with (
-        pytest.raises(OutputError, match=r"cannot write the results into .*file/a: Not a directory"),
-        published(tmp_path / "file" / "a"),
-    ):
-        pass
+    for options in ({}, {"staged_in": tmp_path}):
+        with (
+            pytest.raises(OutputError, match=r"cannot write the results into .*file/a: Not a directory"),
+            result_folder(tmp_path / "file" / "a", **options),
+        ):
+            pass
     assert contents(tmp_path) == {"file": "I am a file"}
     with pytest.raises(OutputError, match="cannot create the folder"):
         check_writable(tmp_path / "file" / "a")
 
 
 def test_an_exit_that_unwinds_nothing_can_remove_the_hidden_folder(tmp_path):
-    with published(tmp_path / "scan") as folder:
+    with result_folder(tmp_path / "scan", staged_in=tmp_path) as folder:
         (folder / "x.txt").write_text("1")
         remove_unfinished()
         assert list(tmp_path.iterdir()) == []

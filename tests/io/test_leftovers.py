@@ -8,17 +8,15 @@ import time
 import pytest
 
 from scan2albedo.io import leftovers
-from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.atomic import atomic_path, result_folder
 from scan2albedo.io.leftovers import hidden_path, is_hidden_path, remove_leftovers, remove_unfinished
-from scan2albedo.io.publishing import publish, staged
 
 KILLED_WHILE_WRITING = """
 import os, signal, sys
 from pathlib import Path
-from scan2albedo.io.atomic import atomic_path
-from scan2albedo.io.publishing import staged
+from scan2albedo.io.atomic import atomic_path, result_folder
 out = Path(sys.argv[1])
-with staged(out / "scan") as folder, atomic_path(out / "a.json") as file:
+with result_folder(out / "scan", staged_in=out) as folder, atomic_path(out / "a.json") as file:
     (folder / "albedo.exr").touch()
     file.touch()
     os.kill(os.getpid(), signal.SIGKILL)
@@ -34,9 +32,8 @@ def killed(tmp_path):
 
 
 def test_the_next_result_removes_them(killed):
-    with staged(killed / "other") as folder:
+    with result_folder(killed / "other", staged_in=killed) as folder:
         (folder / "x.txt").touch()
-        publish(folder, killed / "other", ())
     assert [path.name for path in killed.iterdir()] == ["other"]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,12 +26,10 @@ from scan2albedo.fitting import fit
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.atomic import cannot_write, check_writable
+from scan2albedo.io.atomic import check_writable, result_folder
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.input_hash import file_sha256, input_sha256
-from scan2albedo.io.leftovers import folder_lock, roll_back
 from scan2albedo.io.obj import write_obj
-from scan2albedo.io.publishing import publish, staged
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.registration import register
 from scan2albedo.runs.eyeglasses import lenses_run, register_run
@@ -190,8 +187,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
     known: set[str] = set()
     if (out / register_run.FILES.record).is_file():
         known = {file.sha256 for file in RunFolder(out, register_run.FILES).read().inputs.values()}
-    target = Path(os.path.realpath(folder))
-    with cannot_write(folder), staged(target) as staging:
+    with result_folder(folder, staged_in=out) as staging:
         write_obj(staging / "frame.obj", glasses.rest_vertices, glasses.faces)
         write_keypoints(keypoints_beside(staging / "frame.obj"), glasses.rest_keypoints, unit="mm")
         write_cameras(staging / "cameras.json", cameras)
@@ -208,9 +204,6 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
                         f"{there}: no run of scan2albedo glasses demo wrote it; move it away, or choose "
                         "another folder"
                     )
-        with folder_lock(target) as locked:
-            roll_back(target, locked)
-            publish(staging, target, ())
     return read_registration(
         folder / "frame.obj",
         folder / "cameras.json",
