@@ -152,6 +152,7 @@ def process(
         )
     options = _process_options(context)
     from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.io.atomic import removed_if_empty
     from scan2albedo.pipeline.process import process as run
     from scan2albedo.templates import chosen_model
 
@@ -164,7 +165,7 @@ def process(
     failures = 0
     for path in scans:
         name = scan_name(path)
-        with ProgressLines(name) as progress:
+        with removed_if_empty(out), ProgressLines(name) as progress:
             progress.say(f"{name}: reading {path}")
             try:
                 result = run(path, out=out, on_progress=progress.update, **chosen)
