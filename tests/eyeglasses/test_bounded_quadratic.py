@@ -3,11 +3,12 @@ import itertools
 import igl
 import numpy as np
 import pytest
+from benchmarks.weights import kuhn_tetrahedra
 from scipy import sparse
 from scipy.optimize import lsq_linear
 
 from scan2albedo.core import Budget, Meter
-from scan2albedo.eyeglasses.lattice import CORNERS, Lattice
+from scan2albedo.eyeglasses.lattice import Lattice
 from scan2albedo.eyeglasses.weights import minimize_bounded
 
 
@@ -34,24 +35,11 @@ def test_agrees_with_a_dense_reference(seed):
     assert ((found.x == 0) | (found.x == 1)).any()
 
 
-def lattice_tetrahedra(lattice):
-    """Each cell in six tetrahedra around its diagonal (Kuhn)."""
-    number = {tuple(corner): n for n, corner in enumerate(CORNERS.tolist())}
-    paths = []
-    for axes in itertools.permutations(range(3)):
-        place, path = [0, 0, 0], [0]
-        for axis in axes:
-            place[axis] = 1
-            path.append(number[tuple(place)])
-        paths.append(path)
-    return np.ascontiguousarray(lattice.corners[:, np.array(paths)].reshape(-1, 4), np.int64)
-
-
 def test_energy_is_not_above_libigl_on_its_own_operator():
     """libigl's bounded biharmonic weights on tetrahedra, ours on the matrix that libigl builds from them."""
     block = np.argwhere(np.ones((16, 4, 3), bool)).astype(np.int64)
     lattice = Lattice.of_cells(block[(block[:, 0] < 5) | (block[:, 0] > 10) | (block[:, 1] < 2)])
-    nodes, tetrahedra = lattice.nodes.astype(float), lattice_tetrahedra(lattice)
+    nodes, tetrahedra = lattice.nodes.astype(float), kuhn_tetrahedra(lattice)
     owners = lattice.find(np.array([[0, 3, 1], [4, 0, 0], [12, 3, 2], [15, 0, 0]]))
     fixed, values = lattice.corners[owners].ravel(), np.repeat(np.eye(4), 8, 0)
     theirs = igl.bbw(nodes, tetrahedra, fixed, values)
