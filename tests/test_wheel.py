@@ -37,7 +37,7 @@ def run(*words, cwd, **more):
 def test_the_wheel_holds_the_package_alone_and_processes_a_scan(tmp_path):
     source, target = tmp_path / "source", tmp_path / "installed"
     source.mkdir()
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "README.md", "LICENSE", "NOTICE"):
         shutil.copy(ROOT / name, source)
     shutil.copytree(
         ROOT / "scan2albedo", source / "scan2albedo", ignore=shutil.ignore_patterns("__pycache__")
@@ -49,6 +49,8 @@ def test_the_wheel_holds_the_package_alone_and_processes_a_scan(tmp_path):
     assert {name.split("/")[0].partition("-")[0] for name in held} == {"scan2albedo"}
     assert "scan2albedo/py.typed" in held
     assert "scan2albedo/face_model/data/afm.json" in held
+    assert "scan2albedo/albedo/data/facial_albedo.npz" in held
+    assert any(name.endswith("/NOTICE") for name in held)
     assert wheel.stat().st_size < 5e6
     run(*pip, "install", "--quiet", "--no-deps", "--target", target, wheel, cwd=tmp_path)
     environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "PYTHONPATH": str(target)}

@@ -8,6 +8,7 @@ Every scene is synthetic with a known albedo, 8 bits. Error is 100 x MSE of V af
 from __future__ import annotations
 
 import argparse
+import re
 import time
 from collections.abc import Iterator
 from itertools import product
@@ -21,7 +22,8 @@ from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.lit_image import LitImage
 from scan2albedo.albedo.paper_search import DeviationProblem
-from scan2albedo.albedo.residual_objective import ResidualProblem
+from scan2albedo.albedo.posterior import Posterior
+from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.core import Budget, Meter
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
 
@@ -99,9 +101,9 @@ def spread_lights(rng: np.random.Generator, count: int) -> list[s2a.PointLight]:
 
 
 def print_counts(size: int) -> None:
-    """Print how often the number of lights is right, and how often absent parts are left out."""
+    """Print how often the number of lights is right, and how often the odds are against absent parts."""
     for noise in (0.0, 0.01):
-        right, absent, left_out, errors, angles = 0, 0, 0, [], []
+        right, absent, against, errors, angles = 0, 0, 0, [], []
         wrong = []
         for name, scene in count_scenes(size, noise):
             found = s2a.estimate_albedo(scene.image)
@@ -117,16 +119,23 @@ def print_counts(size: int) -> None:
             }
             for part, lacking in lacks.items():
                 absent += lacking
-                left_out += lacking and not found.plan.ran(PARTS[part])
+                against += lacking and log_odds(found, PARTS[part]) < 0
             if not same:
                 wrong.append(f"{name}: {len(found.lights)} for {len(scene.lights)}, {errors[-1]:.4f} %")
         print(
-            f"noise {noise:.2f}: number of lights right in {right} of 60; absent parts left out "
-            f"{left_out} of {absent}; MSE % mean {np.mean(errors):.4f} worst {np.max(errors):.4f}; "
+            f"noise {noise:.2f}: number of lights right in {right} of 60; odds against absent parts "
+            f"{against} of {absent}; MSE % mean {np.mean(errors):.4f} worst {np.max(errors):.4f}; "
             f"light deg median {np.nanmedian(angles):.2f} worst {np.nanmax(angles):.2f}"
         )
         for line in wrong:
             print(f"  {line}")
+
+
+def log_odds(found: s2a.AlbedoEstimate, stage: str) -> float:
+    """Return the log odds for a part of the light that the plan tells; 0 where it tells none."""
+    (step,) = found.plan.of_stage(stage)
+    told = re.search(r"log odds (-?[\d.]+)", step.evidence)
+    return float(told[1]) if told else 0.0
 
 
 def print_seeds(size: int, seeds: int = 20) -> None:
@@ -173,17 +182,21 @@ def print_speed() -> None:
     scene = face(size=128, lights=[light_at(40, 10)])
     options, view = EstimateOptions(), (0.0, 0.0, 1.0)
     meter, usable = Meter("m", "u"), usable_texels(scene.image)
-    lit = LitImage(scene.image, usable, "oren-nayar", view, options, meter)
+    prior = AlbedoPrior.faces()
+    lit = LitImage(scene.image, usable, "oren-nayar", view, options, meter, prior)
     level = lit.level(128)
-    problem, paper = ResidualProblem(level, lit.lattice(level), meter), DeviationProblem(lit, level)
+    paper = DeviationProblem(lit, level)
+    problem = Posterior(level, scene.image.shape, lit.lattice(level), lit.soft(level), prior, meter)
     model = LightModel(1, "oren-nayar", view, 100.0, rough=True, specular=True)
     x = model.from_lights(np.array([[0.6, 0.2, 0.77]]), np.array([2.0]))
     tabled = per_second(lambda: paper.cost(model, x, rays=False))
-    residual = per_second(lambda: problem.at(model, x))
-    sloped = per_second(lambda: problem.at(model, x).quadratic_model())
+    start = problem.start(model, x)
+    still = np.zeros(len(start.x))
+    posterior = per_second(lambda: start.moved(still))
+    sloped = per_second(lambda: start.moved(still).quadratic())
     print(
         f"evaluations a CPU second at 128 x 128: {tabled:.0f} of the paper's objective with its table, "
-        f"{residual:.0f} of the residual, {sloped:.0f} with its normal equations"
+        f"{posterior:.0f} of the posterior, {sloped:.0f} with its normal equations"
     )
     for name, make, lights in (
         ("hemisphere, one light", hemisphere, [light_at(30)]),
@@ -193,9 +206,9 @@ def print_speed() -> None:
         scene = make(size=512, texture="skin", lights=lights)
         spent = []
         for _ in range(3):
-            start = time.process_time()
+            begin = time.process_time()
             found = s2a.estimate_albedo(scene.image)
-            spent.append(time.process_time() - start)
+            spent.append(time.process_time() - begin)
         print(
             f"512 x 512, {name}: {np.median(spent):.2f} s CPU, {found.iterations} evaluations, "
             f"{error_percent(scene, found):.4f} %"

@@ -12,13 +12,18 @@ from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
-from scan2albedo.albedo.levels import toward_viewer, usable_texels, value_channel, with_every_normal
+from scan2albedo.albedo.levels import (
+    cell_field,
+    toward_viewer,
+    usable_texels,
+    value_channel,
+    with_every_normal,
+)
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
-from scan2albedo.albedo.model_selection import limits_step
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
-from scan2albedo.albedo.outlines import seen_outlines
 from scan2albedo.albedo.paper_search import paper_search
+from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.rectification import rectify
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
@@ -46,21 +51,22 @@ def estimate_albedo(
     seed: int = 0,
     *,
     options: EstimateOptions = EstimateOptions(),
+    prior: AlbedoPrior | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> AlbedoEstimate:
     """Estimate the lights of a textured geometry image and return the texture without them.
 
-    The light is found on V of HSV of the linear texture as the one whose removal leaves block-wise constant
-    albedo with the least residual:
+    Light and albedo have one posterior. V of HSV of the linear texture is
 
         M_T = M_A I + I_s,    I = A + D + rho B(D),    A = t_0 + f (1 - t_0),
         D = sum_l V_l E_l r(n, l, v) + sum_k c_k t_k,
 
     with ambient light A of strength 1, its occlusion t_0 and fill f; lamps l with visibility V, strength E
     and reflectance r; an environment in harmonics k of orders 1 and 2, whose light t_k passes the surface's
-    own shadows; one bounce B at the mean albedo rho; and Phong's highlights I_s. Parts enter by evidence;
-    with lamps alone the model is that of [1]_. Then M_A = (M_T - I_s) / I in each channel, where each part
-    of I has its own colour.
+    own shadows; one bounce B at the mean albedo rho; and Phong's highlights I_s. log M_A has the prior of a
+    face, or a stationary one (`prior`), each parameter of the light its own; lamps are counted by their
+    evidence, and explanations that it cannot separate are averaged. Each part of I has its own colour. Where
+    light ends, the albedo goes to what the prior and its surroundings say.
 
     Parameters
     ----------
@@ -68,7 +74,7 @@ def estimate_albedo(
         With `texture_linear`. Texels not seen, black, saturated or without a normal (0) do not count, but get
         an albedo; the nearest normal then serves.
     lights : "auto" or int
-        Number of lamps; "auto" adds lamps while the evidence pays for them, and may find none.
+        Number of lamps; "auto" compares numbers of them by their evidence, and may find none.
     brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
         Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor point lights nor
         highlights: `lights`, the parts and the repairs in `options` do not touch them, and their albedo has a
@@ -81,6 +87,8 @@ def estimate_albedo(
     seed : int
         Of simulated annealing and of inpainting; the default search draws nothing.
     options : EstimateOptions
+    prior : AlbedoPrior, optional
+        Of the albedo. Before, it is that of faces where the image has a `face_chart`, else a stationary one.
     on_progress : callable, optional
         Called with each trace row.
 
@@ -100,14 +108,13 @@ def estimate_albedo(
 
     Notes
     -----
-    The plan names each part of the model, whether it is used, and its evidence. `albedo.view` is a doubt
-    where less than a tenth of the texels faces `view_direction`, `albedo.limits` where a parameter of the
-    light is at an end of its range, such as a lamp that touches the skin, or where the albedo holds light
-    that is not modelled.
+    The plan names each part of the model, and the log odds for it. `albedo.view` is a doubt where less than a
+    tenth of the texels faces `view_direction`. The trace's error is the perplexity of a cell: one over the
+    geometric mean of its probability density.
 
     Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface cannot
     be distinguished from pigment: the mean light is white. Texels that are not skin weigh a quarter in the
-    search. White noise is filtered, and outlines of the light that the texture does not show are spread.
+    search. White noise is filtered.
 
     The paper's objective knows lamps under constant white ambient light alone: one lamp at least, no
     occlusion, environment, bounce, colours or spread outlines.
@@ -145,8 +152,10 @@ def estimate_albedo(
             "normals outward"
         )
         plan += [PlanStep.doubt("albedo.view", reason)]
-    meter = Meter("albedo", "relative residual", Budget.of(budget), on_progress)
-    scene = LitImage(image, usable, brdf, view, options, meter)
+    meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
+    faces = image.face_chart is not None
+    known = prior if prior is not None else AlbedoPrior.faces() if faces else AlbedoPrior.stationary()
+    scene = LitImage(image, usable, brdf, view, options, meter, known)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):
         if brdf == "spherical-harmonics":
@@ -162,7 +171,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     """Remove the light found from the full-size image."""
     image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
-    mask, deviation = image.mask, found.albedo_deviation
+    mask, deviation = image.mask, None
     lit = light_on_texels(scene, found)
     light, specular, shadow, cast, shading = (
         np.zeros((*mask.shape, *field.shape[1:]))
@@ -170,13 +179,11 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     )
     light[mask], specular[mask], shadow[mask] = lit.light, lit.specular, lit.visible
     cast[mask], shading[mask] = lit.cast, lit.light_linear
-    outlines = _left_out("albedo.outlines", options, late=False)
-    if options.objective == "albedo-deviation":
-        outlines = PlanStep("albedo.outlines", False, "no part of the paper's method")
-    if outlines is None:
-        softened, outlines = seen_outlines(light, value_channel(image.texture_linear), usable)
-        shading *= (softened / np.where(light > 0, light, 1.0))[..., None]
-        light = softened
+    if found.explanation is not None:
+        best = found.explanation.best
+        cells = best.light_deviation()[:, None]
+        deviation = np.zeros(mask.shape)
+        deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
     # What makes a good albedo better is left out once the seconds have ended.
     late, begin = meter.out_of_time, meter.elapsed_s
     division = divide_light(
@@ -195,7 +202,6 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     if rectification is None:
         forced = options.choice("albedo.rectification") is True
         albedo, rectification = rectify(albedo, light, cast, usable, force=forced)
-    limits = limits_step(found.solution, value[usable])
     # Hue and saturation stay; black turns grey.
     ratio, black = albedo / np.maximum(value, 1e-9), value <= 1e-9
     color = (division.albedo * ratio[..., None]).astype(np.float32)
@@ -222,11 +228,11 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, cameras, limits, outlines, rectification, inpainting)),
+        plan=Plan((*found.steps, cameras, rectification, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
-        residual=found.solution.cost,
+        residual=meter.rows[-1].error,
         image=image,
         view_direction=scene.view,
         reflectance=lit.reflectance,

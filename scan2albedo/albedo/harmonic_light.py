@@ -31,7 +31,7 @@ def fit_harmonic_light(
     """
     assert image.texture_linear is not None
     channels = [
-        build_level(image, usable, options.sizes[1], values=image.texture_linear[..., channel])
+        build_level(image, usable, options.sizes[2], values=image.texture_linear[..., channel])
         for channel in range(3)
     ]
     return np.stack([_fit_channel(level, meter) for level in channels], 1)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, gaussian_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
 
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -223,17 +223,6 @@ def _closest_texels(position, mean, usable, factor):  # type: ignore[no-untyped-
     return found
 
 
-def local_mean(level: Level, values: FloatArray, sigma: float) -> FloatArray:
-    """Return the weighted means of `values` (N,) or (N, C) around each cell, Gaussians of `sigma` cells."""
-    row, column = level.cell.T
-    fields = np.column_stack([values, np.ones(len(row))]) * level.weight[:, None]
-    grids = np.zeros((fields.shape[1], row.max() + 1, column.max() + 1))
-    grids[:, row, column] = fields.T
-    sums = [gaussian_filter(grid, max(1.0, sigma), mode="constant")[row, column] for grid in grids]
-    means: FloatArray = np.stack(sums[:-1], 1) / np.maximum(sums[-1], 1e-12)[:, None]
-    return means.reshape(values.shape)
-
-
 def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (N,) the mean over each cell's texels within `mask` (H, W) of `values` there."""
     fields = np.zeros((*mask.shape, 2))
@@ -242,11 +231,11 @@ def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     return np.asarray(sums[:, 0] / sums[:, 1])
 
 
-def cell_image(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
-    """Return (H, W) `values` (N,) of each texel's cell, or of the nearest one, within `mask`; 0 elsewhere."""
-    grid = np.asarray(values)[_nearest_cells(level, mask)]
-    full = grid.repeat(level.factor, 0).repeat(level.factor, 1)[: mask.shape[0], : mask.shape[1]]
-    return np.where(mask, full, 0.0)
+def cell_field(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
+    """Return (P, C) `values` (N, C) of the cells on the P texels of `mask`, linear along the chart."""
+    grid, at = values[_nearest_cells(level, mask)], (np.argwhere(mask).T + 0.5) / level.factor - 0.5
+    fields = [map_coordinates(part, at, order=1, mode="nearest") for part in np.moveaxis(grid, -1, 0)]
+    return np.stack(fields, 1)
 
 
 def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.shading import Reflectance, light_from_direction
@@ -223,6 +224,21 @@ class Solution:
         return self.model.decode(self.x)
 
 
-def cost_removed(cost: float, before: float) -> float:
-    """Return which part of the cost `before` is gone at `cost`; 0 where there was nothing to remove."""
-    return 1 - cost / before if before > 0 else 0.0
+PARTS = {
+    "rough": "albedo.roughness",
+    "near": "albedo.near_light",
+    "specular": "albedo.specular",
+    "occlusion": "albedo.occlusion",
+    "bounce": "albedo.bounce",
+    "environment": "albedo.environment",
+}
+"""Stages of the optional parts, by the name of their field of `LightModel`."""
+
+
+def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:
+    """Return the parts that neither caller nor reflectance leaves out."""
+    return [
+        name
+        for name, stage in PARTS.items()
+        if options.choice(stage) is not False and not (name == "rough" and brdf == "lambert")
+    ]

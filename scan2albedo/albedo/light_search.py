@@ -1,376 +1,315 @@
-"""The search for the light by least squares: starts, number of lights, and the parts the model needs."""
+"""The search for the light: lamps by the evidence for each number of them, beside soft light."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from itertools import product
 
 import numpy as np
 
-from scan2albedo.albedo.lamp_size import LAMP_SIZE, with_lamp_size
-from scan2albedo.albedo.levels import cell_image
-from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
-from scan2albedo.albedo.lit_image import LightFound, LitImage
-from scan2albedo.albedo.model_selection import (
-    ENVIRONMENT_FLOOR,
-    ENVIRONMENT_GAIN,
-    LIGHT_GAIN,
-    allowed_parts,
-    decide_parts,
-    environment_gain,
-    light_evidence,
-    undecided,
-)
-from scan2albedo.albedo.options import STARTS
-from scan2albedo.albedo.residual_objective import ResidualProblem, descend, one_step
-from scan2albedo.albedo.tint import Tint, tint_on
-from scan2albedo.albedo.uncertainty import Alternative, Alternatives, apart, light_uncertainty
+from scan2albedo.albedo.levels import cell_means
+from scan2albedo.albedo.light_colour import light_colours
+from scan2albedo.albedo.light_parameters import LightModel, allowed_parts
+from scan2albedo.albedo.light_priors import parts_steps
+from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
+from scan2albedo.albedo.posterior import EXTRA, Point, Posterior, Scales, descend
+from scan2albedo.albedo.shadows import OUTLINE_BLURS
+from scan2albedo.albedo.uncertainty import Alternative, apart, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
+from scan2albedo.optimization import damped_step
 
-_FIRST_STRENGTH, _ADDED_STRENGTH = 2.0, 0.4
-"""Intensities at which the directions of the only light, and of one more, are tried."""
-_SPLIT_RAD = 0.2, 0.4
-"""Half the angles between the two lights that replace one."""
-_CLOSER_LOOK = 0.5
-"""Part of the required gain that one more light must bring on the smallest image to be tried on others."""
-_NEARLY = 1.3
-"""How many times the best cost soft light alone may cost for lamps to be sought beside it."""
-_LAST_EVALUATIONS = 8
-"""Of the descent on the largest image, which starts near its end."""
-_LEAST_EVALUATIONS = 4
-"""What any answer takes, whatever the budget: a step toward the light from where the shading grows."""
+_STRENGTHS = 1.0, 6.0
+"""Intensities at which one more lamp is tried; with the last, the environment starts anew."""
+_SPLIT_RAD, _TURNS = (0.35, 0.7), 4
+"""Half the angles between the two lamps that replace one, and along how many lines they part."""
+_DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, (0.6, 3.0, 1.0), 2
+"""The same of the first lamps in a room that is dark otherwise; what such a lamp shades is no outlier yet."""
+_SAME_COSINE = 0.9
+"""Lamps whose directions have a larger cosine are one at the start."""
+_FOLLOWED, _KEPT = 5, 3
+"""Distinct starts that take two steps, and that go on to where the posterior is largest."""
+_FIRST_SCALES = 0.6, 1.2, 1.0
+"""Scales of the errors where candidates are compared: those of faces before their lamps are found."""
+_CAUTION = 0.1
+"""Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
+_DESCENTS = 8, 5
+"""Evaluations of the two descents around which the scales are estimated."""
+_HOPELESS = 8.0
+"""Log odds against one lamp more at which no further ones are tried."""
+_RADII_DEG = 6.0, 12.0, 20.0, 30.0
+"""Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
+_TEMPER, _ALIKE = 0.25, 0.003
+"""What the log odds of explanations are multiplied by where they are averaged [1]_: texels of faces that were
+left out err two to three times as much as the posterior says, as if four cells were one. And the relative
+difference below which two explanations are one.
+
+.. [1] C. Holmes, S. Walker, "Assigning a value to a power likelihood in a general Bayesian model", Biometrika
+   104(2), 2017.
+"""
+_LEAST_EVALUATIONS = 3
+"""What any answer takes, whatever the budget."""
+_LAST_EVALUATIONS = 6
+"""Of the descent on the finest image, which starts near its end."""
 
 
 @dataclass(frozen=True)
 class LightSearch:
-    """Least squares from several starts on growing images; the budget ends it with the best so far."""
+    """Searches one image; the budget ends it with the best so far."""
 
     scene: LitImage
-    alternatives: Alternatives = field(default_factory=Alternatives)
+    found: list[tuple[float, Point]] = field(default_factory=list)
+    _known: dict[tuple[int, float], Posterior] = field(default_factory=dict)
 
     def run(self, lights: int | None) -> LightFound:
-        """Search for the light; `lights` None lets the evidence decide how many lamps there are."""
+        """Return the light; `lights` None compares numbers of lamps by their evidence."""
         meter, options = self.scene.meter, self.scene.options
-        current, steps = self._environment(*self._lamps(lights), lights)
-        steps = [self.scene.shadows[1], *steps]
         if meter.exhausted:
-            ended = "the budget ended before it"
-            late = (PlanStep(stage, False, ended) for stage in (LAMP_SIZE, "albedo.light_colour"))
-            return self._found(current, _once([*steps, *undecided(current.model, options), *late]))
-        return self._with_parts(current, steps)
-
-    def _lamps(self, lights: int | None) -> tuple[Solution, PlanStep]:
-        """Return lamps under ambient light, as many as asked for or as pay, and the plan's row."""
-        meter, most = self.scene.meter, self.scene.options.maximal_lights if lights is None else lights
-        current = self._first_light()
-        decision = PlanStep("albedo.lights", True, "one light", "no second one tried")
-        none = None
-        if not meter.exhausted and lights is None:
-            alone = self._without_lamps(self._middle, current.model)
-            first = light_evidence(self._middle, current, alone)
-            # Two lamps may pay where one between them does not.
-            none = None if first.accepted else alone
-        for _ in range(1, most):
-            if meter.exhausted:
+            return self._at_once(lights or 0)
+        counts = range(1, (options.maximal_lights if lights is None else lights) + 1)
+        model, problem = self._model(0), self._posterior(1, OUTLINE_BLURS[0])
+        first = self._settled(problem.start(model, model.from_lights(np.zeros((0, 3)), np.zeros(0))))
+        value, base = self._best([first, *self._variants(first)])
+        best_of = {0: value}
+        self._record()
+        for count in counts:
+            if meter.exhausted and (lights is None or count > 1):
                 break
-            current, decision, accepted = self._one_more(current, forced=lights is not None)
-            if not accepted:
+            points = self._with_one_more(base)
+            best_of[count], base = self._best([*points, *self._variants(points[0])])
+            self._record()
+            if lights is None and best_of[count] < max(best_of.values()) - _HOPELESS:
                 break
-            self._record(current)
-        if none is not None and (current.model.lights == 1 or _price(none) <= _price(current)):
-            return none, PlanStep("albedo.lights", False, "no lamp: it does not pay", first.evidence)
-        if lights is not None:
-            found_lights = current.model.lights
-            short = "" if found_lights == lights else f", {found_lights} found before the budget ended"
-            decision = replace(decision, reason=f"{lights} asked for{short}")
-        return current, decision
-
-    def _without_lamps(self, problem: ResidualProblem, model: LightModel) -> Solution:
-        """Return the optimum of soft light alone."""
-        alone = replace(model, lights=0)
-        return self._descend(problem, alone, alone.from_lights(np.zeros((0, 3)), np.zeros(0)))
-
-    def _environment(
-        self, lamps: Solution, decision: PlanStep, lights: int | None
-    ) -> tuple[Solution, list[PlanStep]]:
-        """Return the light with an environment, where it pays, and the plan's rows of lamps and environment.
-
-        It is tried beside the lamps found, and lamps are tried beside it: lamps found without it stand for
-        parts of it, and it may stand for a lamp.
-        """
-        stage = "albedo.environment"
-        choice = self.scene.options.choice(stage)
-        if choice is False or self.scene.meter.exhausted:
-            return lamps, [decision]
-        middle = self._middle
-        model = lamps.model.with_part("environment")
-        both = self._descend(middle, model, lamps.model.extend(lamps.x, model))
-        gain = environment_gain(both, lamps)
-        evidence = (
-            f"it removes {100 * gain:.1f} % of the cost beside {lamps.model.lights} lamp(s) "
-            f"({100 * ENVIRONMENT_GAIN:g} % asked)"
-        )
-        alone = self._without_lamps(middle, model) if lights is None else both
-        tried = [both] if choice else [lamps, both]
-        if lights is None:
-            # Optima with the weakest lamp left out, one after the other.
-            while tried[-1].model.lights and not self.scene.meter.exhausted:
-                tried.append(self._descend(middle, *_without_weakest(tried[-1])))
-        if choice is None and gain < ENVIRONMENT_GAIN and min(map(_price, [alone, *tried])) >= _price(lamps):
-            return lamps, [decision, PlanStep(stage, False, "a large environment does not pay", evidence)]
-        if lights is None:
-            # Where soft light alone leaves much, the lamps found without it are better starts.
-            near = _price(alone) < _NEARLY * min(map(_price, tried))
-            tried.append(alone)
-            accepted = near
-            while accepted and alone.model.lights < self.scene.options.maximal_lights:
-                if self.scene.meter.exhausted:
-                    break
-                alone, _, accepted = self._one_more(alone, forced=False)
-                tried += [alone] if accepted else []
-        best = min(tried, key=_price)
-        self._record(best)
-        count = best.model.lights
-        if count != lamps.model.lights:
-            decision = PlanStep(
-                "albedo.lights", count > 0, f"{count} lamp(s) beside soft light", decision.evidence
-            )
-        if best.model.environment:
-            return best, [decision]
-        return best, [decision, PlanStep(stage, False, "lamps explain as much", evidence)]
-
-    def _found(self, solution: Solution, steps: list[PlanStep]) -> LightFound:
-        unit = self.scene.level(self.scene.options.sizes[0]).unit
-        return LightFound(solution, unit, steps, self.scene.shadows[0])
-
-    def _with_parts(self, current: Solution, steps: list[PlanStep]) -> LightFound:
-        """Return the light with the parts of the model that the scene needs, refined on the largest image."""
-        options, largest = self.scene.options, self._largest
-        casts = self.scene.shadows[0] is not None
-        current, size = with_lamp_size(largest, self._tint, current, casts, options.choice(LAMP_SIZE))
-        current = self._descend(self._unguided, current.model, current.x)
-        decided = decide_parts(self._unguided, current, options, self._tint)
-        self._record(decided.solution)
-        highlight = largest.at(current.model, current.x).highlight() if decided.highlight else None
-        guided = largest.guided(highlight, tint_on(largest, self._tint, decided.solution))
-        best = descend(guided, decided.solution.model, decided.solution.x, _LAST_EVALUATIONS)
-        best = best if math.isfinite(best.cost) else decided.solution
-        explained = guided.guide.explained
-        guide = PlanStep(
-            "albedo.color_guide",
-            explained > 0,
-            "pigment shows in the hue" if explained > 0 else "hue tells nothing of the texture",
-            f"colour explains {100 * explained:.0f} % of the local change of brightness",
-        )
-        sure, cells = light_uncertainty(guided, best, self.alternatives.of(best))
-        tint = Tint.of(self._unguided, best, options.choice("albedo.light_colour"))
-        # Last, so that the trace ends with all evaluations spent.
-        self._record(best)
-        return replace(
-            self._found(best, _once([*steps, size, *decided.steps, guide, tint.step])),
-            colors=tint.colors,
-            uncertainty=sure,
-            albedo_deviation=cell_image(guided.level, cells, self.scene.image.mask),
-        )
-
-    @cached_property
-    def _coarse(self) -> ResidualProblem:
-        return self._smallest.guided(None, tint_on(self._smallest, self._tint))
-
-    @cached_property
-    def _first_tries(self) -> list[Solution]:
-        """Optima of one light on the smallest image, best first, before colours of light are known."""
-        model, problem = self.scene.model(1), self._smallest.guided(None)
-        starts = (model.from_lights(d[None], np.array([_FIRST_STRENGTH])) for d in self.scene.directions)
-        return self._polished(problem, model, starts, STARTS, self._record)
-
-    @cached_property
-    def _tint(self) -> Tint | None:
-        """What the light does to colours, by a first estimate on the smallest image without their guide."""
-        if self.scene.meter.exhausted:
-            return None
-        problem, lamp = self._smallest, self._first_tries[0]
-        model = lamp.model
-        for part in ("occlusion", "environment"):
-            model = model.with_part(part)
-        lit = self._descend(problem, model, lamp.model.extend(lamp.x, model))
-        soft = self._without_lamps(problem, model)
-        if self.scene.meter.exhausted:
-            return None
-        return Tint.of(problem, lit if cost_removed(lit.cost, soft.cost) >= LIGHT_GAIN else soft)
-
-    @cached_property
-    def _smallest(self) -> ResidualProblem:
-        return self._problem(0)
-
-    @cached_property
-    def _unguided(self) -> ResidualProblem:
-        return self._problem(1)
-
-    @cached_property
-    def _middle(self) -> ResidualProblem:
-        return self._unguided.guided(None, tint_on(self._unguided, self._tint))
-
-    @cached_property
-    def _largest(self) -> ResidualProblem:
-        return self._problem(2)
-
-    def _problem(self, k: int) -> ResidualProblem:
-        level = self.scene.level(self.scene.options.sizes[k])
-        # What soft light knows of the sky spares the lamps' shadows most of their rays.
-        soft = None if self.scene.meter.exhausted else self.scene.soft(level)
-        return ResidualProblem(level, self.scene.lattice(level), self.scene.meter, soft)
-
-    def _record(self, solution: Solution) -> None:
-        """Add a trace row with the cost on the largest image: costs at different sizes do not compare.
-
-        Where the budget has ended it may be the only row, and then has the cost that is known.
-        """
-        meter = self.scene.meter
+        wanted = [p for _, p in self._ranked() if lights is None or p.model.lights == base.model.lights]
+        best, size = wanted[0], PlanStep("albedo.lamp_size", False, "the budget ended before it")
         if not meter.exhausted:
-            meter.record(self._largest.at(solution.model, solution.x).cost)
-        elif not meter.rows:
-            meter.record(solution.cost)
+            best, size = self._sized(best)
+        lamps = self._lamps_step(best_of, best.model.lights, lights)
+        return self._explained(best, wanted, [self.scene.shadows[1], lamps, size])
 
-    def _descend(self, problem: ResidualProblem, model: LightModel, x: FloatArray) -> Solution:
-        return descend(problem, model, x, self.scene.options.descent_iterations)
+    def _at_once(self, lights: int) -> LightFound:
+        """Return where a few steps lead from lamps where the shading grows, whatever the budget."""
+        model, problem = self._model(lights), self._posterior(0, OUTLINE_BLURS[0])
+        toward = self.scene.directions[:lights]
+        start = problem.start(model, model.from_lights(toward, np.ones(len(toward))))
+        value, best = self._best([descend(start, _LEAST_EVALUATIONS, None)])
+        steps = [self.scene.shadows[1], self._lamps_step({lights: value}, lights, lights or None)]
+        return self._explained(best, [best], steps)
 
-    def _first_light(self) -> Solution:
-        """Return one light with every allowed part free."""
-        meter, model = self.scene.meter, self.scene.model(1)
-        # Builds the smallest image, which a small budget does not outlive.
-        start = model.from_lights(self.scene.directions[:1], np.array([_FIRST_STRENGTH]))
-        if meter.exhausted:
-            # Where a few steps lead on the smallest image, with its cost there.
-            found = one_step(self._coarse, model, start)
-            for _ in range(_LEAST_EVALUATIONS - 1):
-                found = one_step(self._coarse, model, found.x)
-            meter.record(found.cost)
-            return found
-        tried = self._first_tries
-        if meter.exhausted:
-            return tried[0]
-        polished = [self._descend(self._middle, s.model, s.x) for s in apart(tried, 2)]
-        self.alternatives.note(polished)
-        best = min([*polished, tried[0]] if meter.exhausted else polished, key=lambda s: s.cost)
-        self._record(best)
+    def _ranked(self) -> list[tuple[float, Point]]:
+        return sorted(self.found, key=lambda pair: -pair[0])
+
+    def _explained(self, best: Point, wanted: list[Point], steps: list[PlanStep]) -> LightFound:
+        """Return what was found, with the mean of all explanations, and the plan's rows."""
+        meter, options = self.scene.meter, self.scene.options
+        level, (shift, spread) = wanted[0].problem.level, self._averaged(wanted)
+        first = self._ranked()[0][0]
+        others = [
+            Alternative(point.solution().hypothesis.lights(), round(first - value, 3))
+            for value, point in self._ranked()
+            if point.model.lights == best.model.lights > 0
+            and _TEMPER * (first - value) < 1
+            and len(apart([best.solution(), point.solution()], 2)) > 1
+        ]
+        if not meter.exhausted:
+            largest = self._posterior(2, best.problem.blur)
+            fine = Point(largest, best.model, best.x, None, best.scales).rescaled()
+            best = descend(fine, _LAST_EVALUATIONS, meter).rescaled()
+        self._record()
+        colours = light_colours(best, options.choice("albedo.light_colour"))
+        rows = parts_steps(best.model, best.x, best.covariance(), best.prior.rows, options)
+        return LightFound(
+            best.solution(),
+            best.problem.level.unit,
+            [*steps, *rows, colours.step],
+            self.scene.shadows[0],
+            light_uncertainty(best, others),
+            Explanation(best, colours, level, shift, spread),
+        )
+
+    def _averaged(self, wanted: list[Point]) -> tuple[FloatArray, FloatArray]:
+        """Return (N,) what the mean log light of all explanations adds to the first, and their deviation."""
+        known, values, fields = {id(p): value for value, p in self.found}, list[float](), list[FloatArray]()
+        for point in wanted:
+            field = np.log(point.light)
+            field -= np.average(field, weights=point.problem.level.weight)
+            # Descents from several starts meet.
+            if all(np.std(field - other) > _ALIKE for other in fields):
+                values.append(known[id(point)])
+                fields.append(field)
+        weights = np.exp(_TEMPER * (np.array(values) - max(values)))
+        weights /= weights.sum()
+        apart_from_first = np.array(fields) - fields[0]
+        shift = weights @ apart_from_first
+        return shift, np.sqrt(weights @ (apart_from_first - shift) ** 2)
+
+    def _lamps_step(self, best_of: dict[int, float], count: int, asked: int | None) -> PlanStep:
+        least = best_of[min(best_of)]
+        odds = ", ".join(f"{n}: {value - least:.1f}" for n, value in best_of.items())
+        evidence = f"log odds against no lamp by number of lamps {odds}"
+        if asked is not None:
+            short = "" if count == asked else f", {count} found before the budget ended"
+            return PlanStep("albedo.lights", True, f"{asked} asked for{short}", evidence)
+        what = f"{count} lamp(s) beside soft light" if count else "soft light explains the image"
+        return PlanStep("albedo.lights", count > 0, what, evidence)
+
+    def _sized(self, point: Point) -> tuple[Point, PlanStep]:
+        """Return the best point over the angular radii of its lamps, and the plan's row."""
+        stage, choice = "albedo.lamp_size", self.scene.options.choice("albedo.lamp_size")
+        if choice is False:
+            return point, PlanStep(stage, False, "left out by the caller")
+        if not point.model.lights or self.scene.shadows[0] is None:
+            return point, PlanStep(stage, False, "no lamp that casts shadows", "not judged")
+        best, costs = point, [point.cost]
+        for radius in _RADII_DEG:
+            model = replace(point.model, radius_deg=radius)
+            start = Point(point.problem, model, point.x, point.robust, point.scales)
+            tried = descend(start, 4, self.scene.meter)
+            costs.append(tried.cost)
+            if tried.cost > best.cost:
+                break
+            best = tried
+        evidence = f"log odds {point.cost - best.cost:.1f} for a radius of {best.model.radius_deg:g} deg"
+        return best, PlanStep(stage, best is not point, "how wide the outlines of shadows are", evidence)
+
+    def _best(self, points: list[Point]) -> tuple[float, Point]:
+        """Keep points, and return the most evident one with its log evidence."""
+        pairs = [(point.log_evidence(), point) for point in points]
+        self.found.extend(pairs)
+        return max(pairs, key=lambda pair: pair[0])
+
+    def _record(self) -> None:
+        """Add a trace row: the perplexity of a cell under the best explanation so far."""
+        value, point = max(self.found, key=lambda pair: pair[0])
+        cells = len(point.error) / point.problem.repeats
+        self.scene.meter.record(math.exp(-value / cells))
+
+    def _model(self, lights: int) -> LightModel:
+        model = self.scene.model(lights)
         for part in allowed_parts(self.scene.brdf, self.scene.options):
-            # An environment, which can stand for lamps, is tried when they are found.
-            alone = part in ("occlusion", "bounce") and self.scene.shadows[0] is None
-            if not (meter.exhausted or alone or part == "environment"):
-                freed = best.model.with_part(part)
-                best = self._descend(self._middle, freed, best.model.extend(best.x, freed))
-        self._record(best)
-        return best
+            if part not in ("occlusion", "bounce") or self.scene.shadows[0] is not None:
+                model = model.with_part(part)
+        return model
 
-    def _polished(
-        self,
-        problem: ResidualProblem,
-        model: LightModel,
-        starts: Iterable[FloatArray],
-        count: int,
-        on_first: Callable[[Solution], None] | None = None,
-    ) -> list[Solution]:
-        """Return local minima, best first, from the distinct starts that one step improves most."""
-        meter, ahead = self.scene.meter, list[Solution]()
-        for x in starts:
+    def _variants(self, point: Point) -> list[Point]:
+        """Return the optima near a point: even ambient light, and a surface that errs otherwise."""
+        model, problem = point.model.with_part("environment", False), point.problem
+        surfaces = [self._posterior(1, blur) for blur in OUTLINE_BLURS if blur != problem.blur]
+        found = []
+        for near, where in [(model, problem), *((point.model, other) for other in surfaces)]:
+            if self.scene.meter.exhausted or (near == point.model and where is problem):
+                continue
+            if where is not problem and self.scene.shadows[0] is None:
+                continue
+            x = np.append(point.model.extend(point.light_x, near), point.x[-EXTRA:])
+            found.append(self._settled(Point(where, near, x, None, point.scales)))
+        return found
+
+    def _with_one_more(self, base: Point) -> list[Point]:
+        """Return local optima with one lamp more, the most evident first."""
+        meter, problem = self.scene.meter, base.problem
+        coarse = self._posterior(0, problem.blur)
+        model = replace(self._model(base.model.lights + 1), bounce=False)
+        weight = 1 / (coarse.repeats * coarse.variance * _FIRST_SCALES[1] ** 2)
+        factor = coarse.factor(weight, _FIRST_SCALES[0])
+        ahead = list[tuple[float, FloatArray]]()
+        for x in self._starts(base, model):
             if meter.exhausted and ahead:
                 break
-            ahead.append(one_step(problem, model, x))
-        chosen = apart(sorted(ahead, key=lambda s: s.cost), count)
-        if on_first is not None:
-            on_first(chosen[0])
-        descended = (self._descend(problem, s.model, s.x) for s in chosen)
-        # A budget that has ended leaves infinite costs: the prediction is then what is known.
-        known = (d if math.isfinite(d.cost) else s for d, s in zip(descended, chosen, strict=True))
-        return sorted(known, key=lambda s: s.cost)
+            point = Point(coarse, model, np.append(x, base.x[-EXTRA:]), weight, _FIRST_SCALES, factor)
+            equations = point.normal_equations()
+            step = damped_step(equations, _CAUTION)
+            fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
+            ahead.append((point.cost + min(fall, 0.0), point.x + step))
+        points = self._points(coarse, model, _distinct(model, ahead, _FOLLOWED), _FIRST_SCALES)
+        fresh = list[Point]()
+        if model.lights <= _FRESH_LAMPS and not meter.exhausted:
+            # A lamp in a dark room is far from soft light: its own cost ranks it, not a predicted one.
+            away = [(p.cost, p.x) for p in self._in_the_dark(base, model)]
+            dark = self._points(coarse, model, _distinct(model, away, _KEPT), _DARK_SCALES)
+            fresh = sorted((descend(p, 2, meter) for p in dark), key=lambda p: p.cost)[:1]
+        tried = sorted((descend(p, 2, meter) for p in points), key=lambda p: p.cost)
+        full, found = self._model(base.model.lights + 1), list[Point]()
+        for start in [*tried[: _KEPT - len(fresh)], *fresh]:
+            if found and meter.exhausted:
+                break
+            x = np.append(model.extend(start.light_x, full), start.x[-EXTRA:])
+            point = Point(problem, full, x, None, _FIRST_SCALES)
+            found.append(point if meter.exhausted else self._settled(point))
+        return found
 
-    def _one_more(self, fewer: Solution, *, forced: bool) -> tuple[Solution, PlanStep, bool]:
-        """Return the solution with one more light, the plan's row, and whether it is worth it."""
-        stage, lights, middle = "albedo.lights", fewer.model.lights + 1, self._middle
-        # The smallest image does without the bounce, which takes half of an evaluation's time.
-        plain = _with_bounce(fewer, False)
-        starts = _starts_with_one_more(plain, self.scene.directions)
-        more = replace(plain.model, lights=lights)
-        tried = self._polished(self._coarse, more, starts, 2 * STARTS)
-        before = self._descend(self._coarse, plain.model, plain.x)
-        gain = cost_removed(tried[0].cost, before.cost)
-        if not forced and gain < _CLOSER_LOOK * LIGHT_GAIN:
-            evidence = (
-                f"light {lights} removes {100 * gain:.1f} % of the cost of the smallest image "
-                f"({100 * _CLOSER_LOOK * LIGHT_GAIN:g} % asked for a closer look)"
-            )
-            row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", evidence)
-            return fewer, row, False
-        whole = [_with_bounce(s, fewer.model.bounce) for s in apart(tried, 2)]
-        polished = [self._descend(middle, s.model, s.x) for s in whole]
-        if self.scene.meter.exhausted:
-            row = PlanStep(
-                stage, True, f"{lights - 1} light(s)", "the budget ended before one more was judged"
-            )
-            return fewer, row, False
-        trial = min(polished, key=lambda s: s.cost)
-        reduced = self._descend(middle, *_without_weakest(trial))
-        if reduced.cost < fewer.cost:
-            # The way over one more light led out of a local minimum.
-            fewer = reduced
-        found = light_evidence(middle, trial, fewer)
-        if found.one_or_two:
-            self.alternatives.split.append(Alternative(trial.hypothesis.lights(), -found.gain))
-        if not forced and not found.accepted:
-            row = PlanStep(stage, True, f"{lights - 1} light(s): one more does not pay", found.evidence)
-            return fewer, row, False
-        return trial, PlanStep(stage, True, f"{lights} lights", found.evidence), True
+    def _points(
+        self, problem: Posterior, model: LightModel, starts: list[FloatArray], scales: Scales
+    ) -> list[Point]:
+        """Return the points of starts x, at least one, as long as the budget lasts."""
+        found = list[Point]()
+        for x in starts:
+            if found and self.scene.meter.exhausted:
+                break
+            found.append(Point(problem, model, x, None, scales))
+        return found
 
+    def _settled(self, point: Point) -> Point:
+        """Return the optimum near a point, with the scales that the image has there."""
+        for evaluations in _DESCENTS:
+            point = descend(point, evaluations, self.scene.meter).rescaled().rescaled()
+        return point
 
-def _starts_with_one_more(fewer: Solution, directions: FloatArray) -> Iterable[FloatArray]:
-    """Yield starts with one more light: a weak one from every direction, and each light split in two."""
-    model = replace(fewer.model, lights=fewer.model.lights + 1)
-    rows = fewer.hypothesis.rows
-    tail = fewer.model.extend(fewer.x, model)[3 * fewer.model.lights :]
+    def _in_the_dark(self, base: Point, model: LightModel) -> Iterator[Point]:
+        """Yield the starts of one strong lamp more in a room without other light."""
+        count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
+        rows = base.solution().hypothesis.rows[:, :3]
+        for direction in self.scene.directions:
+            if self.scene.meter.exhausted:
+                return
+            if count and (rows @ direction).max() > _SAME_COSINE:
+                continue
+            plain = model.from_lights(np.vstack([rows, direction]), np.full(count + 1, _DARK_STRENGTH))
+            plain[: 3 * count] = base.x[: 3 * count]
+            yield coarse.start(model, plain, _DARK_SCALES)
 
-    def start(toward: FloatArray, intensities: FloatArray) -> FloatArray:
-        return np.concatenate([model.from_lights(toward, intensities)[: 3 * model.lights], tail])
+    def _starts(self, base: Point, model: LightModel) -> list[FloatArray]:
+        """Return the starts x of one lamp more: everywhere, or in place of one that is there."""
+        count, found = base.model.lights, []
+        head, rows = base.x[: 3 * count], base.solution().hypothesis.rows
+        tail = base.model.extend(base.x[:-EXTRA], model)[3 * count :]
+        for direction in self.scene.directions:
+            if count and (rows[:, :3] @ direction).max() > _SAME_COSINE:
+                continue
+            for strength in _STRENGTHS:
+                x = np.concatenate([head, [*model.coordinates(direction), math.log(strength)], tail])
+                if strength == _STRENGTHS[-1] and model.environment:
+                    x[model.position_of("environment") :] = 0.0
+                found.append(x)
+        for lamp in range(count):
+            px, py, log_strength = head[3 * lamp : 3 * lamp + 3]
+            for half in _SPLIT_RAD:
+                for turn in np.arange(_TURNS) * math.pi / _TURNS:
+                    dx, dy, each = half * math.cos(turn), half * math.sin(turn), log_strength - math.log(2)
+                    one, other = [px + dx, py + dy, each], [px - dx, py - dy, each]
+                    rest = np.delete(head, range(3 * lamp, 3 * lamp + 3))
+                    found.append(np.concatenate([rest, one, other, tail]))
+        return found
 
-    for direction in directions:
-        yield start(np.vstack([rows[:, :3], direction]), np.append(rows[:, 4], _ADDED_STRENGTH))
-    for k in range(len(rows)):
-        others = np.delete(rows, k, 0)
-        p = fewer.x[3 * k : 3 * k + 2]
-        for half, angle in product(_SPLIT_RAD, np.arange(4) * math.pi / 4):
-            shift = half * np.array([math.cos(angle), math.sin(angle)])
-            pair = np.stack([model.direction(*(p + shift)), model.direction(*(p - shift))])
-            yield start(
-                np.vstack([others[:, :3], pair]), np.append(others[:, 4], np.repeat(rows[k, 4] / 2, 2))
-            )
-
-
-def _with_bounce(solution: Solution, bounce: bool) -> Solution:
-    """Return the solution with the bounce free, at its start where it was not, or left out."""
-    model = solution.model.with_part("bounce", bounce)
-    return Solution(model, solution.model.extend(solution.x, model), solution.cost)
-
-
-def _without_weakest(solution: Solution) -> tuple[LightModel, FloatArray]:
-    """Return the model and x of one light less."""
-    weakest = int(np.argmin(solution.hypothesis.rows[:, 4]))
-    model = replace(solution.model, lights=solution.model.lights - 1)
-    tail = solution.model.extend(solution.x, model)[3 * solution.model.lights :]
-    lamps = np.delete(solution.x[: 3 * solution.model.lights], slice(3 * weakest, 3 * weakest + 3))
-    return model, np.concatenate([lamps, tail])
-
-
-def _once(steps: list[PlanStep]) -> list[PlanStep]:
-    """Return the first row of each stage."""
-    return list({step.stage: step for step in reversed(steps)}.values())[::-1]
+    def _posterior(self, size: int, blur: float) -> Posterior:
+        """Return the posterior at one of the sizes; known ones are kept."""
+        if (size, blur) not in self._known:
+            scene, level = self.scene, self.scene.level(self.scene.options.sizes[size])
+            places = np.stack([cell_means(level, along, scene.image.mask) for along in scene.places.T], 1)
+            known = level, places, scene.lattice(level, blur), scene.soft(level)
+            self._known[size, blur] = Posterior(*known, scene.prior, scene.meter, blur)
+        return self._known[size, blur]
 
 
-def _price(solution: Solution) -> float:
-    """Return the cost, dearer by what each lamp and an environment have to bring."""
-    model = solution.model
-    part = 1 - ENVIRONMENT_GAIN if model.environment else 1.0
-    return (solution.cost + ENVIRONMENT_FLOOR) / (part * (1 - LIGHT_GAIN) ** model.lights)
+def _distinct(model: LightModel, ahead: list[tuple[float, FloatArray]], count: int) -> list[FloatArray]:
+    """Return the x of least cost of which no two have all their lamps in like directions."""
+    kept, lamps = list[FloatArray](), list[FloatArray]()
+    for _, x in sorted(ahead, key=lambda pair: pair[0]):
+        rows = model.decode(x[:-EXTRA]).rows[:, :3]
+        if not any((rows @ other.T > _SAME_COSINE).any(1).all() for other in lamps):
+            kept.append(x)
+            lamps.append(rows)
+        if len(kept) == count:
+            break
+    return kept

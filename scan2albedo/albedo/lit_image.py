@@ -8,8 +8,11 @@ from functools import cached_property
 import numpy as np
 
 from scan2albedo.albedo.levels import Level, brightest_around, build_level
+from scan2albedo.albedo.light_colour import LightColours
 from scan2albedo.albedo.light_parameters import LightModel, Solution
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
+from scan2albedo.albedo.posterior import Point
+from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.shadows import Horizon, ShadowLattice, shadow_caster
 from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.albedo.uncertainty import LightUncertainty
@@ -30,11 +33,25 @@ _LEAST_RESIDUAL = 1e-3
 
 
 @dataclass(frozen=True)
+class Explanation:
+    """The best explanation, its colours, and what all of them together say.
+
+    `shift` (N,) is what their mean log light adds to the best one's on the cells of `level`, `spread` (N,)
+    their standard deviation.
+    """
+
+    best: Point
+    colours: LightColours
+    level: Level
+    shift: FloatArray
+    spread: FloatArray
+
+
+@dataclass(frozen=True)
 class LightFound:
     """The best solution, the unit of its highlight's strength, the plan's rows, and what casts shadows.
 
-    Where they were estimated: how sure the light is, (H, W) the relative deviation of the albedo, and (K, 3)
-    the colours of the light's parts, in the order of `SoftTerms.columns`.
+    The paper's search neither says how sure the light is nor how it was explained.
     """
 
     solution: Solution
@@ -42,8 +59,7 @@ class LightFound:
     steps: list[PlanStep]
     caster: RayCaster | None
     uncertainty: LightUncertainty | None = None
-    albedo_deviation: FloatArray | None = None
-    colors: FloatArray | None = None
+    explanation: Explanation | None = None
 
 
 @dataclass(frozen=True)
@@ -59,6 +75,7 @@ class LitImage:
     view: tuple[float, float, float]
     options: EstimateOptions
     meter: Meter
+    prior: AlbedoPrior
     _levels: dict[int, Level] = field(default_factory=dict, init=False, repr=False)
     _soft: dict[int, SoftTerms] = field(default_factory=dict, init=False, repr=False)
     _horizons: dict[int, Horizon] = field(default_factory=dict, init=False, repr=False)
@@ -71,14 +88,22 @@ class LitImage:
     def level(self, size: int) -> Level:
         """Return the image with `size` cells along its longer side; known ones are kept."""
         if size not in self._levels:
-            self._levels[size] = build_level(self.image, self.usable, size, self._value, self.view)
+            self._levels[size] = build_level(self.image, self.usable, size, self.value, self.view)
         return self._levels[size]
 
-    def lattice(self, level: Level) -> ShadowLattice:
-        """Return the cast shadows of a level."""
+    @cached_property
+    def places(self) -> FloatArray:
+        """(P, 2) where on the prior's chart each masked texel lies: row and column, from 0 to 1."""
+        mask, chart = self.image.mask, self.image.face_chart
+        if self.prior.face and chart is not None:
+            return chart[mask].astype(np.float64)
+        return (np.argwhere(mask) + 0.5) / np.asarray(mask.shape)
+
+    def lattice(self, level: Level, blur: float = 0.0) -> ShadowLattice:
+        """Return the cast shadows of a level, their outlines blurred by a part of the chart's side."""
         horizon = self._horizons.get(level.factor)
         above = None if horizon is None else horizon.at(level.center)
-        return ShadowLattice(level, self.shadows[0], SHADOW_OFFSET_MM, above)
+        return ShadowLattice(level, self.shadows[0], SHADOW_OFFSET_MM, above, blur)
 
     def soft(self, level: Level) -> SoftTerms:
         """Return what soft light needs to know of a level; known ones are kept."""
@@ -130,7 +155,8 @@ class LitImage:
         return self.level(self.options.sizes[0])
 
     @cached_property
-    def _value(self) -> FloatArray:
+    def value(self) -> FloatArray:
+        """(H, W) the channel that is the brightest around each texel."""
         assert self.image.texture_linear is not None
         return brightest_around(self.image.texture_linear, self.usable)
 

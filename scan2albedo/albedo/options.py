@@ -15,20 +15,19 @@ OPTIONAL_STEPS = (
     "albedo.bounce",
     "albedo.environment",
     "albedo.light_colour",
-    "albedo.outlines",
     "albedo.rectification",
     "albedo.inpainting",
 )
 """Steps that the evidence decides on, unless `EstimateOptions.skip` or `force` names them: cast shadows, the
 lamps' angular radius, the cameras that each texel is seen from, Phong's highlight, a finite distance common
 to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient light, one bounce of light
-off the surface, an environment in spherical harmonics, colours of the light's parts, softening of outlines
-that the texture does not show, repair of the albedo along shadow outlines, repair of saturated texels."""
+off the surface, an environment in spherical harmonics, colours of the light's parts, repair of the albedo
+along shadow outlines, repair of saturated texels. Parts of the light that are not skipped are always in the
+model, as far as their priors allow."""
 
-STARTS, MINIMAL_TEXELS, SATURATION_LINEAR, SHADOW_OFFSET_MM = 3, 64, 0.995, 0.2
-"""Distinct starts that are followed (twice as many for one more light); fewer usable texels are an error;
-texels at or above this value are clipped: no weight, and candidates for inpainting; shadow rays start this
-far along the normal."""
+MINIMAL_TEXELS, SATURATION_LINEAR, SHADOW_OFFSET_MM = 64, 0.995, 0.2
+"""Fewer usable texels are an error; texels at or above this value are clipped: no weight, and candidates for
+inpainting; shadow rays start this far along the normal."""
 OBJECTIVES = ("residual", "albedo-deviation")
 
 
@@ -37,16 +36,14 @@ class EstimateOptions:
     """Settings of `estimate_albedo`."""
 
     objective: str = "residual"
-    """"residual": what lit block albedos leave of the image, by least squares; "albedo-deviation": the search
-    of Toderici et al., section 3.2, which anneals the deviation of the albedo from its block means, and knows
-    neither soft, bounced nor coloured light."""
-    sizes: tuple[int, int, int] = (32, 64, 128)
-    """Longer sides, in cells, of the images that compare starts, choose the model, refine it. Cells of the
-    third say what the surface hides of soft light."""
+    """"residual": the posterior of light and albedo; "albedo-deviation": the search of Toderici et al.,
+    section 3.2, which anneals the deviation of the albedo from its block means, and knows neither soft,
+    bounced nor coloured light."""
+    sizes: tuple[int, ...] = ()
+    """Longer sides, in cells, of three images: where starts are compared, the model is chosen, and the light
+    is refined. Cells of the third say what the surface hides of soft light. When empty, the objective's."""
     start_directions: int = 60
-    """Light directions of which least squares tries a step."""
-    descent_iterations: int = 12
-    """Evaluations of one descent."""
+    """Light directions of which one step is tried."""
     maximal_lights: int = 3
     """Most lamps that `lights="auto"` tries; it may find none."""
     skip: tuple[str, ...] = ()
@@ -57,17 +54,16 @@ class EstimateOptions:
     def __post_init__(self) -> None:
         if self.objective not in OBJECTIVES:
             raise ValueError(f"objective is {self.objective!r}, expected one of {', '.join(OBJECTIVES)}")
+        if not self.sizes:
+            paper = self.objective == "albedo-deviation"
+            object.__setattr__(self, "sizes", (32, 64, 128) if paper else (24, 40, 96))
         if not 1 <= self.maximal_lights <= 4:
             raise ValueError(f"maximal_lights is {self.maximal_lights}, expected 1 to 4")
         if len(self.sizes) != 3:
             raise ValueError(f"sizes is {self.sizes}, expected three numbers of cells")
-        counts = ("start_directions", "descent_iterations")
-        for name, value in [
-            *((name, getattr(self, name)) for name in counts),
-            *(("sizes", size) for size in self.sizes),
-        ]:
-            if value < 1:
-                raise ValueError(f"{name} is {value}, expected 1 or more")
+        for name, values in (("start_directions", (self.start_directions,)), ("sizes", self.sizes)):
+            if min(values) < 1:
+                raise ValueError(f"{name} is {min(values)}, expected 1 or more")
         for name in (*self.skip, *self.force):
             if name not in OPTIONAL_STEPS:
                 raise ValueError(f"{name!r} is not an optional step; these are {', '.join(OPTIONAL_STEPS)}")

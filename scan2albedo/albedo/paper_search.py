@@ -10,9 +10,8 @@ from numba import njit
 from scipy.optimize import minimize
 
 from scan2albedo.albedo.levels import Level
-from scan2albedo.albedo.light_parameters import LightModel, Solution, cost_removed
+from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution, allowed_parts
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
-from scan2albedo.albedo.model_selection import allowed_parts, undecided
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
@@ -98,7 +97,8 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
         more = replace(model, lights=count)
         x = np.insert(best.x, 3 * (count - 1), [0.0, 0.0, np.log(0.5)])
         trial = _annealed(middle, more, x, seed)
-        gain, intensity = cost_removed(trial.cost, best.cost), trial.hypothesis.rows[:, 4]
+        gain = 1 - trial.cost / best.cost if best.cost > 0 else 0.0
+        intensity = trial.hypothesis.rows[:, 4]
         accepted = gain >= _LIGHT_GAIN and intensity.min() >= _LIGHT_SHARE * intensity.max()
         reason = f"{count} lights" if accepted else f"{count - 1} light(s): one more does not pay"
         evidence = f"light {count} removes {100 * gain:.1f} % of the cost ({100 * _LIGHT_GAIN:g} % asked)"
@@ -109,7 +109,10 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     best = _polished(largest, best, 2 * _POLISH)
     asked = reason if lights is None else f"{lights} asked for"
     steps = [scene.shadows[1], PlanStep("albedo.lights", True, asked, evidence)]
-    steps += undecided(model, options, "part of the paper's model")
+    why = "part of the paper's model"
+    for name, stage in PARTS.items():
+        left_out = options.choice(stage) is False
+        steps.append(PlanStep(stage, model.has(name), "left out by the caller" if left_out else why))
     meter.record(best.cost)
     return LightFound(best, scene.level(options.sizes[2]).unit, steps, scene.shadows[0])
 

@@ -49,7 +49,7 @@ class AlbedoEstimate:
     iterations: int
     """Evaluations of the objective."""
     residual: float
-    """The objective's final value: the part of V that lit block albedos leave."""
+    """The final value of what the trace records: the perplexity of a cell, or the paper's deviation."""
     image: GeometryImage
     """The image estimated from."""
     view_direction: tuple[float, float, float]

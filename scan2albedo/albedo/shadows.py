@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
@@ -20,6 +20,11 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
 Visibility = NDArray[np.float32]
+
+OUTLINE_BLURS = 4 / 256, 0.5 / 256
+"""How far a traced outline may lie beside the real one (standard deviations, parts of the chart's side): of a
+surface that was measured, some 3 mm of a face, most of it along the surface, where a millimetre of relief
+moves a shadow by several; and of one that is exact."""
 
 LEAST_SHADOW = 0.01
 """Part of the cells facing some light that has to lie in cast shadow for shadow rays to be used."""
@@ -102,19 +107,28 @@ class Horizon:
 class ShadowLattice:
     """Visibility of N cells, by rays at the nodes of a lattice of lights and blended linearly between them.
 
-    The lattice's axes are the two coordinates of a light's direction and its nearness (see `LightModel`), so
-    the visibility is continuous in the parameters of a light and has derivatives. Nodes are kept: a local
-    search rarely shoots rays. Without `caster` everything is visible.
+    Outlines are blurred by `blur`, a part of the chart's side. The lattice's axes are the two coordinates of
+    a light's direction and its nearness (see `LightModel`), so the visibility is continuous in the parameters
+    of a light and has derivatives. Nodes are kept: a local search rarely shoots rays. Without `caster`
+    everything is visible.
     """
 
     def __init__(
-        self, level: Level, caster: RayCaster | None, offset_mm: float, open_above: FloatArray | None = None
+        self,
+        level: Level,
+        caster: RayCaster | None,
+        offset_mm: float,
+        open_above: FloatArray | None = None,
+        blur: float = 0.0,
     ) -> None:
         self._position, self._normal = level.position, level.normal
         surface = level.anchor, level.normal
         self._rays = None if caster is None else ShadowMap(caster, *surface, offset_mm, open_above)
         self._least_step = _SPACING / float(level.cell.max() + 1)
         self._known: dict[tuple[int, int, int, float], Visibility] = {}
+        self._cell = tuple(level.cell.T)
+        self._blur = blur * float(level.cell.max() + 1)
+        self._whole = self._blurred(np.ones(len(level.cell)))
 
     def visibility(self, model: LightModel, x: FloatArray) -> tuple[Visibility, Visibility]:
         """Return (L, N) visibility and (L, 2, N) its derivatives by the directions' coordinates.
@@ -128,6 +142,11 @@ class ShadowLattice:
         blended = np.stack([self._blended(model, (*x[3 * k : 3 * k + 2], nearness)) for k in range(lights)])
         # Contiguous whatever the number of lights: the shading is compiled for one layout.
         return np.ascontiguousarray(blended[:, 0]), np.ascontiguousarray(blended[:, 1:])
+
+    def _blurred(self, values: NDArray) -> FloatArray:
+        grid = np.zeros(np.max(self._cell, axis=1) + 1)
+        grid[self._cell] = values
+        return np.asarray(gaussian_filter(grid, self._blur, mode="constant")[self._cell])
 
     def _blended(self, model: LightModel, light: tuple[float, float, float]) -> Visibility:
         """Return (3, N) the visibility of a light and its derivatives by two of its three coordinates."""
@@ -156,6 +175,6 @@ class ShadowLattice:
                 # Turned away at the node, a cell may face the light itself: no cast shadow's outline there.
                 nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
                 visible[self._normal @ direction <= nearer] = 1
-                self._known[key] = visible
+                self._known[key] = (self._blurred(visible) / self._whole).astype(np.float32)
             nodes.append(self._known[key])
         return np.asarray(np.array(weights, np.float32) @ np.stack(nodes))

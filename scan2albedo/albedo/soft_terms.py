@@ -6,16 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, SoftState
+from scan2albedo.albedo.light_parameters import HARMONICS, LightModel
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.interreflection import Bounce
 
 DARKEST = 0.03
 """Light below this part of the ambient counts as this: harmonics may turn negative, light may not."""
-_RIDGE = 3e-3
-"""Part of the cost by which harmonics of sum of squares 1 have to pay: without it they take the albedo's own
-slow changes for light, and lamps for environments."""
 
 
 @dataclass(frozen=True)
@@ -31,26 +27,9 @@ class SoftTerms:
     transfer: FloatArray
     bounce: Bounce | None
 
-    @classmethod
-    def unshadowed(cls, normal: FloatArray) -> SoftTerms:
-        """Return those of points from which nothing is hidden."""
-        return cls(open_transfer(normal), None)
-
     def ambient(self, fill: float) -> FloatArray:
         """Return (N,) E0."""
         return np.asarray(fill + (1 - fill) * self.transfer[:, 0])
-
-    def columns(self, state: SoftState, lamps: FloatArray) -> FloatArray:
-        """Return (L + 10, N) the parts of I that may differ in colour.
-
-        They are the `lamps` (L, N), ambient light, eight harmonics, bounced light.
-        """
-        harmonics = (self.transfer[:, 1:] * state.harmonics).T
-        direct = lamps.sum(0) + harmonics.sum(0)
-        bounced = np.zeros_like(direct)
-        if self.bounce is not None and state.bounce:
-            bounced = state.bounce * self.bounce(direct)
-        return np.vstack([lamps, self.ambient(state.fill), harmonics, bounced])
 
     def add(self, model: LightModel, x: FloatArray, light: FloatArray, slopes: FloatArray) -> None:
         """Turn `light` (N,), lamps under constant ambient light of 1, into I; `slopes` (P, N) follow."""
@@ -73,12 +52,3 @@ class SoftTerms:
         dark = light < DARKEST
         light[dark] = DARKEST
         slopes[:, dark] = 0
-
-
-def ridge(model: LightModel, x: FloatArray) -> tuple[float, FloatArray]:
-    """Return the cost of the harmonics in x (P,), and (P,) the diagonal of its second derivatives."""
-    weight = np.zeros(model.size)
-    if model.environment:
-        first = model.position_of("environment")
-        weight[first : first + HARMONICS] = 2 * _RIDGE
-    return 0.5 * float(weight @ x**2), weight

@@ -1,22 +1,38 @@
-"""The light that a search found, on every texel: lamps with exact shadows, soft light, and colours."""
+"""The light that a search found, on every texel: lamps with their shadows, soft light, and colours."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+from scipy.stats import norm
 
-from scan2albedo.albedo.levels import along_surface, cell_means
-from scan2albedo.albedo.light_parameters import HARMONICS
+from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
+from scan2albedo.albedo.light_colour import LightColours
+from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM
-from scan2albedo.albedo.result import LitSurface, shade_image
+from scan2albedo.albedo.posterior import EXTRA, UNMODELLED, Point
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment_light import open_transfer
-from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
+from scan2albedo.lighting.shadow_map import ShadowMap
+
+_TOGETHER = 0.8 / 256
+"""Neighbours that a shadow covers together (standard deviation, as a part of the chart's side)."""
+_GRAIN = 0.25
+"""Standard deviation of log albedo beside what is known of it, where a texel tells shadow from light."""
+_UNKNOWN = 2.0
+"""Log light is never less known than this: an ambient light of a tenth remains anywhere."""
+_HALF_STEP = 2 / 255
+"""Rounding of 8 bits, as a part of the median V where that is a quarter."""
+_LEAST = 0.01
+"""A traced shadow is wrong this often anywhere: what casts it may not be part of the surface."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +49,8 @@ class TexelLight:
     """(N,) 0 where some lamp is hidden."""
     cast: FloatArray
     """(N,) 1 where some lamp's cast shadow lies."""
+    deviation: FloatArray
+    """(N,) standard deviation of the log of the light over the explanations."""
     lights: tuple[PointLight, ...]
     """Strongest first, in their colours."""
     environment: EnvironmentLight | None
@@ -42,53 +60,165 @@ class TexelLight:
 
 
 def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
-    """Return the light found on the image at its full size."""
-    state = found.solution.hypothesis
-    strength = state.reflectance.specular_strength * found.unit
-    reflectance, lamps = replace(state.reflectance, specular_strength=strength), state.lights()
-    offset = SHADOW_OFFSET_MM
-    toward = scene.image.toward_camera(scene.view)
-    where = scene.image, lamps, reflectance, toward, found.caster, offset
-    lit = shade_image(*where, open_above=scene.open_above())
-    count = found.solution.model.lights
-    colors = np.ones((count + HARMONICS + 2, 3)) if found.colors is None else found.colors.copy()
-    # In the order of the public lights, strongest first.
-    colors[:count] = colors[np.argsort(-found.solution.hypothesis.rows[:, 4], kind="stable")]
-    environment, light = _with_soft_light(scene, found, lit, colors)
-    # A colour's mean goes into the lamp's intensity.
-    coloured = list(lamps)
-    for k, color in enumerate(colors[: len(lamps)]):
-        mean = float(color.mean())
-        if (color != 1).any() and mean > 0:
+    """Return the light found on the image at its full size, with the mean of what explains it as well."""
+    told = found.explanation
+    if told is None:
+        return _of_solution(scene, found.solution, found.unit, None, None)
+    lit = _of_solution(scene, found.solution, found.unit, told.best, told.colours)
+    shift, spread = cell_field(told.level, np.column_stack([told.shift, told.spread]), scene.image.mask).T
+    light = lit.light_linear * np.exp(shift)[:, None]
+    return replace(lit, light=light.mean(-1), light_linear=light, deviation=spread)
+
+
+@dataclass(frozen=True)
+class _Lamps:
+    """The lamps of a solution, strongest first, on N texels: what light they give where they are seen."""
+
+    scene: LitImage
+    rows: FloatArray
+    reflectance: Reflectance
+
+    def shading(self, visible: NDArray) -> Shading:
+        """Return the shading under lamps of which so much, (L, N), is seen."""
+        image, mask = self.scene.image, self.scene.image.mask
+        scale = np.ones(int(mask.sum()))
+        if image.specular_scale is not None:
+            scale = image.specular_scale[mask].astype(np.float64)
+        surface = image.position[mask], image.normal[mask].astype(np.float64)
+        view = image.toward_camera(self.scene.view)
+        return shade_rows(*surface, visible, self.rows, view, self.reflectance, scale)
+
+
+def _of_solution(
+    scene: LitImage, solution: Solution, unit: float, point: Point | None, colours: LightColours | None
+) -> TexelLight:
+    """Return the light of one explanation; without `point` and `colours` it is that of the paper's search."""
+    image, state, model, caster = scene.image, solution.hypothesis, solution.model, scene.shadows[0]
+    strength = state.reflectance.specular_strength * unit
+    reflectance = replace(state.reflectance, specular_strength=strength)
+    order = np.argsort(-state.rows[:, 4], kind="stable")
+    lamps = _Lamps(scene, state.rows[order], reflectance)
+    lights = list(state.lights())
+    surface = image.position[image.mask], image.normal[image.mask].astype(np.float64), SHADOW_OFFSET_MM
+    hidden, attached = ShadowMap(caster, *surface, scene.open_above()), ShadowMap(None, *surface)
+    visible, facing = np.ones((2, len(lights), len(surface[0])), np.float32)
+    for k, lamp in enumerate(lights):
+        at = lamp.direction, lamp.distance_mm, lamp.radius_deg
+        visible[k], facing[k] = hidden.reached(*at), attached.reached(*at)
+    environment, log_light = None, np.zeros((len(surface[0]), 3))
+    if point is not None and colours is not None:
+        colors = colours.in_order(order)
+        if lights and caster is not None:
+            whole = lamps.shading(np.ones_like(visible)).lamps
+            none = np.zeros_like(whole)
+            soft = _with_soft_light(scene, solution, whole * visible, none, colors)[1].mean(-1)
+            visible = _seen_shadows(scene, point, visible, facing, whole, soft)
+        log_light = point.problem.spread(colours.cast, scene.places)
+        for k, color in enumerate(colors.lamps):
+            # A colour's mean goes into the lamp's intensity.
+            mean = float(color.mean())
             red, green, blue = (color / mean).tolist()
-            intensity = lamps[k].intensity * mean
-            coloured[k] = replace(lamps[k], intensity=intensity, color_linear=(red, green, blue))
+            intensity = lights[k].intensity * mean
+            lights[k] = replace(lights[k], intensity=intensity, color_linear=(red, green, blue))
+    else:
+        colors = LightColours.white(len(lights))
+    shaded = lamps.shading(visible)
+    light = shaded.light_linear
+    if point is not None or model.occlusion or model.bounce or model.environment:
+        environment, light = _with_soft_light(scene, solution, shaded.lamps, shaded.lamps, colors)
+    if point is not None:
+        log_light += _unmodelled(scene, point, light[:, point.problem.lead], shaded.specular / unit)[:, None]
+    light = light * np.exp(log_light)
     return TexelLight(
         light.mean(-1),
         light,
-        lit.shading.specular,
-        lit.visible.min(0, initial=1),
-        lit.cast.max(0, initial=0),
-        tuple(coloured),
+        shaded.specular,
+        visible.min(0, initial=1).astype(np.float64),
+        np.maximum(facing - visible, 0).max(0, initial=0).astype(np.float64),
+        np.zeros(len(light)),
+        tuple(lights),
         environment,
         reflectance,
     )
 
 
+def _seen_shadows(
+    scene: LitImage, point: Point, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
+) -> NDArray[np.float32]:
+    """Return (L, N) how probably each lamp reaches each texel.
+
+    The prior odds are those of the traced shadow, blurred by what the surface may err by; the picture adds
+    those of the texel's brightness, under the albedo that is expected there, with the lamp and without.
+    `lamps` (L, N) is the light of each lamp where nothing hides it, `soft` (N,) all other light.
+    """
+    usable, mask, side = scene.usable, scene.image.mask, max(scene.image.shape)
+    scale, likeness = point.x[-EXTRA:]
+    expected = scale + likeness * point.problem.prior.mean_at(scene.places)[:, 0]
+    expected += point.problem.spread(point.u, scene.places)
+    value = np.log(np.maximum(scene.value[mask] / point.problem.level.unit, 1e-3)) - expected
+
+    def blurred(values: FloatArray, sigma: float) -> FloatArray:
+        field = np.zeros(mask.shape)
+        field[mask] = values
+        return np.asarray(gaussian_filter(field, sigma * side)[mask])
+
+    blur = point.problem.blur
+    whole = blurred(np.ones(len(value)), blur)
+    near = blurred(np.ones(len(value)), _TOGETHER)
+    seen, known = visible.astype(np.float64), usable[mask].astype(np.float64)
+    away = facing == 0
+    priors = [
+        np.clip(blurred(np.where(hid, 1.0, v), blur) / whole, _LEAST, 1 - _LEAST)
+        for v, hid in zip(visible, away, strict=True)
+    ]
+    for _ in range(2):
+        for k, prior in enumerate(priors):
+            others = np.maximum(soft + (seen * lamps).sum(0) - seen[k] * lamps[k], DARKEST)
+            without, lit = np.log(others), np.log(others + lamps[k])
+            step = lit - without
+            odds = (value - 0.5 * (without + lit)) * step / (_GRAIN**2 + DARKEST / others) * known
+            odds = blurred(np.clip(odds, -6.0, 6.0), _TOGETHER) / near
+            odds += np.log(prior / (1 - prior))
+            seen[k] = np.where(away[k], 1.0, 1 / (1 + np.exp(-odds)))
+    return np.where(away, 0.0, seen).astype(np.float32)
+
+
+def _unmodelled(scene: LitImage, point: Point, light: FloatArray, specular: FloatArray) -> FloatArray:
+    """Return (N,) the log of light that no part stands for, as the posterior has it at each texel.
+
+    Log V is the sum of log light, of what is known of log albedo here, of grain, and of this: it takes the
+    part of what is left that its variance, large where light ends, has of the variance of both.
+    """
+    p, mask = point.problem, scene.image.mask
+    level, nodes = point.albedo_nodes()
+    step = _HALF_STEP
+    value = np.maximum(scene.value[mask] / p.level.unit - specular, step)
+    expected = level + point.x[-1] * p.prior.mean_at(scene.places)[:, 0] + p.spread(nodes, scene.places)
+    left = np.log(value / light) - expected
+    known = scene.usable[mask]
+    # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
+    measured = float(norm.ppf(0.75) ** -1 * np.median(np.abs(left[known])))
+    grain = np.maximum(p.prior.deviation_at(scene.places)[:, 0], measured) ** 2
+    stray = np.minimum(UNMODELLED * point.scales[0] * np.median(light[known]) / light, _UNKNOWN)
+    unknown = stray**2 + (step / value) ** 2
+    return np.asarray(left * unknown / (grain + unknown))
+
+
 def _with_soft_light(
-    scene: LitImage, found: LightFound, lit: LitSurface, colors: FloatArray
-) -> tuple[EnvironmentLight | None, FloatArray]:
-    """Return the environment and all light (N, 3) in its colours."""
-    model = found.solution.model
-    if (colors == 1).all() and not (model.occlusion or model.bounce or model.environment):
-        return None, lit.shading.light_linear
-    state, lamps, mask = model.soft(found.solution.x), lit.shading.lamps, scene.image.mask
-    harmonics = np.append(1.0, state.harmonics)[:, None] * colors[model.lights : -1]
+    scene: LitImage, solution: Solution, lamps: FloatArray, seen: FloatArray, colours: LightColours
+) -> tuple[EnvironmentLight, FloatArray]:
+    """Return the environment, and all light (N, 3): of the lamps `seen` (L, N), and soft light.
+
+    The surface throws the light of `lamps` (L, N) onto itself; the colours are in the order of both.
+    """
+    model, mask, caster = solution.model, scene.image.mask, scene.shadows[0]
+    state = model.soft(solution.x)
+    harmonics = np.vstack([colours.ambient, state.harmonics[:, None] + colours.harmonics])
     environment = EnvironmentLight(
-        harmonics, occluded=found.caster is not None, fill=state.fill, bounce=state.bounce
+        harmonics, occluded=caster is not None, fill=state.fill, bounce=state.bounce
     )
-    light = lamps.T @ colors[: model.lights] + open_transfer(scene.image.normal[mask]) @ harmonics
-    if found.caster is None:
+    light = seen.T @ colours.lamps + open_transfer(scene.image.normal[mask]) @ harmonics
+    if caster is None:
         return environment, np.maximum(light, DARKEST)
     # What the surface hides and what it throws back changes slowly along it, and comes from cells.
     level = scene.level(scene.options.sizes[2])
@@ -98,5 +228,5 @@ def _with_soft_light(
     change = -hidden @ harmonics
     if terms.bounce is not None and state.bounce:
         direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ state.harmonics
-        change += state.bounce * terms.bounce(direct)[:, None] * colors[-1]
+        change += state.bounce * terms.bounce(direct)[:, None] * colours.bounce
     return environment, np.maximum(light + along_surface(level, change, scene.image), DARKEST)

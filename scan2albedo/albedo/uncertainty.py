@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 
-from scan2albedo.albedo.light_parameters import Solution, cost_removed
-from scan2albedo.albedo.residual_objective import ResidualProblem
+from scan2albedo.albedo.light_parameters import Solution
+from scan2albedo.albedo.posterior import Point
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 
-_NEARLY_AS_GOOD, _ELSEWHERE_RAD = 0.03, 0.2
-"""An alternative costs more by less than this part, and its lights are this far away."""
 _NOISE, _LIGHT = 1.5, 2.6
 """Times what is said of the noise that is left, and of the light's uncertainty, that texels err by: the light
 is estimated as if its model were right."""
@@ -33,8 +31,7 @@ class Alternative:
     lights: tuple[PointLight, ...]
     """In place of those that were found."""
     excess: float
-    """By which part their cost is larger, before roughness and the like are freed; negative where one light
-    found may be two close ones."""
+    """Log odds against them."""
 
 
 @dataclass(frozen=True)
@@ -78,29 +75,6 @@ class LightUncertainty:
         }
 
 
-@dataclass(frozen=True)
-class Alternatives:
-    """Local minima of equal models that were found on the way, and lights that may be two close ones."""
-
-    found: list[list[Solution]] = field(default_factory=list)
-    split: list[Alternative] = field(default_factory=list)
-
-    def note(self, minima: list[Solution]) -> None:
-        """Keep the minima of one descent from several starts."""
-        self.found.append(sorted(minima, key=lambda s: s.cost))
-
-    def of(self, best: Solution) -> list[Alternative]:
-        """Return splits, and those with as many lights as `best`, elsewhere, that cost little more."""
-        result = list(self.split)
-        for minima in self.found:
-            for other in minima:
-                excess = -cost_removed(other.cost, minima[0].cost)
-                same = len(apart([best, other], 2, _ELSEWHERE_RAD)) == 1
-                if other.model.lights == best.model.lights and not same and excess < _NEARLY_AS_GOOD:
-                    result.append(Alternative(other.hypothesis.lights(), excess))
-        return sorted(result, key=lambda a: a.excess)
-
-
 def expected_error(
     noise: FloatArray,
     deviation: FloatArray | None,
@@ -140,22 +114,12 @@ def apart(solutions: list[Solution], count: int, separation_rad: float = 0.25) -
     return kept
 
 
-def light_uncertainty(
-    problem: ResidualProblem, solution: Solution, others: Sequence[Alternative] = ()
-) -> tuple[LightUncertainty, FloatArray]:
-    """Return how sure a solution is, and (N,) the relative deviation of each cell's albedo that follows.
-
-    The covariance of the parameters, robust to texture that correlates nearby (see `Residual.covariance`), is
-    carried to the albedo by its derivatives.
-    """
-    model, x = solution.model, solution.x
-    covariance = problem.at(model, x, outlines=False).covariance()
-    rows = solution.hypothesis.rows
+def light_uncertainty(point: Point, others: Sequence[Alternative] = ()) -> LightUncertainty:
+    """Return how sure the light of a point is."""
+    variance = np.maximum(np.diag(point.covariance()), 0.0)
+    rows = point.solution().hypothesis.rows
     order = np.argsort(-rows[:, 4], kind="stable")
-    variance = np.maximum(np.diag(covariance), 0.0)
     direction = tuple(float(np.sqrt(variance[3 * k : 3 * k + 2].mean())) for k in order)
     intensity = tuple(float(np.sqrt(variance[3 * k + 2])) for k in order)
-    slopes = problem.at(model, x).albedo_slopes()
-    cells = np.sqrt(np.maximum(np.einsum("in,ij,jn->n", slopes, covariance, slopes), 0.0))
-    overall = float(np.sqrt(np.mean(cells**2)))
-    return LightUncertainty(direction, intensity, overall, tuple(others)), cells
+    cells = point.light_deviation()
+    return LightUncertainty(direction, intensity, float(np.sqrt(np.mean(cells**2))), tuple(others))

@@ -32,6 +32,7 @@ REFIT = FitOptions(
     rigid_iterations=0,
     proportion_iterations=0,
     scale_range=(1.0, 1.0),
+    colors=True,
     covers=False,
     smoothing_mm=0.0,
 )

@@ -30,6 +30,7 @@ _SHAPES = {
     "inpaint": (np.bool_, None),
     "skin": (np.float32, None),
     "camera": (np.uint8, None),
+    "face_chart": (np.float32, 2),
 }
 
 
@@ -71,6 +72,9 @@ class GeometryImage:
     """(H, W): number of the camera that took each texel; `NO_CAMERA` where it is not known."""
     camera_positions: NDArray[np.float64] | None = None
     """(K, 3): where the cameras stood, millimetres in the model's frame; given along with `camera`."""
+    face_chart: NDArray[np.float32] | None = None
+    """(H, W, 2): place (row, column, from 0 to 1) of each texel on the default model's chart, where facial
+    features have known places; None: the image is not of a face."""
 
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, bool)

@@ -6,7 +6,7 @@ On disk it is `afm.json` with the annotation, and an .npz beside it with the arr
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
@@ -82,6 +82,8 @@ class AnnotatedSurface:
     `template_faces` (T_F, 3), where it has them `template_uv` (T_F, 3, 2), texture coordinates of their
     corners, `template_from_model` (4, 4), the similarity from the model's frame in mm to
     the template's own axes, origin and unit, `notes`, a sentence for each thing decided and mended, `name`.
+    `face_uv` (C, 2) are the places of the control vertices on the default model's chart: its own `uv`, or
+    what the annotation of a template found; None where no face was recognised.
 
     .. [1] I. Kakadiaris et al., "Three-Dimensional Face Recognition in the Presence of Facial
        Expressions: An Annotated Deformable Model Approach", IEEE PAMI 29(4), 2007.
@@ -98,6 +100,7 @@ class AnnotatedSurface:
     template_faces: IntArray | None = None
     template_uv: FloatArray | None = None
     template_from_model: FloatArray | None = None
+    face_uv: FloatArray | None = None
     notes: tuple[str, ...] = ()
     name: str = "annotated face model"
     _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
@@ -251,7 +254,8 @@ def surface_frames(corners: FloatArray) -> FloatArray:
 @lru_cache(maxsize=1)
 def default_model() -> AnnotatedSurface:
     """Return the model that ships with the package (cached)."""
-    return AnnotatedSurface.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))
+    model = AnnotatedSurface.load(str(files("scan2albedo.face_model") / "data" / "afm.json"))
+    return replace(model, face_uv=model.uv)
 
 
 _STORED: dict[str, type[np.generic]] = {
@@ -263,6 +267,7 @@ _STORED: dict[str, type[np.generic]] = {
     "template_from_model": np.float64,
     "template_faces": np.int32,
     "template_uv": np.float64,
+    "face_uv": np.float64,
 }
 """Type on disk of the fields that are arrays; integers have 64 bits in memory."""
 
@@ -284,7 +289,7 @@ class FaceModelFile(BaseModel):
     These are control_vertices (C, 3) mm, control_faces (F, 3), uv (C, 2), region (F,), and where the counts
     below are not 0 landmark_face (68,) with landmark_barycentric (68, 3), template_face (T,),
     template_barycentric (T, 3), template_offset (T, 3), template_faces (T_F, 3), template_uv (T_F, 3, 2),
-    template_from_model (4, 4).
+    template_from_model (4, 4); where a face was recognised, face_uv (C, 2) on the default model's chart.
     """
 
     model_config = ConfigDict(extra="forbid", title="scan2albedo annotated face model")
@@ -327,6 +332,8 @@ def _check_arrays(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
         expected["template_faces"] = (entry.template_faces, 3)
     if "template_uv" in arrays:
         expected["template_uv"] = (entry.template_faces, 3, 2)
+    if "face_uv" in arrays:
+        expected["face_uv"] = (entry.control_vertices, 2)
     for name, shape in expected.items():
         got = arrays[name].shape if name in arrays else None
         if got != shape:

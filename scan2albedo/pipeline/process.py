@@ -284,7 +284,8 @@ def _processed(
                 on_progress=on_progress,
             )
         plan["albedo"] = estimate.plan.steps
-        unsure = 0.0 if estimate.uncertainty is None else max(estimate.uncertainty.intensity, default=0.0)
+        strongest = () if estimate.uncertainty is None else estimate.uncertainty.intensity[:1]
+        unsure = max(strongest, default=0.0)
         if unsure > KNOWN_LIGHT:
             reason = (
                 f"a lamp's strength is known to {100 * unsure:.0f} % only: its light may be in the albedo"

@@ -14,6 +14,7 @@ from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.sampling.skin import skin_weight
@@ -50,6 +51,10 @@ class Fitted(Protocol):
     @property
     def region(self) -> NDArray[np.uint8]:
         """(F,) region index."""
+
+    @property
+    def levels(self) -> int:
+        """Refinements of the model's control mesh that give `faces`."""
 
     @property
     def model_from_scan(self) -> NDArray[np.float64]:
@@ -135,6 +140,11 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         gaussian_filter(field, sigma, mode="mirror", radius=math.ceil(4 * sigma))
         for field in (inside.astype(np.float32), np.where(inside, shiny, np.float32(0)))
     )
+    face_chart, face_uv = None, fitted.model.face_uv
+    if face_uv is not None:
+        refined = linear_refinement(len(face_uv), fitted.model.control_faces, fitted.levels) @ face_uv
+        place = interpolate(raster, fitted.faces, np.column_stack([1 - refined[:, 1], refined[:, 0]]))
+        face_chart = place.astype(np.float32)
     # Embree would ignore collapsed triangles anyway.
     solid = fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]
     return GeometryImage(
@@ -158,6 +168,7 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         ),
         camera=texture.camera,
         camera_positions=None if cameras is None else transform_points(fitted.model_from_scan, cameras),
+        face_chart=face_chart,
     )
 
 

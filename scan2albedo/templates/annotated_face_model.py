@@ -20,7 +20,7 @@ from scan2albedo.errors import ModelError, RegistrationError, ScanError
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, MOUTH_REGION
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import face_normals, without_unreferenced
+from scan2albedo.geometry.mesh import face_normals, vertex_normals, without_unreferenced
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
 from scan2albedo.templates.from_mesh import DenseTemplate, model_from_surface, project
@@ -171,6 +171,11 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
     is_skin = fitted.region != default.regions[MOUTH_REGION].index
     skin, skin_faces = transform_points(model_from_default, fitted.vertices), fitted.faces[is_skin]
     nearest = ClosestPointQuery(skin, skin_faces)
+    # Each control vertex gets the place on the default chart that lies on it.
+    normals = vertex_normals(model.control_vertices, model.control_faces)
+    hits = nearest.query_facing(model.control_vertices, normals)
+    corners = fitted.uv[skin_faces[hits.face]]
+    model = replace(model, face_uv=np.einsum("nk,nkj->nj", hits.barycentric, corners))
     notes = [*model.notes, axes]
     if given.regions is None:
         # Each control face gets the region that lies on it.

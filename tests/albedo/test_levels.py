@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.levels import (
     along_surface,
     brightest_around,
     build_level,
-    cell_image,
+    cell_field,
     cell_means,
     usable_texels,
     value_channel,
@@ -89,38 +90,30 @@ def test_hidden_black_and_saturated_texels_do_not_vote(make_image):
     assert sorted(np.nonzero(out)[0]) == [*range(20, 24), *range(30, 34), *range(40, 44)]
 
 
-def test_cell_image_gives_every_texel_the_value_of_its_cell(make_image):
-    texture = np.full((62, 64, 3), 0.5, np.float32)
-    whole = make_image()
-    image = GeometryImage(*(field[:62] for field in (whole.position, whole.normal, whole.mask)),
-                          texture_linear=texture)  # fmt: skip
+def test_cell_field_is_linear_between_the_cells(make_image):
+    image = make_image()
     level = build_level(image, usable_texels(image), 16)
-    values = np.random.default_rng(0).uniform(1, 2, len(level.value))
-    full = cell_image(level, values, image.mask)
-    assert full.shape == (62, 64)
-    assert np.all(full[~image.mask] == 0)
-    for (row, column), value in zip(level.cell, values, strict=True):
-        cell = np.s_[4 * row : 4 * row + 4, 4 * column : 4 * column + 4]
-        assert np.all(full[cell][image.mask[cell]] == value)
+    rows = level.center[:, :1] + 1.0
+    found = cell_field(level, rows, image.mask)[:, 0]
+    inside = binary_erosion(image.mask, iterations=8)[image.mask]
+    assert found[inside] == pytest.approx(np.argwhere(image.mask)[inside, 0] + 1.0, abs=1e-6)
 
 
-def test_cell_image_fills_texels_that_did_not_vote_from_the_nearest_cell(make_image):
+def test_cell_field_fills_texels_that_did_not_vote_from_cells_beside(make_image):
     texture = np.full((64, 64, 3), 0.5, np.float32)
     texture[24:40, 28:36] = 0
     image = make_image(texture_linear=texture)
-    usable = usable_texels(image)
-    level = build_level(image, usable, 16)
-    full = cell_image(level, level.position[:, 0], image.mask)
-    assert np.all(full[image.mask] != 0)
-    # The hole is two cells wide: each side takes its neighbour's, which lies on its own side.
-    assert np.array_equal(full[30, 28:36], np.repeat(full[30, [27, 36]], 4))
+    level = build_level(image, usable_texels(image), 16)
+    field = cell_field(level, np.full((len(level.value), 1), 2.0), image.mask)
+    assert field == pytest.approx(2.0)
 
 
-def test_cell_image_at_full_size_is_the_values_themselves(make_image):
+def test_cell_field_at_full_size_is_the_values_themselves(make_image):
     image = make_image()
     usable = usable_texels(image)
     level = build_level(image, usable, 64)
-    assert np.array_equal(cell_image(level, level.value, image.mask)[usable], level.value)
+    found = cell_field(level, level.value[:, None], image.mask)[:, 0]
+    assert found[usable[image.mask]] == pytest.approx(level.value)
 
 
 def test_values_of_cells_follow_the_surface(make_image):

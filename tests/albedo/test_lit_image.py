@@ -49,8 +49,6 @@ def test_no_time_at_all_still_takes_most_of_the_light_away(lights):
     )
     assert found < 0.6 * unlit
     assert not estimate.converged
-    assert len(estimate.lights) == 1
-    assert len(estimate.trace) == 1
 
 
 def test_what_there_was_no_time_for_is_said():
@@ -71,5 +69,5 @@ def test_lines_along_shadows_go_after_the_budget_where_that_is_not_too_late(late
 
 def test_what_was_asked_for_is_done_without_time():
     options = EstimateOptions(force=("albedo.rectification",))
-    estimate = estimate_albedo(face(3, size=64).image, budget=1e-6, options=options)
+    estimate = estimate_albedo(face(3, size=64).image, 1, budget=1e-6, options=options)
     assert estimate.plan.ran("albedo.rectification")

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from scan2albedo.albedo import EstimateOptions, estimate_albedo
 from scan2albedo.albedo.paper_search import albedo_deviation
+from scan2albedo.core import Budget
+from scan2albedo.synthetic import face, light_at
 
 
 def _problem(count=400, seed=0):
@@ -45,3 +48,12 @@ def test_the_global_scale_of_light_and_exposure_cannot_be_seen():
     value, weight, light, specular, blocks, count = _problem()
     cost = albedo_deviation(value, weight, light, specular, blocks, count)
     assert albedo_deviation(3 * value, weight, 7 * light, 3 * specular, blocks, count) == pytest.approx(cost)
+
+
+def test_the_search_finds_what_it_always_found():
+    """It is there to be compared with: what changes elsewhere does not change it."""
+    image = face(0, size=64, lights=[light_at(30, 10)]).image
+    options = EstimateOptions(objective="albedo-deviation", sizes=(32, 64, 128))
+    estimate = estimate_albedo(image, 1, budget=Budget(evaluations=1000), options=options)
+    assert estimate.residual == pytest.approx(0.05056170510936018, rel=1e-9)
+    assert estimate.iterations == 1000

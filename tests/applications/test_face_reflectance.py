@@ -68,12 +68,12 @@ def test_the_albedo_of_texels_is_that_of_vertices(true_face, true_albedo):
 
 def test_the_albedo_of_an_estimate_is_the_true_one_up_to_its_scale(scene, true_albedo):
     made = scene(1, size=SIZE)
-    estimate = s2a.estimate_albedo(made.image, lights=1, budget=s2a.Budget(evaluations=200))
+    estimate = s2a.estimate_albedo(made.image, lights=1, budget=s2a.Budget(evaluations=1000))
     face = on_model(made, estimate.albedo_linear, estimate.reflectance)
     found = reflectance_of_processed(face).reflectance
     known = found.known
     assert known.mean() > 0.99
-    assert relative_rmse(found.diffuse_linear[known], true_albedo[known]) < 0.09
+    assert relative_rmse(found.diffuse_linear[known], true_albedo[known]) < 0.12
     raw = sampled_at_vertices(made.image.texture_linear.astype(float), face)[0]
     assert relative_rmse(raw[known], true_albedo[known]) > 0.15
 

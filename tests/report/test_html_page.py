@@ -36,7 +36,7 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
         "albedo · shadows did it shades itself at most 28 %",
         "left out no model was asked for",
         "± 0.5°",
-        "Other lights explain the image nearly as well: (−20°, 5°) at 1.5 % more cost",
+        "Other lights explain the image nearly as well: (−20°, 5°), 2 times less probable",
         "fit 2 → 0.2 mm after 9 evaluations",
         "icp : 0.7 mm after 3 evaluations, recorded once",
         "0" * 64,

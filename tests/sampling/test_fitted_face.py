@@ -17,6 +17,8 @@ from scan2albedo.sampling import geometry_image, texture_lookup
 class FlatAnnotation:
     """Region 3 for everything, and region 4 without highlights."""
 
+    face_uv = None
+
     def region_values(self, attribute):
         table = np.full(256, 0.7 if attribute == "specular_scale" else 1.0)
         table[4] = 0.0
@@ -225,3 +227,15 @@ def test_annotated_values_change_gradually_and_regions_stay_crisp():
     assert np.abs(np.diff(row)).max() < 0.2
     assert image.inpaint[50, 5]
     assert not image.inpaint[50, -5]
+
+
+def test_texels_of_the_default_model_know_their_own_places():
+    model = AnnotatedFaceModel.default()
+    vertices, faces = model.surface(1)
+    fitted = Patch(vertices, faces, model.refined_uv(1), np.eye(4))
+    assert geometry_image(fitted, None, 40).face_chart is None
+    fitted.model, fitted.levels = model, 1
+    fitted.region = model.region[model.subdivision(1).parent]
+    image = geometry_image(fitted, None, 40)
+    own = (np.moveaxis(np.indices((40, 40)), 0, 2) + 0.5) / 40
+    assert image.face_chart[image.mask] == pytest.approx(own[image.mask], abs=1e-6)

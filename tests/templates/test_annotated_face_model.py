@@ -61,6 +61,17 @@ def test_landmarks_and_regions_are_carried_over(own, turned):
     assert turned.regions["nose"].stiffness == default.regions["nose"].stiffness
 
 
+def test_landmarks_lie_at_the_default_ones_places_on_its_chart(turned, tmp_path):
+    def places(model):
+        points = model.landmark_points
+        return np.einsum("nk,nkj->nj", points.barycentric, model.face_uv[model.control_faces[points.face]])
+
+    turned.save(tmp_path / "turned.json")
+    back = s2a.AnnotatedFaceModel.load(tmp_path / "turned.json")
+    away = places(back) - places(s2a.AnnotatedFaceModel.default())
+    assert np.linalg.norm(away, axis=1).max() < 0.04
+
+
 @pytest.mark.slow
 def test_what_is_given_is_kept(own):
     vertices, faces, landmarks = own

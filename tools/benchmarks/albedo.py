@@ -61,7 +61,6 @@ def _settings(quick: bool) -> list[Setting]:
         *preset_settings("albedo"),
         *varied("sizes", options, sizes, "{0[0]}, {0[1]} and {0[2]}".format),
         *varied("start_directions", options, (10, 20, 30, 120)),
-        *varied("descent_iterations", options, (3, 6, 24)),
         *varied("maximal_lights", options, (1, 2)),
         *within(options, (1, 25, 50, 100, 200, 400)),
         paper,

@@ -167,13 +167,13 @@ def _figures(record: ResultRecord) -> dict[str, Any]:
         )
         lights.append({"number": k + 1, "cells": cells, "color": color})
 
-    # Other lights that explain the image nearly as well: where they are, and their excess cost.
+    # Other lights that explain the image nearly as well: where they are, and the odds against them.
     others, alternatives = uncertainty.get("alternatives"), []
     for other in others if isinstance(others, list) else []:
         if isinstance(other, Mapping):
             where = angles_text(other.get("lights_deg") or ()) or "no directed light"
-            excess = number_text(100 * float(other.get("excess") or 0), 2)
-            alternatives.append((where, f"{excess} %"))
+            odds = math.exp(min(float(other.get("excess") or 0), 100.0))
+            alternatives.append((where, number_text(odds, 2)))
     return {
         "headline": headline,
         "warnings": warnings,

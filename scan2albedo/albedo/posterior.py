@@ -1,0 +1,364 @@
+"""The posterior of light and albedo: log V = log albedo + log light, with a prior of every part of both."""
+
+from __future__ import annotations
+
+import copy
+import math
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from scan2albedo.albedo.levels import Level
+from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
+from scan2albedo.albedo.light_priors import light_prior
+from scan2albedo.albedo.prior import NODES, AlbedoPrior
+from scan2albedo.albedo.shadows import ShadowLattice
+from scan2albedo.albedo.soft_terms import SoftTerms
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.lighting.kernels import shade_with_derivatives
+from scan2albedo.optimization import Damping, NormalEquations, minimize
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t of what single cells err by [1]_: hair, an outline, a mole are rare.
+
+.. [1] K. Lange, R. Little, J. Taylor, "Robust statistical modeling using the t distribution", JASA 84, 1989.
+"""
+_INDEPENDENT = 530.0
+"""Cells of a whole chart that err independently. It has some 1,250 at 1/40 of its side; on path-traced faces
+that were left out light is found best where two or three count as one: what fits and lamps err by correlates
+farther than texture does."""
+UNMODELLED, _REACH = 0.06, 0.12
+"""Standard deviation of light that no part stands for, as a part of the median light, and its correlation
+length as a part of the chart's side."""
+_OF_AREA = 0.5
+"""The same over an area, as a part of that of single texels, where the light has been found."""
+_ALBEDOS = 0.1, 0.8
+"""Of skin, dark and pale, in red."""
+_UNKNOWN = 2.0
+"""Log light is never less known than this: an ambient light of a tenth remains anywhere."""
+NOISE = 0.02
+"""Relative noise of a cell: that of pictures of 8 bits."""
+DARK = 0.02
+"""Parts of the median below which brightness says nothing."""
+_MISFIT_SD = 0.7
+"""Standard deviation of the log of both scales that the image itself tells: how far this person is from the
+prior, and how rough."""
+_SOFT_SD = 0.4
+"""The same of the harmonics of the environment: a studio has none."""
+_DAMPING = Damping(first=1e-2, increase=8.0, least=1e-4, after_failure=1e-3, largest=1e4)
+_SETTLED = 1e-4
+_LONGEST = 3.0
+"""Longest step as a multiple of the model's first steps."""
+Scales = tuple[float, float, float]
+PLAIN: Scales = (1.0, 1.0, 1.0)
+"""Scales that are the priors' own."""
+EXTRA = 2
+"""Parameters beside the light's: log scale, and how much of the faces' mean albedo this one has."""
+_TINY, _FAINT = 1e-6, 1e-4
+"""Parts of the median below which weights, and V, count as none."""
+
+
+class Posterior:
+    """The cells of one `Level` with what is known of them before the light is.
+
+        log V = log(A I + I_s),   log A = scale + likeness * mean + M u + e
+
+    with u ~ N(0, tau^2 (C_a + C_l)) at the nodes of `AlbedoPrior`: C_a of albedo, C_l of light that is not
+    modelled, larger where it is dark, and e of single cells from Student's t of scale sigma s_i. `places`
+    (N, 2) are those of the cells on the prior's chart, `blur` that of the lattice.
+    """
+
+    def __init__(
+        self,
+        level: Level,
+        places: FloatArray,
+        lattice: ShadowLattice,
+        soft: SoftTerms,
+        prior: AlbedoPrior,
+        meter: Meter,
+        blur: float = 0.0,
+    ) -> None:
+        self.level, self.lattice, self.soft, self.prior, self.meter = level, lattice, soft, prior, meter
+        self.blur = blur
+        self.places, weights = places, prior.node_weights(places)
+        self.used: IntArray = np.flatnonzero(np.asarray(weights.sum(0)).ravel() > _TINY)
+        self.nodes = weights[:, self.used].tocsr()
+        self.onto_nodes = self.nodes.T.tocsr()
+        self.mean = prior.mean_at(self.places)[:, 0]
+        self.value = np.log(np.maximum(level.value, _FAINT))
+        self.variance = (prior.deviation_at(self.places)[:, 0] ** 2 + NOISE**2) / cell_trust(level)
+        # Brightness without the face's own pattern says how dark a place is, whatever the light.
+        bright = level.value / np.exp(np.clip(self.mean, -1.5, 0.5))
+        dark = UNMODELLED * np.median(bright) / np.maximum(bright, _FAINT)
+        self.light_covariance = light_error(self, np.minimum(dark, _UNKNOWN))
+        self.with_albedo(prior.covariance(0))
+        self.repeats = max(1.0, len(self.value) / _INDEPENDENT)
+        self.plain_factor = self.factor(1 / (self.repeats * self.variance), 1.0)
+        color = np.average(level.color, axis=0, weights=level.weight)
+        self.lead, (red, green, _) = int(np.argmax(color)), color
+        offset, slope, self.level_sd = prior.level
+        level_here = offset + slope * math.log(max(green, DARK) / max(red, DARK))
+        self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
+
+    def with_albedo(self, covariance: FloatArray) -> None:
+        """Take the covariance (K, K) of the albedo at all nodes."""
+        total = covariance[np.ix_(self.used, self.used)] + self.light_covariance
+        factor = cho_factor(total, lower=True)
+        self.precision = cho_solve(factor, np.eye(len(total)))
+        self.log_determinant = 2 * float(np.log(np.diag(factor[0])).sum())
+
+    def factor(
+        self, weight: FloatArray, tau: float, precision: FloatArray | None = None
+    ) -> tuple[FloatArray, bool]:
+        """Return the Cholesky factor of the nodes' precision, given the cells' weights (N,).
+
+        Before, it is that of V, or `precision` (M, M).
+        """
+        matrix = (self.onto_nodes @ self.nodes.multiply(weight[:, None])).toarray()
+        matrix += (self.precision if precision is None else precision) / tau**2
+        found: tuple[FloatArray, bool] = cho_factor(matrix, lower=True, check_finite=False)
+        return found
+
+    def spread(self, field: FloatArray, places: FloatArray) -> FloatArray:
+        """Return a field of the used nodes (M,) or (M, C) at `places` (P, 2)."""
+        weights = self.prior.node_weights(places)[:, self.used]
+        total = np.maximum(np.asarray(weights.sum(1)), 0.05)
+        found = weights @ field
+        return np.asarray(found / (total if found.ndim > 1 else total.ravel()))
+
+    def start(self, model: LightModel, x: FloatArray, scales: Scales = PLAIN) -> Point:
+        """Return the point of a light x (P,), at the albedo's scale that fits best."""
+        whole = np.append(x, [0.0, 1.0])
+        whole[-EXTRA] = float(np.median(Point(self, model, whole, None, scales, self.plain_factor).left))
+        return Point(self, model, whole, None, scales)
+
+
+def cell_trust(level: Level) -> FloatArray:
+    """Return (N,) by what the precision of each cell is multiplied: hair and half cells say less."""
+    return np.clip(level.weight, 0.05, 1.0)
+
+
+def robust_weights(error: FloatArray, variance: FloatArray, repeats: float) -> FloatArray:
+    """Return (N,) the weights of Student's t of errors (N,), each of which is told `repeats` times."""
+    return np.asarray((FREEDOM + 1) / (FREEDOM + error**2 / variance) / (variance * repeats))
+
+
+def light_error(problem: Posterior, deviation: FloatArray) -> FloatArray:
+    """Return (M, M) the covariance at the nodes of log light, of cells' standard `deviation` (N,)."""
+    count = np.maximum(problem.onto_nodes @ np.ones(len(deviation)), _TINY)
+    size = np.sqrt((problem.onto_nodes @ deviation**2) / count)
+    at = np.stack(np.divmod(problem.used, NODES), 1) / NODES
+    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
+    found = np.outer(size, size) * np.exp(-0.5 * (apart / _REACH) ** 2)
+    return found + _TINY * np.eye(len(found))
+
+
+class Point:
+    """The posterior at x = [light, scale, likeness]: one counted evaluation.
+
+    `weight` (N,) of the cells come from a point near by; with `factor`, the nodes' factor for them, they
+    stay. `scales` are tau, sigma, and that of the environment's harmonics. `u` (M,) is the nodes' best field.
+    """
+
+    def __init__(
+        self,
+        problem: Posterior,
+        model: LightModel,
+        x: FloatArray,
+        weight: FloatArray | None,
+        scales: Scales,
+        factor: tuple[FloatArray, bool] | None = None,
+    ) -> None:
+        problem.meter.count()
+        self.problem, self.model, self.scales = problem, model, scales
+        lower, upper = model.bounds
+        self.x = np.concatenate([np.clip(x[:-EXTRA], lower, upper), x[-EXTRA:]])
+        self._shade()
+        if weight is None:
+            weight = 1 / (problem.repeats * problem.variance * scales[1] ** 2)
+        self._settle(weight, factor)
+
+    def _shade(self) -> None:
+        p, model, light_x = self.problem, self.model, self.light_x
+        level, found, cells = p.level, model.decode(light_x), len(p.value)
+        visible, visible_slope = p.lattice.visibility(model, light_x)
+        light, specular = np.empty(cells), np.empty(cells)
+        slopes = np.zeros((model.size, cells)), np.zeros((model.size, cells))
+        shade_with_derivatives(
+            level.position,
+            level.normal,
+            visible,
+            visible_slope,
+            found.rows,
+            model.tangents(light_x),
+            model.radius_mm,
+            level.toward,
+            found.reflectance.kernel_brdf,
+            found.reflectance.roughness,
+            found.reflectance.specular_strength,
+            found.reflectance.exponent,
+            level.scale,
+            model.near and model.lights > 0,
+            model.rough and model.lights > 0,
+            model.specular and model.lights > 0,
+            light,
+            specular,
+            *slopes,
+        )
+        self.lamps = slopes[0][2 : 3 * model.lights : 3].copy()
+        p.soft.add(model, light_x, light, slopes[0])
+        scale, likeness = self.x[-EXTRA:]
+        albedo = np.exp(scale + likeness * p.mean)
+        seen = albedo * light + specular
+        self.light, self.specular = light, specular
+        self.left = p.value - np.log(seen)
+        whole = (albedo * slopes[0] + slopes[1]) / seen
+        share = albedo * light / seen
+        self.slopes = np.vstack([whole, share, share * p.mean])
+
+    def _settle(self, weight: FloatArray, factor: tuple[FloatArray, bool] | None) -> None:
+        """Estimate the nodes' field for robust weights; the cost follows."""
+        p, (tau, sigma, soft) = self.problem, self.scales
+        variance, free = p.variance * sigma**2, FREEDOM
+        for _ in range(1 if factor else 2):
+            self.weight = weight
+            self.factor = p.factor(weight, tau) if factor is None else factor
+            self.u = cho_solve(self.factor, p.onto_nodes @ (weight * self.left), check_finite=False)
+            self.error = self.left - p.nodes @ self.u
+            # The last weights are for points near by: factor and weights have to agree.
+            self.robust = weight if factor else robust_weights(self.error, variance, p.repeats)
+            weight = self.robust
+        misfit = (free + 1) / 2 * np.log1p(self.error**2 / (free * variance)).sum()
+        rough = 0.5 * float(self.u @ p.precision @ self.u) / tau**2
+        self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
+        far = (math.log(tau) ** 2 + math.log(sigma) ** 2) / (2 * _MISFIT_SD**2)
+        far += math.log(soft) ** 2 / (2 * _SOFT_SD**2)
+        sizes = len(self.u) * math.log(tau) + len(self.error) / p.repeats * math.log(sigma)
+        self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
+
+    @property
+    def light_x(self) -> FloatArray:
+        """The light's part of x."""
+        return self.x[:-EXTRA]
+
+    def bounced(self) -> FloatArray:
+        """Return (N,) the light that the surface throws onto itself."""
+        soft, state = self.problem.soft, self.model.soft(self.light_x)
+        if soft.bounce is None:
+            return np.zeros(len(self.light))
+        return state.bounce * soft.bounce(self.lamps.sum(0) + soft.transfer[:, 1:] @ state.harmonics)
+
+    def quadratic(self) -> tuple[FloatArray, FloatArray]:
+        """Return matrix (P, P) and gradient (P,) of the cost in x, the nodes' field following each step."""
+        p = self.problem
+        rows = np.column_stack([self.slopes.T, self.left])
+        weighted = rows * self.weight[:, None]
+        nodes = p.onto_nodes @ weighted
+        inner = rows.T @ weighted - nodes.T @ cho_solve(self.factor, nodes, check_finite=False)
+        return inner[:-1, :-1] + np.diag(self.prior.curvature), self.prior.slope - inner[:-1, -1]
+
+    def normal_equations(self) -> NormalEquations:
+        """Return the quadratic model with the bounds of a step."""
+        (matrix, gradient), (lower, upper) = self.quadratic(), self.model.bounds
+        longest, free = _LONGEST * self.model.steps(), np.ones(EXTRA)
+        x = self.light_x
+        return NormalEquations(
+            matrix,
+            gradient,
+            np.concatenate([np.maximum(lower - x, -longest), -free]),
+            np.concatenate([np.minimum(upper - x, longest), free]),
+        )
+
+    def moved(self, step: FloatArray) -> Point:
+        """Return the point at x + `step`."""
+        return Point(self.problem, self.model, self.x + step, self.robust, self.scales)
+
+    def rescaled(self) -> Point:
+        """Return the point with the scales that this image has: one step of expectation-maximisation."""
+        p, (_, sigma, soft) = self.problem, self.scales
+        inverse = cho_solve(self.factor, np.eye(len(self.u)), check_finite=False)
+        spread = float(self.u @ p.precision @ self.u) + float((p.precision * inverse).sum())
+        sure = np.asarray(p.nodes.multiply(p.nodes @ inverse).sum(1)).ravel()
+        share = self.robust * p.variance * sigma**2 * p.repeats
+        rough = float((share * (self.error**2 + sure) / p.variance).mean())
+        if self.model.environment:
+            at = slice(first := self.model.position_of("environment"), first + HARMONICS)
+            expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
+            soft = _shrunk(float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _SOFT_SD)
+        other = copy.copy(self)
+        other.scales = (
+            _shrunk(spread / len(self.u), len(self.u), _MISFIT_SD),
+            _shrunk(rough, len(share) / p.repeats, _MISFIT_SD),
+            soft,
+        )
+        other._settle(self.robust, None)
+        return other
+
+    def log_evidence(self) -> float:
+        """Return the log of the model's evidence by Laplace's method [1]_.
+
+        .. [1] L. Tierney, J. Kadane, "Accurate approximations for posterior moments and marginal densities",
+           JASA 81, 1986.
+        """
+        p, matrix = self.problem, self.quadratic()[0]
+        nodes = 2 * float(np.log(np.diag(self.factor[0])).sum()) + p.log_determinant
+        x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
+        return -self.cost - 0.5 * (nodes + x)
+
+    def covariance(self) -> FloatArray:
+        """Return (P, P) the covariance of x."""
+        return np.asarray(np.linalg.pinv(self.quadratic()[0], hermitian=True))
+
+    def light_deviation(self) -> FloatArray:
+        """Return (N,) the standard deviation of log light: of x, and of light that is not modelled."""
+        p, tau = self.problem, self.scales[0]
+        own = p.light_covariance @ p.precision
+        inverse = cho_solve(self.factor, np.eye(len(self.u)), check_finite=False)
+        nodes = tau**2 * (p.light_covariance - own @ p.light_covariance) + own @ inverse @ own.T
+        slopes = self.slopes[:-EXTRA] - self.slopes[:-EXTRA].mean(1, keepdims=True)
+        # What x changes, the nodes' part of light partly takes back.
+        taken = cho_solve(self.factor, p.onto_nodes @ (slopes * self.weight).T, check_finite=False)
+        slopes = slopes - (p.nodes @ (own @ taken)).T
+        covariance = self.covariance()[:-EXTRA, :-EXTRA]
+        variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
+        variance += np.asarray(p.nodes.multiply(p.nodes @ nodes).sum(1)).ravel()
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def albedo_nodes(self) -> tuple[float, FloatArray]:
+        """Return a level and (M,) the nodes' log albedo beside the mean pattern, given this light.
+
+        Light that no part stands for is a part of the median light, relative to the light found here.
+        """
+        p, (tau, sigma, _) = self.problem, self.scales
+        part = _OF_AREA * UNMODELLED * tau
+        dark = np.minimum(part * np.median(self.light) / self.light, _UNKNOWN)
+        albedo = tau**2 * p.prior.covariance(0)[np.ix_(p.used, p.used)]
+        total = albedo + light_error(p, dark)
+        precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
+        left = self.left + self.x[-EXTRA]
+        weight, level = self.weight, 0.0
+        for _ in range(3):
+            factor = p.factor(weight, 1.0, precision)
+            rows = np.column_stack([np.ones(len(left)), left])
+            onto = p.onto_nodes @ (rows * weight[:, None])
+            one, u = cho_solve(factor, onto, check_finite=False).T
+            rest = weight * (left - p.nodes @ u)
+            level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), _TINY))
+            u = u - level * one
+            weight = robust_weights(left - level - p.nodes @ u, p.variance * sigma**2, p.repeats)
+        return level, albedo @ (precision @ u)
+
+    def solution(self) -> Solution:
+        """Return the light as a solution."""
+        return Solution(self.model, self.light_x, self.cost)
+
+
+def _shrunk(square: float, count: float, deviation: float) -> float:
+    """Return a scale from its mean square over so many values and the normal prior of its logarithm."""
+    return math.exp(0.5 * math.log(max(square, _TINY**2)) * count / (count + 1 / (2 * deviation**2)))
+
+
+def descend(start: Point, trials: int, meter: Meter | None) -> Point:
+    """Return where damped Gauss-Newton steps lead in at most so many evaluations, or within the budget."""
+    return minimize(start, trials=trials, tolerance=_SETTLED, damping=_DAMPING, meter=meter).best

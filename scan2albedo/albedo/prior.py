@@ -1,0 +1,157 @@
+"""What is known of an albedo before its light: a Gaussian over the chart, of faces or stationary."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.spatial.distance import cdist
+
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.errors import LightingError
+from scan2albedo.geometry.rasterization import bilinear
+from scan2albedo.io.npz import read_npz, write_npz
+
+NODES, MEANS = 20, 64
+"""Cells a side of the two grids over the chart's unit square: deviations of a person, and means. Values stand
+at the cells' centres, row 0 at v = 1. Finer nodes explain heads left out better (32: by 0.6 nats a cell), but
+their factorisations cost NODES^6."""
+
+_SPREADS, _LENGTH, _DEVIATIONS, _LEVEL = (0.25, 0.1, 0.1), 0.1, (0.03, 0.02, 0.02), (0.4, 0.3)
+"""Of a surface that may be anything, by channel: standard deviations of log colour over it, their correlation
+length in sides of the chart, those of single texels, and the mean albedo with its relative deviation."""
+
+_SHAPES: dict[str, tuple[int | None, ...]] = {
+    "mean": (MEANS, MEANS, 3),
+    "deviation": (MEANS, MEANS, 3),
+    "modes": (3, None, NODES, NODES),
+    "spread": (3, NODES, NODES),
+    "shrinkage": (),
+    "length": (),
+    "level": (3,),
+    "face": (),
+}
+"""Of the arrays of a file."""
+
+
+@dataclass(frozen=True)
+class AlbedoPrior:
+    """A Gaussian prior of log albedo over the chart, channel by channel.
+
+    The channels are log(red), log(green / red) and log(blue / red), each less its median over the person's
+    skin; red leads on skin. At a place with bilinear weights w (`node_weights`) a channel is
+
+        m + w x + e,   x ~ N(0, C),   e ~ N(0, s^2) independent at each texel,
+        C_ij = lambda sum_r q_ri q_rj + (1 - lambda) t_i t_j exp(-d_ij / l)
+
+    with `mean` m, `deviation` s, `modes` q of a sample covariance, shrunk [1]_ by `shrinkage` lambda toward
+    an exponential covariance of `spread` t and `length` l; d_ij is the distance of two nodes.
+
+    .. [1] O. Ledoit, M. Wolf, "A well-conditioned estimator for large-dimensional covariance matrices",
+       Journal of Multivariate Analysis 88(2), 2004: shrinkage of a sample covariance.
+    """
+
+    mean: FloatArray
+    """(MEANS, MEANS, 3)."""
+    deviation: FloatArray
+    """(MEANS, MEANS, 3): standard deviation of a texel that the nodes do not carry."""
+    modes: FloatArray
+    """(3, R, NODES, NODES): deviations whose outer products sum to the sample covariance of a channel."""
+    spread: FloatArray
+    """(3, NODES, NODES): standard deviation of the stationary part."""
+    shrinkage: float
+    """Share of the sample covariance, 0 to 1."""
+    length: float
+    """Over which the stationary part loses its correlation (to 1/e), in sides of the chart."""
+    level: tuple[float, float, float]
+    """(a, b, c): a person's median log(red) is a + b times the median log(green / red), with standard
+    deviation c."""
+    face: bool
+    """Whether it was learned from faces: places are then those of `GeometryImage.face_chart`."""
+
+    @staticmethod
+    @lru_cache(maxsize=1)
+    def faces() -> AlbedoPrior:
+        """Return the prior of faces that ships with the package (cached; `tools/fit_albedo_prior.py`)."""
+        with as_file(files("scan2albedo.albedo") / "data" / "facial_albedo.npz") as path:
+            return AlbedoPrior.load(path)
+
+    @classmethod
+    def stationary(
+        cls, spread: float = _SPREADS[0], length: float = _LENGTH, deviation: float = _DEVIATIONS[0]
+    ) -> Self:
+        """Return a prior of surfaces of which nothing is known: alike at all places, of any colour.
+
+        `spread` and `deviation` are those of log(red); colours vary less than brightness on most surfaces.
+        """
+        chroma = _SPREADS[1:]
+        return cls(
+            mean=np.zeros((MEANS, MEANS, 3)),
+            deviation=np.tile([deviation, *_DEVIATIONS[1:]], (MEANS, MEANS, 1)),
+            modes=np.zeros((3, 0, NODES, NODES)),
+            spread=np.array([spread, *chroma])[:, None, None] * np.ones((NODES, NODES)),
+            shrinkage=0.0,
+            length=length,
+            level=(float(np.log(_LEVEL[0])), 0.0, _LEVEL[1]),
+            face=False,
+        )
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a prior that `save` wrote; raises `LightingError`, naming the file, for anything else."""
+        what, advice = "albedo prior", "give a file that tools/fit_albedo_prior.py wrote"
+        found: dict[str, Any] = read_npz(path, tuple(_SHAPES), what=what, advice=advice, error=LightingError)
+        for name, shape in _SHAPES.items():
+            got = found[name].shape
+            alike = len(got) == len(shape) and all(b in (a, None) for a, b in zip(got, shape, strict=True))
+            if not alike or found[name].dtype.kind not in "bf" or not np.isfinite(found[name]).all():
+                expected = str(shape).replace("None", "R")
+                raise LightingError(
+                    f"{what} {path}: {name} is {found[name].dtype} of shape {got}, expected finite numbers "
+                    f"of shape {expected}; {advice}"
+                )
+            found[name] = found[name].astype(np.float64)
+        a, b, c = found.pop("level").tolist()
+        if not (min(found["deviation"].min(), found["spread"].min(), found["length"], c) > 0):
+            raise LightingError(f"{what} {path}: deviation, spread, length or level is not above 0; {advice}")
+        numbers = {name: float(found.pop(name)) for name in ("shrinkage", "length")}
+        return cls(**found | numbers | {"level": (a, b, c), "face": bool(found["face"])})
+
+    def save(self, path: str | Path) -> None:
+        """Write the prior as an .npz file in half precision, whole or not at all; same prior, same bytes."""
+        arrays = {name: np.asarray(getattr(self, name)) for name in _SHAPES}
+        half = {n: a.astype(np.float16) if a.ndim > 1 else a for n, a in arrays.items()}
+        write_npz(path, half, what="albedo prior", compression=9)
+
+    def covariance(self, channel: int) -> FloatArray:
+        """Return (NODES^2, NODES^2), the covariance C of a channel's nodes in row-major order."""
+        modes, spread = (field[channel].reshape(-1, NODES**2) for field in (self.modes, self.spread))
+        centres = (np.indices((NODES, NODES)).reshape(2, -1).T + 0.5) / NODES
+        stationary = spread.T @ spread * np.exp(-cdist(centres, centres) / self.length)
+        return np.asarray(self.shrinkage * modes.T @ modes + (1 - self.shrinkage) * stationary)
+
+    def mean_at(self, places: ArrayLike) -> FloatArray:
+        """Return (N, 3), the mean at places (N, 2): row and column on the chart, both from 0 to 1."""
+        return bilinear(self.mean, np.asarray(places, np.float64)[:, ::-1] * MEANS - 0.5)
+
+    def deviation_at(self, places: ArrayLike) -> FloatArray:
+        """Return (N, 3), the standard deviation that no node carries; see `mean_at`."""
+        return bilinear(self.deviation, np.asarray(places, np.float64)[:, ::-1] * MEANS - 0.5)
+
+    @staticmethod
+    def node_weights(places: ArrayLike) -> sparse.csr_matrix:
+        """Return (N, NODES^2) bilinear weights of the nodes at places (N, 2); rows sum to 1."""
+        at = np.clip(np.asarray(places, np.float64) * NODES - 0.5, 0, NODES - 1)
+        first = np.minimum(at.astype(np.int64), NODES - 2)
+        corner = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+        share = (1 - corner + (2 * corner - 1) * (at - first)[:, None]).prod(2)
+        index = (first[:, None] + corner) @ [NODES, 1]
+        return sparse.csr_matrix(
+            (share.ravel(), index.ravel(), np.arange(0, share.size + 1, 4)), (len(at), NODES**2)
+        )
