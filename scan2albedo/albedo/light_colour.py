@@ -125,7 +125,7 @@ def _solved(point: Point, value: FloatArray, leading: FloatArray, number: int) -
         left = log_ratio - mean - np.log(light / point.light) - offset
         slopes = np.column_stack([lamps.T, transfer]) / light[:, None]
         rows = np.column_stack([slopes, np.ones(len(left)), left])
-        factor = p.factor(weight, 1.0, precision)
+        factor = p.factor(weight, precision)
         onto = p.onto_nodes @ (rows * weight[:, None])
         inner = rows.T @ (rows * weight[:, None]) - onto.T @ cho_solve(factor, onto, check_finite=False)
         matrix = inner[:-1, :-1] + np.diag(np.append(prior, 0.0))

@@ -24,13 +24,13 @@ _STRENGTHS = 1.0, 6.0
 """Intensities at which one more lamp is tried; with the last, the environment starts anew."""
 _SPLIT_RAD, _TURNS = (0.35, 0.7), 4
 """Half the angles between the two lamps that replace one, and along how many lines they part."""
-_DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, (0.6, 3.0, 1.0), 2
+_DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
 """The same of the first lamps in a room that is dark otherwise; what such a lamp shades is no outlier yet."""
 _SAME_COSINE = 0.9
 """Lamps whose directions have a larger cosine are one at the start."""
 _FOLLOWED, _KEPT = 5, 3
 """Distinct starts that take two steps, and that go on to where the posterior is largest."""
-_FIRST_SCALES = 0.6, 1.2, 1.0
+_FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
 _CAUTION = 0.1
 """Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
@@ -69,7 +69,7 @@ class LightSearch:
             return self._at_once(lights or 0)
         counts = range(1, (options.maximal_lights if lights is None else lights) + 1)
         model, problem = self._model(0), self._posterior(1, OUTLINE_BLURS[0])
-        first = self._settled(problem.start(model, model.from_lights(np.zeros((0, 3)), np.zeros(0))))
+        first = self._settled(problem.start(model, model.from_lights(np.zeros((0, 3)), np.zeros(0)), problem.started(Scales())))
         value, base = self._best([first, *self._variants(first)])
         best_of = {0: value}
         self._record()
@@ -92,7 +92,7 @@ class LightSearch:
         """Return where a few steps lead from lamps where the shading grows, whatever the budget."""
         model, problem = self._model(lights), self._posterior(0, OUTLINE_BLURS[0])
         toward = self.scene.directions[:lights]
-        start = problem.start(model, model.from_lights(toward, np.ones(len(toward))))
+        start = problem.start(model, model.from_lights(toward, np.ones(len(toward))), problem.started(Scales()))
         value, best = self._best([descend(start, _LEAST_EVALUATIONS, None)])
         steps = [self.scene.shadows[1], self._lamps_step({lights: value}, lights, lights or None)]
         return self._explained(best, [best], steps)
@@ -211,13 +211,12 @@ class LightSearch:
         meter, problem = self.scene.meter, base.problem
         coarse = self._posterior(0, problem.blur)
         model = replace(self._model(base.model.lights + 1), bounce=False)
-        weight = 1 / (coarse.repeats * coarse.variance * _FIRST_SCALES[1] ** 2)
-        factor = coarse.factor(weight, _FIRST_SCALES[0])
+        known = coarse.started(_FIRST_SCALES)
         ahead = list[tuple[float, FloatArray]]()
         for x in self._starts(base, model):
             if meter.exhausted and ahead:
                 break
-            point = Point(coarse, model, np.append(x, base.x[-EXTRA:]), weight, _FIRST_SCALES, factor)
+            point = Point(coarse, model, np.append(x, base.x[-EXTRA:]), known.weight, known.scales, known.factor)
             equations = point.normal_equations()
             step = damped_step(equations, _CAUTION)
             fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
@@ -259,7 +258,7 @@ class LightSearch:
     def _in_the_dark(self, base: Point, model: LightModel) -> Iterator[Point]:
         """Yield the starts of one strong lamp more in a room without other light."""
         count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
-        rows = base.solution().hypothesis.rows[:, :3]
+        rows, known = base.solution().hypothesis.rows[:, :3], coarse.started(_DARK_SCALES)
         for direction in self.scene.directions:
             if self.scene.meter.exhausted:
                 return
@@ -267,7 +266,7 @@ class LightSearch:
                 continue
             plain = model.from_lights(np.vstack([rows, direction]), np.full(count + 1, _DARK_STRENGTH))
             plain[: 3 * count] = base.x[: 3 * count]
-            yield coarse.start(model, plain, _DARK_SCALES)
+            yield coarse.start(model, plain, known)
 
     def _starts(self, base: Point, model: LightModel) -> list[FloatArray]:
         """Return the starts x of one lamp more: everywhere, or in place of one that is there."""

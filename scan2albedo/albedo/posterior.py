@@ -5,8 +5,11 @@ from __future__ import annotations
 import copy
 import math
 
+from typing import NamedTuple
+
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from numba import njit
+from scipy.linalg import cho_factor, cho_solve, eigh, solve_triangular
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
@@ -44,19 +47,30 @@ DARK = 0.02
 _MISFIT_SD = 0.7
 """Standard deviation of the log of both scales that the image itself tells: how far this person is from the
 prior, and how rough."""
+_LIGHT_SD = 0.5
 _SOFT_SD = 0.4
 """The same of the harmonics of the environment: a studio has none."""
 _DAMPING = Damping(first=1e-2, increase=8.0, least=1e-4, after_failure=1e-3, largest=1e4)
 _SETTLED = 1e-4
 _LONGEST = 3.0
 """Longest step as a multiple of the model's first steps."""
-Scales = tuple[float, float, float]
-PLAIN: Scales = (1.0, 1.0, 1.0)
-"""Scales that are the priors' own."""
 EXTRA = 2
 """Parameters beside the light's: log scale, and how much of the faces' mean albedo this one has."""
 _TINY, _FAINT = 1e-6, 1e-4
 """Parts of the median below which weights, and V, count as none."""
+
+
+class Scales(NamedTuple):
+    """By what the image multiplies standard deviations of the prior; 1 is the prior's own."""
+
+    albedo: float = 1.0
+    """Of albedo at the nodes."""
+    light: float = 1.0
+    """Of light that no part stands for."""
+    grain: float = 1.0
+    """Of single cells."""
+    soft: float = 1.0
+    """Of the environment's harmonics."""
 
 
 class Posterior:
@@ -64,9 +78,9 @@ class Posterior:
 
         log V = log(A I + I_s),   log A = scale + likeness * mean + M u + e
 
-    with u ~ N(0, tau^2 (C_a + C_l)) at the nodes of `AlbedoPrior`: C_a of albedo, C_l of light that is not
-    modelled, larger where it is dark, and e of single cells from Student's t of scale sigma s_i. `places`
-    (N, 2) are those of the cells on the prior's chart, `blur` that of the lattice.
+    with u ~ N(0, a^2 C_a + l^2 C_l) at the nodes of `AlbedoPrior`: C_a of albedo, C_l of light that is not
+    modelled, larger where it is dark, and e of single cells from Student's t of scale g s_i; a, l and g are
+    `Scales`. `places` (N, 2) are those of the cells on the prior's chart, `blur` that of the lattice.
     """
 
     def __init__(
@@ -84,6 +98,10 @@ class Posterior:
         self.places, weights = places, prior.node_weights(places)
         self.used: IntArray = np.flatnonzero(np.asarray(weights.sum(0)).ravel() > _TINY)
         self.nodes = weights[:, self.used].tocsr()
+        number = np.zeros(weights.shape[1], np.int64)
+        number[self.used] = np.arange(len(self.used))
+        self._at = number[weights.indices].reshape(-1, 4)
+        self._share = weights.data.reshape(-1, 4)
         self.onto_nodes = self.nodes.T.tocsr()
         self.mean = prior.mean_at(self.places)[:, 0]
         self.value = np.log(np.maximum(level.value, _FAINT))
@@ -92,32 +110,44 @@ class Posterior:
         bright = level.value / np.exp(np.clip(self.mean, -1.5, 0.5))
         dark = UNMODELLED * np.median(bright) / np.maximum(bright, _FAINT)
         self.light_covariance = light_error(self, np.minimum(dark, _UNKNOWN))
-        self.with_albedo(prior.covariance(0))
+        self.albedo_covariance = prior.covariance(0)[np.ix_(self.used, self.used)]
+        # Both covariances are diagonal in one basis, so each pair of scales has its precision at once.
+        root = np.linalg.cholesky(self.albedo_covariance)
+        inner = solve_triangular(root, solve_triangular(root, self.light_covariance, lower=True).T, lower=True)
+        self.ratio, turned = eigh(inner, check_finite=False)
+        self.ratio = np.maximum(self.ratio, 0.0)
+        self.basis = solve_triangular(root, turned, trans="T", lower=True)
+        self._log_root = 2 * float(np.log(np.diag(root)).sum())
+        self._precision: tuple[Scales | None, FloatArray] = None, self.ratio
         self.repeats = max(1.0, len(self.value) / _INDEPENDENT)
-        self.plain_factor = self.factor(1 / (self.repeats * self.variance), 1.0)
         color = np.average(level.color, axis=0, weights=level.weight)
         self.lead, (red, green, _) = int(np.argmax(color)), color
         offset, slope, self.level_sd = prior.level
         level_here = offset + slope * math.log(max(green, DARK) / max(red, DARK))
         self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
 
-    def with_albedo(self, covariance: FloatArray) -> None:
-        """Take the covariance (K, K) of the albedo at all nodes."""
-        total = covariance[np.ix_(self.used, self.used)] + self.light_covariance
-        factor = cho_factor(total, lower=True)
-        self.precision = cho_solve(factor, np.eye(len(total)))
-        self.log_determinant = 2 * float(np.log(np.diag(factor[0])).sum())
+    def own(self, scales: Scales) -> FloatArray:
+        """Return (M,) the precision of the nodes' field in its own basis."""
+        return np.asarray(1 / (scales.albedo**2 + scales.light**2 * self.ratio))
 
-    def factor(
-        self, weight: FloatArray, tau: float, precision: FloatArray | None = None
-    ) -> tuple[FloatArray, bool]:
+    def precision(self, scales: Scales) -> FloatArray:
+        """Return (M, M) the precision of the nodes' field; the last is kept."""
+        if self._precision[0] is None or self._precision[0][:2] != scales[:2]:
+            self._precision = scales, (self.basis * self.own(scales)) @ self.basis.T
+        return self._precision[1]
+
+    def log_determinant(self, scales: Scales) -> float:
+        """Return that of the covariance of the nodes' field."""
+        return self._log_root - float(np.log(self.own(scales)).sum())
+
+    def factor(self, weight: FloatArray, precision: FloatArray) -> tuple[FloatArray, bool]:
         """Return the Cholesky factor of the nodes' precision, given the cells' weights (N,).
 
-        Before, it is that of V, or `precision` (M, M).
+        Before, it is `precision` (M, M).
         """
-        matrix = (self.onto_nodes @ self.nodes.multiply(weight[:, None])).toarray()
-        matrix += (self.precision if precision is None else precision) / tau**2
-        found: tuple[FloatArray, bool] = cho_factor(matrix, lower=True, check_finite=False)
+        matrix = precision.copy(order="F")
+        _add_cells(self._at, self._share, weight, matrix)
+        found: tuple[FloatArray, bool] = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
         return found
 
     def spread(self, field: FloatArray, places: FloatArray) -> FloatArray:
@@ -127,11 +157,34 @@ class Posterior:
         found = weights @ field
         return np.asarray(found / (total if found.ndim > 1 else total.ravel()))
 
-    def start(self, model: LightModel, x: FloatArray, scales: Scales = PLAIN) -> Point:
+    def started(self, scales: Scales) -> Start:
+        """Return weights of the cells, and their factor, for points far from an optimum."""
+        weight = 1 / (self.repeats * self.variance * scales.grain**2)
+        return Start(weight, self.factor(weight, self.precision(scales)), scales)
+
+    def start(self, model: LightModel, x: FloatArray, known: Start) -> Point:
         """Return the point of a light x (P,), at the albedo's scale that fits best."""
         whole = np.append(x, [0.0, 1.0])
-        whole[-EXTRA] = float(np.median(Point(self, model, whole, None, scales, self.plain_factor).left))
-        return Point(self, model, whole, None, scales)
+        whole[-EXTRA] = float(np.median(Point(self, model, whole, known.weight, known.scales, known.factor).left))
+        return Point(self, model, whole, known.weight, known.scales, known.factor)
+
+
+class Start(NamedTuple):
+    """Weights (N,) of the cells that do not depend on a light, the nodes' factor for them, and the scales."""
+
+    weight: FloatArray
+    factor: tuple[FloatArray, bool]
+    scales: Scales
+
+
+@njit(cache=True, nogil=True)
+def _add_cells(at, share, weight, matrix):  # type: ignore[no-untyped-def]
+    """Add w_n s_n s_n^T of cells n to the lower half of `matrix` (M, M); s_n (4,) stands at `at` (N, 4)."""
+    for n in range(len(at)):
+        for i in range(4):
+            for j in range(4):
+                if at[n, i] >= at[n, j]:
+                    matrix[at[n, i], at[n, j]] += weight[n] * share[n, i] * share[n, j]
 
 
 def cell_trust(level: Level) -> FloatArray:
@@ -150,7 +203,7 @@ def light_error(problem: Posterior, deviation: FloatArray) -> FloatArray:
     size = np.sqrt((problem.onto_nodes @ deviation**2) / count)
     at = np.stack(np.divmod(problem.used, NODES), 1) / NODES
     apart = np.linalg.norm(at[:, None] - at[None], axis=2)
-    found = np.outer(size, size) * np.exp(-0.5 * (apart / _REACH) ** 2)
+    found = np.outer(size, size) * np.exp(-apart / _REACH)
     return found + _TINY * np.eye(len(found))
 
 
@@ -158,7 +211,7 @@ class Point:
     """The posterior at x = [light, scale, likeness]: one counted evaluation.
 
     `weight` (N,) of the cells come from a point near by; with `factor`, the nodes' factor for them, they
-    stay. `scales` are tau, sigma, and that of the environment's harmonics. `u` (M,) is the nodes' best field.
+    stay. `u` (M,) is the nodes' best field.
     """
 
     def __init__(
@@ -176,7 +229,7 @@ class Point:
         self.x = np.concatenate([np.clip(x[:-EXTRA], lower, upper), x[-EXTRA:]])
         self._shade()
         if weight is None:
-            weight = 1 / (problem.repeats * problem.variance * scales[1] ** 2)
+            weight = 1 / (problem.repeats * problem.variance * scales.grain**2)
         self._settle(weight, factor)
 
     def _shade(self) -> None:
@@ -219,22 +272,23 @@ class Point:
 
     def _settle(self, weight: FloatArray, factor: tuple[FloatArray, bool] | None) -> None:
         """Estimate the nodes' field for robust weights; the cost follows."""
-        p, (tau, sigma, soft) = self.problem, self.scales
-        variance, free = p.variance * sigma**2, FREEDOM
+        p, (albedo, light, grain, soft) = self.problem, self.scales
+        variance, free, precision = p.variance * grain**2, FREEDOM, p.precision(self.scales)
         for _ in range(1 if factor else 2):
             self.weight = weight
-            self.factor = p.factor(weight, tau) if factor is None else factor
+            self.factor = p.factor(weight, precision) if factor is None else factor
             self.u = cho_solve(self.factor, p.onto_nodes @ (weight * self.left), check_finite=False)
             self.error = self.left - p.nodes @ self.u
             # The last weights are for points near by: factor and weights have to agree.
             self.robust = weight if factor else robust_weights(self.error, variance, p.repeats)
             weight = self.robust
         misfit = (free + 1) / 2 * np.log1p(self.error**2 / (free * variance)).sum()
-        rough = 0.5 * float(self.u @ p.precision @ self.u) / tau**2
         self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
-        far = (math.log(tau) ** 2 + math.log(sigma) ** 2) / (2 * _MISFIT_SD**2)
+        far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
+        far += math.log(light) ** 2 / (2 * _LIGHT_SD**2)
         far += math.log(soft) ** 2 / (2 * _SOFT_SD**2)
-        sizes = len(self.u) * math.log(tau) + len(self.error) / p.repeats * math.log(sigma)
+        sizes = 0.5 * p.log_determinant(self.scales) + len(self.error) / p.repeats * math.log(grain)
+        rough = 0.5 * float(self.u @ precision @ self.u)
         self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
 
     @property
@@ -275,23 +329,30 @@ class Point:
         return Point(self.problem, self.model, self.x + step, self.robust, self.scales)
 
     def rescaled(self) -> Point:
-        """Return the point with the scales that this image has: one step of expectation-maximisation."""
-        p, (_, sigma, soft) = self.problem, self.scales
+        """Return the point nearer to the scales at which the evidence is largest: one step of its iteration.
+
+        .. [1] D. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992, section 4.
+        """
+        p, (albedo, light, grain, soft) = self.problem, self.scales
+        # The evidence is largest where what the field shows is what it is free to show [1]_.
+        own, along = p.own(self.scales), self.u @ p.basis
+        free = solve_triangular(self.factor[0], p.basis, lower=True, check_finite=False)
+        free = own - own**2 * (free**2).sum(0)
+        shown = (own * along) ** 2
+        parts = []
+        for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.ratio, _LIGHT_SD):
+            dof = scale**2 * float(ratio @ free)
+            parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, _TINY), dof, sd))
         inverse = cho_solve(self.factor, np.eye(len(self.u)), check_finite=False)
-        spread = float(self.u @ p.precision @ self.u) + float((p.precision * inverse).sum())
         sure = np.asarray(p.nodes.multiply(p.nodes @ inverse).sum(1)).ravel()
-        share = self.robust * p.variance * sigma**2 * p.repeats
+        share = self.robust * p.variance * grain**2 * p.repeats
         rough = float((share * (self.error**2 + sure) / p.variance).mean())
         if self.model.environment:
             at = slice(first := self.model.position_of("environment"), first + HARMONICS)
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             soft = _shrunk(float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _SOFT_SD)
         other = copy.copy(self)
-        other.scales = (
-            _shrunk(spread / len(self.u), len(self.u), _MISFIT_SD),
-            _shrunk(rough, len(share) / p.repeats, _MISFIT_SD),
-            soft,
-        )
+        other.scales = Scales(*parts, _shrunk(rough, len(share) / p.repeats, _MISFIT_SD), soft)
         other._settle(self.robust, None)
         return other
 
@@ -302,7 +363,7 @@ class Point:
            JASA 81, 1986.
         """
         p, matrix = self.problem, self.quadratic()[0]
-        nodes = 2 * float(np.log(np.diag(self.factor[0])).sum()) + p.log_determinant
+        nodes = 2 * float(np.log(np.diag(self.factor[0])).sum())
         x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
         return -self.cost - 0.5 * (nodes + x)
 
@@ -312,10 +373,11 @@ class Point:
 
     def light_deviation(self) -> FloatArray:
         """Return (N,) the standard deviation of log light: of x, and of light that is not modelled."""
-        p, tau = self.problem, self.scales[0]
-        own = p.light_covariance @ p.precision
+        p = self.problem
+        light = self.scales.light**2 * p.light_covariance
+        own = light @ p.precision(self.scales)
         inverse = cho_solve(self.factor, np.eye(len(self.u)), check_finite=False)
-        nodes = tau**2 * (p.light_covariance - own @ p.light_covariance) + own @ inverse @ own.T
+        nodes = light - own @ light + own @ inverse @ own.T
         slopes = self.slopes[:-EXTRA] - self.slopes[:-EXTRA].mean(1, keepdims=True)
         # What x changes, the nodes' part of light partly takes back.
         taken = cho_solve(self.factor, p.onto_nodes @ (slopes * self.weight).T, check_finite=False)
@@ -330,23 +392,23 @@ class Point:
 
         Light that no part stands for is a part of the median light, relative to the light found here.
         """
-        p, (tau, sigma, _) = self.problem, self.scales
-        part = _OF_AREA * UNMODELLED * tau
+        p, scales = self.problem, self.scales
+        part = _OF_AREA * UNMODELLED * scales.light
         dark = np.minimum(part * np.median(self.light) / self.light, _UNKNOWN)
-        albedo = tau**2 * p.prior.covariance(0)[np.ix_(p.used, p.used)]
+        albedo = scales.albedo**2 * p.albedo_covariance
         total = albedo + light_error(p, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
         left = self.left + self.x[-EXTRA]
         weight, level = self.weight, 0.0
         for _ in range(3):
-            factor = p.factor(weight, 1.0, precision)
+            factor = p.factor(weight, precision)
             rows = np.column_stack([np.ones(len(left)), left])
             onto = p.onto_nodes @ (rows * weight[:, None])
             one, u = cho_solve(factor, onto, check_finite=False).T
             rest = weight * (left - p.nodes @ u)
             level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), _TINY))
             u = u - level * one
-            weight = robust_weights(left - level - p.nodes @ u, p.variance * sigma**2, p.repeats)
+            weight = robust_weights(left - level - p.nodes @ u, p.variance * scales.grain**2, p.repeats)
         return level, albedo @ (precision @ u)
 
     def solution(self) -> Solution:

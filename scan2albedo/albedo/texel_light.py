@@ -14,7 +14,7 @@ from scan2albedo.albedo.light_colour import LightColours
 from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM
-from scan2albedo.albedo.posterior import EXTRA, UNMODELLED, Point
+from scan2albedo.albedo.posterior import EXTRA, FREEDOM, UNMODELLED, Point
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
@@ -199,7 +199,9 @@ def _unmodelled(scene: LitImage, point: Point, light: FloatArray, specular: Floa
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
     measured = float(norm.ppf(0.75) ** -1 * np.median(np.abs(left[known])))
     grain = np.maximum(p.prior.deviation_at(scene.places)[:, 0], measured) ** 2
-    stray = np.minimum(UNMODELLED * point.scales[0] * np.median(light[known]) / light, _UNKNOWN)
+    # A brow, a mole: Student's t, whose variance grows with what is seen.
+    grain = (FREEDOM * grain + left**2) / (FREEDOM + 1)
+    stray = np.minimum(UNMODELLED * point.scales.light * np.median(light[known]) / light, _UNKNOWN)
     unknown = stray**2 + (step / value) ** 2
     return np.asarray(left * unknown / (grain + unknown))
 
