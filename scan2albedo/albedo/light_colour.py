@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from scan2albedo.albedo.light_parameters import HARMONICS
+from scan2albedo.albedo.node_field import posterior_factor
 from scan2albedo.albedo.posterior import DARK, NOISE, Point, cell_trust, robust_weights
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -76,7 +77,7 @@ def light_colours(point: Point, choice: bool | None) -> LightColours:
     of the colour of the surface. Light of one colour cannot be distinguished from pigment: the offset is free
     and the mean light white. `choice` False leaves colour out.
     """
-    problem, count, nodes = point.problem, point.model.lights, len(point.problem.used)
+    problem, count, nodes = point.problem, point.model.lights, len(point.problem.field.used)
     color = problem.level.color
     if choice is False:
         return LightColours.white(count, "left out by the caller", nodes=nodes)
@@ -110,7 +111,7 @@ def _solved(point: Point, value: FloatArray, leading: FloatArray, number: int) -
     sigma = p.prior.deviation_at(p.places)[:, number]
     dark = DARK * np.median(value) / np.maximum(value, darkest)
     variance = (sigma**2 + NOISE**2 + dark**2) / cell_trust(level)
-    covariance = p.prior.covariance(number)[np.ix_(p.used, p.used)] + _CAST * p.light_covariance
+    covariance = p.field.of_used(p.prior.covariance(number)) + _CAST * p.field.light_covariance
     precision = cho_solve(cho_factor(covariance, lower=True), np.eye(len(covariance)))
     lamp, first, second = _COLOUR_SD
     deviation = np.array([lamp] * count + [first] * 3 + [second] * (HARMONICS - 3))
@@ -125,7 +126,7 @@ def _solved(point: Point, value: FloatArray, leading: FloatArray, number: int) -
         left = log_ratio - mean - np.log(light / point.light) - offset
         slopes = np.column_stack([lamps.T, transfer]) / light[:, None]
         rows = np.column_stack([slopes, np.ones(len(left)), left])
-        factor = p.factor(weight, precision)
+        factor = posterior_factor(p.nodes, weight, precision)
         onto = p.onto_nodes @ (rows * weight[:, None])
         inner = rows.T @ (rows * weight[:, None]) - onto.T @ cho_solve(factor, onto, check_finite=False)
         matrix = inner[:-1, :-1] + np.diag(np.append(prior, 0.0))
@@ -134,7 +135,7 @@ def _solved(point: Point, value: FloatArray, leading: FloatArray, number: int) -
         offset += float(step[-1])
         u = cho_solve(factor, onto[:, -1], check_finite=False)
         weight = robust_weights(left - p.nodes @ u, variance, p.repeats)
-    cast = _CAST * p.light_covariance @ (precision @ u)
+    cast = _CAST * p.field.light_covariance @ (precision @ u)
     change = light / point.light * np.exp(p.nodes @ cast)
     whole = np.average(point.light, weights=level.weight)
     gain = float(whole / np.average(point.light * change, weights=level.weight))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from scan2albedo.albedo.levels import cell_means
 from scan2albedo.albedo.light_colour import light_colours
 from scan2albedo.albedo.light_parameters import LightModel, allowed_parts
 from scan2albedo.albedo.light_priors import parts_steps
 from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
-from scan2albedo.albedo.posterior import EXTRA, Point, Posterior, Scales, descend
+from scan2albedo.albedo.node_field import Scales
+from scan2albedo.albedo.posterior import EXTRA, Point, Posterior, descend
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.uncertainty import Alternative, apart, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
@@ -28,15 +28,15 @@ _DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
 """The same of the first lamps in a room that is dark otherwise; what such a lamp shades is no outlier yet."""
 _SAME_COSINE = 0.9
 """Lamps whose directions have a larger cosine are one at the start."""
-_FOLLOWED, _KEPT = 5, 3
+_FOLLOWED, _KEPT = 4, 2
 """Distinct starts that take two steps, and that go on to where the posterior is largest."""
 _FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
 _CAUTION = 0.1
 """Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
-_DESCENTS = 8, 5
+_DESCENTS = 6, 4
 """Evaluations of the two descents around which the scales are estimated."""
-_HOPELESS = 8.0
+_HOPELESS = 3.0
 """Log odds against one lamp more at which no further ones are tried."""
 _RADII_DEG = 6.0, 12.0, 20.0, 30.0
 """Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
@@ -69,7 +69,9 @@ class LightSearch:
             return self._at_once(lights or 0)
         counts = range(1, (options.maximal_lights if lights is None else lights) + 1)
         model, problem = self._model(0), self._posterior(1, OUTLINE_BLURS[0])
-        first = self._settled(problem.start(model, model.from_lights(np.zeros((0, 3)), np.zeros(0)), problem.started(Scales())))
+        first = self._settled(
+            problem.start(model, model.from_lights(np.zeros((0, 3)), np.zeros(0)), problem.started(Scales()))
+        )
         value, base = self._best([first, *self._variants(first)])
         best_of = {0: value}
         self._record()
@@ -92,7 +94,9 @@ class LightSearch:
         """Return where a few steps lead from lamps where the shading grows, whatever the budget."""
         model, problem = self._model(lights), self._posterior(0, OUTLINE_BLURS[0])
         toward = self.scene.directions[:lights]
-        start = problem.start(model, model.from_lights(toward, np.ones(len(toward))), problem.started(Scales()))
+        start = problem.start(
+            model, model.from_lights(toward, np.ones(len(toward))), problem.started(Scales())
+        )
         value, best = self._best([descend(start, _LEAST_EVALUATIONS, None)])
         steps = [self.scene.shadows[1], self._lamps_step({lights: value}, lights, lights or None)]
         return self._explained(best, [best], steps)
@@ -200,7 +204,7 @@ class LightSearch:
         for near, where in [(model, problem), *((point.model, other) for other in surfaces)]:
             if self.scene.meter.exhausted or (near == point.model and where is problem):
                 continue
-            if where is not problem and self.scene.shadows[0] is None:
+            if where is not problem and (self.scene.shadows[0] is None or not near.lights):
                 continue
             x = np.append(point.model.extend(point.light_x, near), point.x[-EXTRA:])
             found.append(self._settled(Point(where, near, x, None, point.scales)))
@@ -216,7 +220,9 @@ class LightSearch:
         for x in self._starts(base, model):
             if meter.exhausted and ahead:
                 break
-            point = Point(coarse, model, np.append(x, base.x[-EXTRA:]), known.weight, known.scales, known.factor)
+            point = Point(
+                coarse, model, np.append(x, base.x[-EXTRA:]), known.weight, known.scales, known.factor
+            )
             equations = point.normal_equations()
             step = damped_step(equations, _CAUTION)
             fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
@@ -252,7 +258,7 @@ class LightSearch:
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""
         for evaluations in _DESCENTS:
-            point = descend(point, evaluations, self.scene.meter).rescaled().rescaled()
+            point = descend(point, evaluations, self.scene.meter).rescaled()
         return point
 
     def _in_the_dark(self, base: Point, model: LightModel) -> Iterator[Point]:
@@ -266,18 +272,21 @@ class LightSearch:
                 continue
             plain = model.from_lights(np.vstack([rows, direction]), np.full(count + 1, _DARK_STRENGTH))
             plain[: 3 * count] = base.x[: 3 * count]
+            at = slice(3 * count, 3 * count + 2)
+            plain[at] = coarse.lattice.nearest(plain[at])
             yield coarse.start(model, plain, known)
 
     def _starts(self, base: Point, model: LightModel) -> list[FloatArray]:
         """Return the starts x of one lamp more: everywhere, or in place of one that is there."""
-        count, found = base.model.lights, []
+        count, found, lattice = base.model.lights, [], self._posterior(0, base.problem.blur).lattice
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows
         tail = base.model.extend(base.x[:-EXTRA], model)[3 * count :]
         for direction in self.scene.directions:
             if count and (rows[:, :3] @ direction).max() > _SAME_COSINE:
                 continue
             for strength in _STRENGTHS:
-                x = np.concatenate([head, [*model.coordinates(direction), math.log(strength)], tail])
+                at = lattice.nearest(np.array(model.coordinates(direction)))
+                x = np.concatenate([head, at, [math.log(strength)], tail])
                 if strength == _STRENGTHS[-1] and model.environment:
                     x[model.position_of("environment") :] = 0.0
                 found.append(x)
@@ -294,10 +303,7 @@ class LightSearch:
     def _posterior(self, size: int, blur: float) -> Posterior:
         """Return the posterior at one of the sizes; known ones are kept."""
         if (size, blur) not in self._known:
-            scene, level = self.scene, self.scene.level(self.scene.options.sizes[size])
-            places = np.stack([cell_means(level, along, scene.image.mask) for along in scene.places.T], 1)
-            known = level, places, scene.lattice(level, blur), scene.soft(level)
-            self._known[size, blur] = Posterior(*known, scene.prior, scene.meter, blur)
+            self._known[size, blur] = self.scene.posterior(self.scene.options.sizes[size], blur)
         return self._known[size, blur]
 
 

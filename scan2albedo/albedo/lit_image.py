@@ -7,11 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
-from scan2albedo.albedo.levels import Level, brightest_around, build_level
+from scan2albedo.albedo.levels import Level, brightest_around, build_level, cell_means
 from scan2albedo.albedo.light_colour import LightColours
 from scan2albedo.albedo.light_parameters import LightModel, Solution
+from scan2albedo.albedo.node_field import NodeField
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
-from scan2albedo.albedo.posterior import Point
+from scan2albedo.albedo.posterior import Point, Posterior
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.shadows import Horizon, ShadowLattice, shadow_caster
 from scan2albedo.albedo.soft_terms import SoftTerms
@@ -78,6 +79,7 @@ class LitImage:
     prior: AlbedoPrior
     _levels: dict[int, Level] = field(default_factory=dict, init=False, repr=False)
     _soft: dict[int, SoftTerms] = field(default_factory=dict, init=False, repr=False)
+    _lattices: dict[int, ShadowLattice] = field(default_factory=dict, init=False, repr=False)
     _horizons: dict[int, Horizon] = field(default_factory=dict, init=False, repr=False)
 
     def model(self, lights: int) -> LightModel:
@@ -99,11 +101,29 @@ class LitImage:
             return chart[mask].astype(np.float64)
         return (np.argwhere(mask) + 0.5) / np.asarray(mask.shape)
 
-    def lattice(self, level: Level, blur: float = 0.0) -> ShadowLattice:
-        """Return the cast shadows of a level, their outlines blurred by a part of the chart's side."""
-        horizon = self._horizons.get(level.factor)
-        above = None if horizon is None else horizon.at(level.center)
-        return ShadowLattice(level, self.shadows[0], SHADOW_OFFSET_MM, above, blur)
+    def cell_places(self, level: Level) -> FloatArray:
+        """Return (N, 2) where on the prior's chart the cells of a level lie."""
+        return np.stack([cell_means(level, along, self.image.mask) for along in self.places.T], 1)
+
+    @cached_property
+    def nodes(self) -> NodeField:
+        """What is known at the nodes of the prior."""
+        level = self.level(self.options.sizes[1])
+        return NodeField(self.prior, level, self.cell_places(level))
+
+    def posterior(self, size: int, blur: float = 0.0) -> Posterior:
+        """Return the posterior of `size` cells, with outlines blurred by a part of the chart's side."""
+        level = self.level(size)
+        terms = self.lattice(level), self.soft(level)
+        return Posterior(level, self.cell_places(level), *terms, self.nodes, self.meter, blur)
+
+    def lattice(self, level: Level) -> ShadowLattice:
+        """Return the cast shadows of a level; known ones are kept."""
+        if level.factor not in self._lattices:
+            horizon = self._horizons.get(level.factor)
+            above = None if horizon is None else horizon.at(level.center)
+            self._lattices[level.factor] = ShadowLattice(level, self.shadows[0], SHADOW_OFFSET_MM, above)
+        return self._lattices[level.factor]
 
     def soft(self, level: Level) -> SoftTerms:
         """Return what soft light needs to know of a level; known ones are kept."""

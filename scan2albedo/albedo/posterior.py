@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import copy
 import math
-
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from scipy.linalg import cho_factor, cho_solve, eigh, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
 from scan2albedo.albedo.light_priors import light_prior
-from scan2albedo.albedo.prior import NODES, AlbedoPrior
+from scan2albedo.albedo.node_field import (
+    FAINT,
+    TINY,
+    NodeField,
+    Scales,
+    deviation_of_light,
+    posterior_factor,
+    solved,
+)
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.lighting.kernels import shade_with_derivatives
 from scan2albedo.optimization import Damping, NormalEquations, minimize
 
@@ -31,15 +37,10 @@ _INDEPENDENT = 530.0
 """Cells of a whole chart that err independently. It has some 1,250 at 1/40 of its side; on path-traced faces
 that were left out light is found best where two or three count as one: what fits and lamps err by correlates
 farther than texture does."""
-UNMODELLED, _REACH = 0.06, 0.12
-"""Standard deviation of light that no part stands for, as a part of the median light, and its correlation
-length as a part of the chart's side."""
 _OF_AREA = 0.5
 """The same over an area, as a part of that of single texels, where the light has been found."""
 _ALBEDOS = 0.1, 0.8
 """Of skin, dark and pale, in red."""
-_UNKNOWN = 2.0
-"""Log light is never less known than this: an ambient light of a tenth remains anywhere."""
 NOISE = 0.02
 """Relative noise of a cell: that of pictures of 8 bits."""
 DARK = 0.02
@@ -56,21 +57,6 @@ _LONGEST = 3.0
 """Longest step as a multiple of the model's first steps."""
 EXTRA = 2
 """Parameters beside the light's: log scale, and how much of the faces' mean albedo this one has."""
-_TINY, _FAINT = 1e-6, 1e-4
-"""Parts of the median below which weights, and V, count as none."""
-
-
-class Scales(NamedTuple):
-    """By what the image multiplies standard deviations of the prior; 1 is the prior's own."""
-
-    albedo: float = 1.0
-    """Of albedo at the nodes."""
-    light: float = 1.0
-    """Of light that no part stands for."""
-    grain: float = 1.0
-    """Of single cells."""
-    soft: float = 1.0
-    """Of the environment's harmonics."""
 
 
 class Posterior:
@@ -78,9 +64,8 @@ class Posterior:
 
         log V = log(A I + I_s),   log A = scale + likeness * mean + M u + e
 
-    with u ~ N(0, a^2 C_a + l^2 C_l) at the nodes of `AlbedoPrior`: C_a of albedo, C_l of light that is not
-    modelled, larger where it is dark, and e of single cells from Student's t of scale g s_i; a, l and g are
-    `Scales`. `places` (N, 2) are those of the cells on the prior's chart, `blur` that of the lattice.
+    with u the `field` at the nodes, and e of single cells from Student's t of scale g s_i, g the scale of
+    grain. `places` (N, 2) are those of the cells on the prior's chart, `blur` that of the outlines of shadows.
     """
 
     def __init__(
@@ -89,102 +74,52 @@ class Posterior:
         places: FloatArray,
         lattice: ShadowLattice,
         soft: SoftTerms,
-        prior: AlbedoPrior,
+        field: NodeField,
         meter: Meter,
         blur: float = 0.0,
     ) -> None:
-        self.level, self.lattice, self.soft, self.prior, self.meter = level, lattice, soft, prior, meter
-        self.blur = blur
-        self.places, weights = places, prior.node_weights(places)
-        self.used: IntArray = np.flatnonzero(np.asarray(weights.sum(0)).ravel() > _TINY)
-        self.nodes = weights[:, self.used].tocsr()
-        number = np.zeros(weights.shape[1], np.int64)
-        number[self.used] = np.arange(len(self.used))
-        self._at = number[weights.indices].reshape(-1, 4)
-        self._share = weights.data.reshape(-1, 4)
+        self.level, self.lattice, self.soft, self.meter = level, lattice, soft, meter
+        self.field, self.prior, self.places, self.blur = field, field.prior, places, blur
+        self.nodes = field.weights(places)
         self.onto_nodes = self.nodes.T.tocsr()
-        self.mean = prior.mean_at(self.places)[:, 0]
-        self.value = np.log(np.maximum(level.value, _FAINT))
-        self.variance = (prior.deviation_at(self.places)[:, 0] ** 2 + NOISE**2) / cell_trust(level)
-        # Brightness without the face's own pattern says how dark a place is, whatever the light.
-        bright = level.value / np.exp(np.clip(self.mean, -1.5, 0.5))
-        dark = UNMODELLED * np.median(bright) / np.maximum(bright, _FAINT)
-        self.light_covariance = light_error(self, np.minimum(dark, _UNKNOWN))
-        self.albedo_covariance = prior.covariance(0)[np.ix_(self.used, self.used)]
-        # Both covariances are diagonal in one basis, so each pair of scales has its precision at once.
-        root = np.linalg.cholesky(self.albedo_covariance)
-        inner = solve_triangular(root, solve_triangular(root, self.light_covariance, lower=True).T, lower=True)
-        self.ratio, turned = eigh(inner, check_finite=False)
-        self.ratio = np.maximum(self.ratio, 0.0)
-        self.basis = solve_triangular(root, turned, trans="T", lower=True)
-        self._log_root = 2 * float(np.log(np.diag(root)).sum())
-        self._precision: tuple[Scales | None, FloatArray] = None, self.ratio
+        self.mean = self.prior.mean_at(self.places)[:, 0]
+        self.value = np.log(np.maximum(level.value, FAINT))
+        self.variance = (self.prior.deviation_at(self.places)[:, 0] ** 2 + NOISE**2) / cell_trust(level)
         self.repeats = max(1.0, len(self.value) / _INDEPENDENT)
         color = np.average(level.color, axis=0, weights=level.weight)
         self.lead, (red, green, _) = int(np.argmax(color)), color
-        offset, slope, self.level_sd = prior.level
+        offset, slope, self.level_sd = self.prior.level
         level_here = offset + slope * math.log(max(green, DARK) / max(red, DARK))
         self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
 
-    def own(self, scales: Scales) -> FloatArray:
-        """Return (M,) the precision of the nodes' field in its own basis."""
-        return np.asarray(1 / (scales.albedo**2 + scales.light**2 * self.ratio))
-
-    def precision(self, scales: Scales) -> FloatArray:
-        """Return (M, M) the precision of the nodes' field; the last is kept."""
-        if self._precision[0] is None or self._precision[0][:2] != scales[:2]:
-            self._precision = scales, (self.basis * self.own(scales)) @ self.basis.T
-        return self._precision[1]
-
-    def log_determinant(self, scales: Scales) -> float:
-        """Return that of the covariance of the nodes' field."""
-        return self._log_root - float(np.log(self.own(scales)).sum())
-
-    def factor(self, weight: FloatArray, precision: FloatArray) -> tuple[FloatArray, bool]:
-        """Return the Cholesky factor of the nodes' precision, given the cells' weights (N,).
-
-        Before, it is `precision` (M, M).
-        """
-        matrix = precision.copy(order="F")
-        _add_cells(self._at, self._share, weight, matrix)
-        found: tuple[FloatArray, bool] = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
-        return found
-
-    def spread(self, field: FloatArray, places: FloatArray) -> FloatArray:
-        """Return a field of the used nodes (M,) or (M, C) at `places` (P, 2)."""
-        weights = self.prior.node_weights(places)[:, self.used]
+    def spread(self, values: FloatArray, places: FloatArray) -> FloatArray:
+        """Return `values` (M,) or (M, C) of the nodes at `places` (P, 2)."""
+        weights = self.field.weights(places)
         total = np.maximum(np.asarray(weights.sum(1)), 0.05)
-        found = weights @ field
+        found = weights @ values
         return np.asarray(found / (total if found.ndim > 1 else total.ravel()))
 
     def started(self, scales: Scales) -> Start:
         """Return weights of the cells, and their factor, for points far from an optimum."""
         weight = 1 / (self.repeats * self.variance * scales.grain**2)
-        return Start(weight, self.factor(weight, self.precision(scales)), scales)
+        factor = posterior_factor(self.nodes, weight, self.field.precision(scales))
+        return Start(weight, scales, factor)
 
     def start(self, model: LightModel, x: FloatArray, known: Start) -> Point:
         """Return the point of a light x (P,), at the albedo's scale that fits best."""
         whole = np.append(x, [0.0, 1.0])
-        whole[-EXTRA] = float(np.median(Point(self, model, whole, known.weight, known.scales, known.factor).left))
+        whole[-EXTRA] = float(
+            np.median(Point(self, model, whole, known.weight, known.scales, known.factor).left)
+        )
         return Point(self, model, whole, known.weight, known.scales, known.factor)
 
 
 class Start(NamedTuple):
-    """Weights (N,) of the cells that do not depend on a light, the nodes' factor for them, and the scales."""
+    """Weights (N,) of the cells that do not depend on a light, scales, and the nodes' factor for them."""
 
     weight: FloatArray
-    factor: tuple[FloatArray, bool]
     scales: Scales
-
-
-@njit(cache=True, nogil=True)
-def _add_cells(at, share, weight, matrix):  # type: ignore[no-untyped-def]
-    """Add w_n s_n s_n^T of cells n to the lower half of `matrix` (M, M); s_n (4,) stands at `at` (N, 4)."""
-    for n in range(len(at)):
-        for i in range(4):
-            for j in range(4):
-                if at[n, i] >= at[n, j]:
-                    matrix[at[n, i], at[n, j]] += weight[n] * share[n, i] * share[n, j]
+    factor: tuple[FloatArray, bool]
 
 
 def cell_trust(level: Level) -> FloatArray:
@@ -195,16 +130,6 @@ def cell_trust(level: Level) -> FloatArray:
 def robust_weights(error: FloatArray, variance: FloatArray, repeats: float) -> FloatArray:
     """Return (N,) the weights of Student's t of errors (N,), each of which is told `repeats` times."""
     return np.asarray((FREEDOM + 1) / (FREEDOM + error**2 / variance) / (variance * repeats))
-
-
-def light_error(problem: Posterior, deviation: FloatArray) -> FloatArray:
-    """Return (M, M) the covariance at the nodes of log light, of cells' standard `deviation` (N,)."""
-    count = np.maximum(problem.onto_nodes @ np.ones(len(deviation)), _TINY)
-    size = np.sqrt((problem.onto_nodes @ deviation**2) / count)
-    at = np.stack(np.divmod(problem.used, NODES), 1) / NODES
-    apart = np.linalg.norm(at[:, None] - at[None], axis=2)
-    found = np.outer(size, size) * np.exp(-apart / _REACH)
-    return found + _TINY * np.eye(len(found))
 
 
 class Point:
@@ -235,7 +160,7 @@ class Point:
     def _shade(self) -> None:
         p, model, light_x = self.problem, self.model, self.light_x
         level, found, cells = p.level, model.decode(light_x), len(p.value)
-        visible, visible_slope = p.lattice.visibility(model, light_x)
+        visible, visible_slope = p.lattice.visibility(model, light_x, p.blur)
         light, specular = np.empty(cells), np.empty(cells)
         slopes = np.zeros((model.size, cells)), np.zeros((model.size, cells))
         shade_with_derivatives(
@@ -273,11 +198,11 @@ class Point:
     def _settle(self, weight: FloatArray, factor: tuple[FloatArray, bool] | None) -> None:
         """Estimate the nodes' field for robust weights; the cost follows."""
         p, (albedo, light, grain, soft) = self.problem, self.scales
-        variance, free, precision = p.variance * grain**2, FREEDOM, p.precision(self.scales)
+        variance, free, precision = p.variance * grain**2, FREEDOM, p.field.precision(self.scales)
         for _ in range(1 if factor else 2):
             self.weight = weight
-            self.factor = p.factor(weight, precision) if factor is None else factor
-            self.u = cho_solve(self.factor, p.onto_nodes @ (weight * self.left), check_finite=False)
+            self.factor = posterior_factor(p.nodes, weight, precision) if factor is None else factor
+            self.u = solved(self.factor, p.onto_nodes @ (weight * self.left))
             self.error = self.left - p.nodes @ self.u
             # The last weights are for points near by: factor and weights have to agree.
             self.robust = weight if factor else robust_weights(self.error, variance, p.repeats)
@@ -287,7 +212,7 @@ class Point:
         far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
         far += math.log(light) ** 2 / (2 * _LIGHT_SD**2)
         far += math.log(soft) ** 2 / (2 * _SOFT_SD**2)
-        sizes = 0.5 * p.log_determinant(self.scales) + len(self.error) / p.repeats * math.log(grain)
+        sizes = 0.5 * p.field.log_determinant(self.scales) + len(self.error) / p.repeats * math.log(grain)
         rough = 0.5 * float(self.u @ precision @ self.u)
         self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
 
@@ -309,7 +234,7 @@ class Point:
         rows = np.column_stack([self.slopes.T, self.left])
         weighted = rows * self.weight[:, None]
         nodes = p.onto_nodes @ weighted
-        inner = rows.T @ weighted - nodes.T @ cho_solve(self.factor, nodes, check_finite=False)
+        inner = rows.T @ weighted - nodes.T @ solved(self.factor, nodes)
         return inner[:-1, :-1] + np.diag(self.prior.curvature), self.prior.slope - inner[:-1, -1]
 
     def normal_equations(self) -> NormalEquations:
@@ -335,15 +260,15 @@ class Point:
         """
         p, (albedo, light, grain, soft) = self.problem, self.scales
         # The evidence is largest where what the field shows is what it is free to show [1]_.
-        own, along = p.own(self.scales), self.u @ p.basis
-        free = solve_triangular(self.factor[0], p.basis, lower=True, check_finite=False)
+        own, along = p.field.own(self.scales), self.u @ p.field.basis
+        free = solve_triangular(self.factor[0], p.field.basis, lower=True, check_finite=False)
         free = own - own**2 * (free**2).sum(0)
         shown = (own * along) ** 2
         parts = []
-        for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.ratio, _LIGHT_SD):
+        for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.field.ratio, _LIGHT_SD):
             dof = scale**2 * float(ratio @ free)
-            parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, _TINY), dof, sd))
-        inverse = cho_solve(self.factor, np.eye(len(self.u)), check_finite=False)
+            parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, TINY), dof, sd))
+        inverse = solved(self.factor, np.eye(len(self.u)))
         sure = np.asarray(p.nodes.multiply(p.nodes @ inverse).sum(1)).ravel()
         share = self.robust * p.variance * grain**2 * p.repeats
         rough = float((share * (self.error**2 + sure) / p.variance).mean())
@@ -362,7 +287,7 @@ class Point:
         .. [1] L. Tierney, J. Kadane, "Accurate approximations for posterior moments and marginal densities",
            JASA 81, 1986.
         """
-        p, matrix = self.problem, self.quadratic()[0]
+        matrix = self.quadratic()[0]
         nodes = 2 * float(np.log(np.diag(self.factor[0])).sum())
         x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
         return -self.cost - 0.5 * (nodes + x)
@@ -374,13 +299,13 @@ class Point:
     def light_deviation(self) -> FloatArray:
         """Return (N,) the standard deviation of log light: of x, and of light that is not modelled."""
         p = self.problem
-        light = self.scales.light**2 * p.light_covariance
-        own = light @ p.precision(self.scales)
-        inverse = cho_solve(self.factor, np.eye(len(self.u)), check_finite=False)
+        light = self.scales.light**2 * p.field.light_covariance
+        own = light @ p.field.precision(self.scales)
+        inverse = solved(self.factor, np.eye(len(self.u)))
         nodes = light - own @ light + own @ inverse @ own.T
         slopes = self.slopes[:-EXTRA] - self.slopes[:-EXTRA].mean(1, keepdims=True)
         # What x changes, the nodes' part of light partly takes back.
-        taken = cho_solve(self.factor, p.onto_nodes @ (slopes * self.weight).T, check_finite=False)
+        taken = solved(self.factor, p.onto_nodes @ (slopes * self.weight).T)
         slopes = slopes - (p.nodes @ (own @ taken)).T
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
         variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
@@ -393,20 +318,19 @@ class Point:
         Light that no part stands for is a part of the median light, relative to the light found here.
         """
         p, scales = self.problem, self.scales
-        part = _OF_AREA * UNMODELLED * scales.light
-        dark = np.minimum(part * np.median(self.light) / self.light, _UNKNOWN)
-        albedo = scales.albedo**2 * p.albedo_covariance
-        total = albedo + light_error(p, dark)
+        dark = _OF_AREA * scales.light * deviation_of_light(self.light, float(np.median(self.light)))
+        albedo = scales.albedo**2 * p.field.albedo_covariance
+        total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
         left = self.left + self.x[-EXTRA]
         weight, level = self.weight, 0.0
         for _ in range(3):
-            factor = p.factor(weight, precision)
+            factor = posterior_factor(p.nodes, weight, precision)
             rows = np.column_stack([np.ones(len(left)), left])
             onto = p.onto_nodes @ (rows * weight[:, None])
-            one, u = cho_solve(factor, onto, check_finite=False).T
+            one, u = solved(factor, onto).T
             rest = weight * (left - p.nodes @ u)
-            level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), _TINY))
+            level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), TINY))
             u = u - level * one
             weight = robust_weights(left - level - p.nodes @ u, p.variance * scales.grain**2, p.repeats)
         return level, albedo @ (precision @ u)
@@ -418,7 +342,7 @@ class Point:
 
 def _shrunk(square: float, count: float, deviation: float) -> float:
     """Return a scale from its mean square over so many values and the normal prior of its logarithm."""
-    return math.exp(0.5 * math.log(max(square, _TINY**2)) * count / (count + 1 / (2 * deviation**2)))
+    return math.exp(0.5 * math.log(max(square, TINY**2)) * count / (count + 1 / (2 * deviation**2)))
 
 
 def descend(start: Point, trials: int, meter: Meter | None) -> Point:

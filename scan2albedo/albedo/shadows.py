@@ -39,6 +39,9 @@ _OF_RADIUS = 0.5
 _NEARNESS = 2.0
 """The distance of nodes along nearness, beside that of directions: shadows change little with it."""
 
+_ON_NODE = 1e-9
+"""Parts of the spacing that count as none."""
+
 _UNSEEN = 0.2
 """Cosine by which a hidden direction may be above those of a sky of 96: that of 12 degrees."""
 
@@ -107,10 +110,9 @@ class Horizon:
 class ShadowLattice:
     """Visibility of N cells, by rays at the nodes of a lattice of lights and blended linearly between them.
 
-    Outlines are blurred by `blur`, a part of the chart's side. The lattice's axes are the two coordinates of
-    a light's direction and its nearness (see `LightModel`), so the visibility is continuous in the parameters
-    of a light and has derivatives. Nodes are kept: a local search rarely shoots rays. Without `caster`
-    everything is visible.
+    The lattice's axes are the two coordinates of a light's direction and its nearness (see `LightModel`), so
+    the visibility is continuous in the parameters of a light and has derivatives. Nodes are kept: a local
+    search rarely shoots rays. Without `caster` everything is visible.
     """
 
     def __init__(
@@ -119,62 +121,86 @@ class ShadowLattice:
         caster: RayCaster | None,
         offset_mm: float,
         open_above: FloatArray | None = None,
-        blur: float = 0.0,
     ) -> None:
         self._position, self._normal = level.position, level.normal
         surface = level.anchor, level.normal
         self._rays = None if caster is None else ShadowMap(caster, *surface, offset_mm, open_above)
-        self._least_step = _SPACING / float(level.cell.max() + 1)
-        self._known: dict[tuple[int, int, int, float], Visibility] = {}
+        self._side = float(level.cell.max() + 1)
+        self._least_step = _SPACING / self._side
+        self._sharp: dict[tuple[int, int, int, float], Visibility] = {}
+        self._known: dict[tuple[int, int, int, float, float], Visibility] = {}
+        self._whole: dict[float, Visibility] = {}
         self._cell = tuple(level.cell.T)
-        self._blur = blur * float(level.cell.max() + 1)
-        self._whole = self._blurred(np.ones(len(level.cell)))
 
-    def visibility(self, model: LightModel, x: FloatArray) -> tuple[Visibility, Visibility]:
+    def nearest(self, coordinates: FloatArray) -> FloatArray:
+        """Return the node's coordinates (..., 2) nearest to those of directions: its rays serve alone."""
+        return np.asarray(np.round(coordinates / self._least_step) * self._least_step)
+
+    def visibility(
+        self, model: LightModel, x: FloatArray, blur: float = 0.0
+    ) -> tuple[Visibility, Visibility]:
         """Return (L, N) visibility and (L, 2, N) its derivatives by the directions' coordinates.
 
-        The derivative by nearness is left out: so small a move of an outline is mostly the mesh's edges.
+        Outlines are blurred by `blur`, a part of the chart's side. At a node the derivatives are 0. The
+        derivative by nearness is left out: so small a move of an outline is mostly the mesh's edges.
         """
         lights, cells = model.lights, len(self._position)
         if self._rays is None or not lights:
             return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         nearness = float(x[model.position_of("near")]) if model.near else 0.0
-        blended = np.stack([self._blended(model, (*x[3 * k : 3 * k + 2], nearness)) for k in range(lights)])
+        blended = np.stack(
+            [self._blended(model, (*x[3 * k : 3 * k + 2], nearness), blur) for k in range(lights)]
+        )
         # Contiguous whatever the number of lights: the shading is compiled for one layout.
         return np.ascontiguousarray(blended[:, 0]), np.ascontiguousarray(blended[:, 1:])
 
-    def _blurred(self, values: NDArray) -> FloatArray:
-        grid = np.zeros(np.max(self._cell, axis=1) + 1)
-        grid[self._cell] = values
-        return np.asarray(gaussian_filter(grid, self._blur, mode="constant")[self._cell])
-
-    def _blended(self, model: LightModel, light: tuple[float, float, float]) -> Visibility:
+    def _blended(self, model: LightModel, light: tuple[float, float, float], blur: float) -> Visibility:
         """Return (3, N) the visibility of a light and its derivatives by two of its three coordinates."""
-        assert self._rays is not None
-        ends, shares = list[tuple[int, ...]](), list[tuple[float, float]]()
+        ends, shares = list[tuple[int, ...]](), list[tuple[float, ...]]()
         # The lattice's spacing along its axes is wide for lamps whose shadows are soft.
         step = max(self._least_step, _OF_RADIUS * math.radians(model.radius_deg))
         steps = step, step, _NEARNESS * step
         for value, side in zip(light, steps, strict=True):
-            low = math.floor(value / side)
-            part = value / side - low
-            # On a node, such as that of distant lights, the next one has no share.
-            ends.append((low, low + 1) if part > 0 or len(ends) < 2 else (low,))
-            shares.append((1 - part, part))
+            low = round(value / side)
+            if abs(value / side - low) > _ON_NODE:
+                low = math.floor(value / side)
+                ends.append((low, low + 1))
+                shares.append((low + 1 - value / side, value / side - low))
+            else:
+                # On a node, such as that of distant lights, the next one has no share.
+                ends.append((low,))
+                shares.append((1.0,))
         across, along, near = shares
-        slope = -1 / steps[0], 1 / steps[0]
-        table = (across, along, near), (slope, along, near), (across, slope, near)
-        weights = [[a * b * c for a, b, c in product(p, q, r[: len(ends[2])])] for p, q, r in table]
-        nodes = []
-        for column, row, nearness in product(*ends):
-            key = column, row, nearness, model.radius_deg
-            if key not in self._known:
-                direction = model.direction(column * steps[0], row * steps[1])
-                distance = model.radius_mm / (nearness * steps[2]) if nearness > 0 else math.inf
-                visible = self._rays.reached(direction, distance, model.radius_deg).astype(np.float32)
-                # Turned away at the node, a cell may face the light itself: no cast shadow's outline there.
-                nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
-                visible[self._normal @ direction <= nearer] = 1
-                self._known[key] = (self._blurred(visible) / self._whole).astype(np.float32)
-            nodes.append(self._known[key])
+        slopes = [(-1 / step, 1 / step) if len(end) == 2 else (0.0,) for end in ends[:2]]
+        table = (across, along, near), (slopes[0], along, near), (across, slopes[1], near)
+        weights = [[a * b * c for a, b, c in product(*row)] for row in table]
+        nodes = [self._node(model, node, steps, blur) for node in product(*ends)]
         return np.asarray(np.array(weights, np.float32) @ np.stack(nodes))
+
+    def _node(
+        self, model: LightModel, node: tuple[int, ...], steps: tuple[float, ...], blur: float
+    ) -> Visibility:
+        """Return (N,) the visibility at a node."""
+        assert self._rays is not None
+        column, row, nearness = node
+        key = column, row, nearness, model.radius_deg
+        if (*key, blur) in self._known:
+            return self._known[*key, blur]
+        if key not in self._sharp:
+            direction = model.direction(column * steps[0], row * steps[1])
+            distance = model.radius_mm / (nearness * steps[2]) if nearness > 0 else math.inf
+            visible = self._rays.reached(direction, distance, model.radius_deg).astype(np.float32)
+            # Turned away at the node, a cell may face the light itself: no cast shadow's outline there.
+            nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
+            visible[self._normal @ direction <= nearer] = 1
+            self._sharp[key] = visible
+        if blur not in self._whole:
+            self._whole[blur] = self._blurred(np.ones(len(self._position), np.float32), blur)
+        self._known[*key, blur] = self._blurred(self._sharp[key], blur) / self._whole[blur]
+        return self._known[*key, blur]
+
+    def _blurred(self, values: Visibility, blur: float) -> Visibility:
+        grid = np.zeros(np.max(self._cell, axis=1) + 1, np.float32)
+        grid[self._cell] = values
+        smooth = gaussian_filter(grid, blur * self._side, mode="constant", truncate=3.0)
+        return np.asarray(smooth[self._cell], np.float32)

@@ -13,8 +13,9 @@ from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
 from scan2albedo.albedo.light_colour import LightColours
 from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
+from scan2albedo.albedo.node_field import deviation_of_light
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM
-from scan2albedo.albedo.posterior import EXTRA, FREEDOM, UNMODELLED, Point
+from scan2albedo.albedo.posterior import EXTRA, FREEDOM, Point
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
@@ -27,8 +28,6 @@ _TOGETHER = 0.8 / 256
 """Neighbours that a shadow covers together (standard deviation, as a part of the chart's side)."""
 _GRAIN = 0.25
 """Standard deviation of log albedo beside what is known of it, where a texel tells shadow from light."""
-_UNKNOWN = 2.0
-"""Log light is never less known than this: an ambient light of a tenth remains anywhere."""
 _HALF_STEP = 2 / 255
 """Rounding of 8 bits, as a part of the median V where that is a quarter."""
 _LEAST = 0.01
@@ -201,7 +200,7 @@ def _unmodelled(scene: LitImage, point: Point, light: FloatArray, specular: Floa
     grain = np.maximum(p.prior.deviation_at(scene.places)[:, 0], measured) ** 2
     # A brow, a mole: Student's t, whose variance grows with what is seen.
     grain = (FREEDOM * grain + left**2) / (FREEDOM + 1)
-    stray = np.minimum(UNMODELLED * point.scales.light * np.median(light[known]) / light, _UNKNOWN)
+    stray = point.scales.light * deviation_of_light(light, float(np.median(light[known])))
     unknown = stray**2 + (step / value) ** 2
     return np.asarray(left * unknown / (grain + unknown))
 
