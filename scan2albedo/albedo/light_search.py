@@ -258,7 +258,7 @@ class LightSearch:
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""
         for evaluations in _DESCENTS:
-            point = descend(point, evaluations, self.scene.meter).rescaled()
+            point = descend(point, evaluations, self.scene.meter).rescaled().rescaled()
         return point
 
     def _in_the_dark(self, base: Point, model: LightModel) -> Iterator[Point]:

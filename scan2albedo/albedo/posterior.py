@@ -17,7 +17,9 @@ from scan2albedo.albedo.node_field import (
     TINY,
     NodeField,
     Scales,
+    cell_variances,
     deviation_of_light,
+    inverse,
     posterior_factor,
     solved,
 )
@@ -268,8 +270,7 @@ class Point:
         for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.field.ratio, _LIGHT_SD):
             dof = scale**2 * float(ratio @ free)
             parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, TINY), dof, sd))
-        inverse = solved(self.factor, np.eye(len(self.u)))
-        sure = np.asarray(p.nodes.multiply(p.nodes @ inverse).sum(1)).ravel()
+        sure = cell_variances(p.nodes, inverse(self.factor))
         share = self.robust * p.variance * grain**2 * p.repeats
         rough = float((share * (self.error**2 + sure) / p.variance).mean())
         if self.model.environment:
@@ -301,15 +302,14 @@ class Point:
         p = self.problem
         light = self.scales.light**2 * p.field.light_covariance
         own = light @ p.field.precision(self.scales)
-        inverse = solved(self.factor, np.eye(len(self.u)))
-        nodes = light - own @ light + own @ inverse @ own.T
+        nodes = light - own @ light + own @ inverse(self.factor) @ own.T
         slopes = self.slopes[:-EXTRA] - self.slopes[:-EXTRA].mean(1, keepdims=True)
         # What x changes, the nodes' part of light partly takes back.
         taken = solved(self.factor, p.onto_nodes @ (slopes * self.weight).T)
         slopes = slopes - (p.nodes @ (own @ taken)).T
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
         variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
-        variance += np.asarray(p.nodes.multiply(p.nodes @ nodes).sum(1)).ravel()
+        variance += cell_variances(p.nodes, nodes)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def albedo_nodes(self) -> tuple[float, FloatArray]:

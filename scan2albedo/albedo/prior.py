@@ -18,7 +18,7 @@ from scan2albedo.errors import LightingError
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.io.npz import read_npz, write_npz
 
-NODES, MEANS = 20, 64
+NODES, MEANS = 16, 64
 """Cells a side of the two grids over the chart's unit square: deviations of a person, and means. Values stand
 at the cells' centres, row 0 at v = 1. Finer nodes explain heads left out better (32: by 0.6 nats a cell), but
 their factorisations cost NODES^6."""

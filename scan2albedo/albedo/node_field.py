@@ -1,0 +1,151 @@
+"""What is known, at the nodes of an albedo's prior, of log albedo and of light that no part stands for."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve, eigh, solve_triangular
+from scipy.linalg.lapack import dpotri
+
+from scan2albedo.albedo.levels import Level
+from scan2albedo.albedo.prior import NODES, AlbedoPrior
+from scan2albedo.core.arrays import FloatArray, IntArray
+
+UNMODELLED, _REACH = 0.06, 0.12
+"""Standard deviation of light that no part stands for, as a part of the median light, and its correlation
+length as a part of the chart's side."""
+_UNKNOWN = 2.0
+"""Log light is never less known than this: an ambient light of a tenth remains anywhere."""
+TINY, FAINT = 1e-6, 1e-4
+"""Parts of the median below which weights, and V, count as none."""
+
+
+class Scales(NamedTuple):
+    """By what the image multiplies standard deviations of the prior; 1 is the prior's own."""
+
+    albedo: float = 1.0
+    """Of albedo at the nodes."""
+    light: float = 1.0
+    """Of light that no part stands for."""
+    grain: float = 1.0
+    """Of single cells."""
+    soft: float = 1.0
+    """Of the environment's harmonics."""
+
+
+class NodeField:
+    """The prior u ~ N(0, a^2 C_a + l^2 C_l) at M nodes, for scales a of albedo and l of light.
+
+    C_a is that of `AlbedoPrior`, C_l is larger where it is dark. The nodes are those that the cells of
+    `level`, at `places` (N, 2) of the prior's chart, touch.
+    """
+
+    def __init__(self, prior: AlbedoPrior, level: Level, places: FloatArray) -> None:
+        weights = prior.node_weights(places)
+        self.prior = prior
+        self.used: IntArray = np.flatnonzero(np.asarray(weights.sum(0)).ravel() > TINY)
+        self.albedo_covariance = self.of_used(prior.covariance(0))
+        # Brightness without the face's own pattern says how dark a place is, whatever the light.
+        bright = level.value / np.exp(np.clip(prior.mean_at(places)[:, 0], -1.5, 0.5))
+        dark = deviation_of_light(np.maximum(bright, FAINT), float(np.median(bright)))
+        self.light_covariance = self.light_error(weights[:, self.used].T.tocsr(), dark)
+        # Both covariances are diagonal in one basis, so each pair of scales has its precision at once.
+        root = np.linalg.cholesky(self.albedo_covariance)
+        inner = solve_triangular(
+            root, solve_triangular(root, self.light_covariance, lower=True).T, lower=True
+        )
+        ratio, turned = eigh(inner, check_finite=False)
+        self.ratio = np.maximum(ratio, 0.0)
+        """(M,) variance of light beside one of albedo, in the basis."""
+        self.basis = solve_triangular(root, turned, trans="T", lower=True)
+        self._log_root = 2 * float(np.log(np.diag(root)).sum())
+        self._precision: tuple[Scales | None, FloatArray] = None, self.ratio
+
+    def of_used(self, covariance: FloatArray) -> FloatArray:
+        """Return (M, M) the part of a covariance of all nodes that belongs to those of this field."""
+        return covariance[np.ix_(self.used, self.used)]
+
+    def weights(self, places: FloatArray) -> sparse.csr_matrix:
+        """Return (N, M) the nodes' weights at `places` (N, 2)."""
+        return self.prior.node_weights(places)[:, self.used].tocsr()
+
+    def own(self, scales: Scales) -> FloatArray:
+        """Return (M,) the precision in the basis."""
+        return np.asarray(1 / (scales.albedo**2 + scales.light**2 * self.ratio))
+
+    def precision(self, scales: Scales) -> FloatArray:
+        """Return (M, M) the precision; the last is kept."""
+        if self._precision[0] is None or self._precision[0][:2] != scales[:2]:
+            self._precision = scales, (self.basis * self.own(scales)) @ self.basis.T
+        return self._precision[1]
+
+    def log_determinant(self, scales: Scales) -> float:
+        """Return that of the covariance."""
+        return self._log_root - float(np.log(self.own(scales)).sum())
+
+    def light_error(self, onto_nodes: sparse.csr_matrix, deviation: FloatArray) -> FloatArray:
+        """Return (M, M) the covariance of log light, of cells' standard `deviation` (N,)."""
+        count = np.maximum(onto_nodes @ np.ones(len(deviation)), TINY)
+        size = np.sqrt((onto_nodes @ deviation**2) / count)
+        at = np.stack(np.divmod(self.used, NODES), 1) / NODES
+        apart = np.linalg.norm(at[:, None] - at[None], axis=2)
+        return np.asarray(np.outer(size, size) * np.exp(-apart / _REACH) + TINY * np.eye(len(at)))
+
+
+def deviation_of_light(light: FloatArray, median: float) -> FloatArray:
+    """Return the standard deviation of the log of light that no part stands for, beside (N,) `light`."""
+    return np.minimum(UNMODELLED * median / light, _UNKNOWN)
+
+
+def posterior_factor(
+    nodes: sparse.csr_matrix, weight: FloatArray, precision: FloatArray
+) -> tuple[FloatArray, bool]:
+    """Return the Cholesky factor of the precision of M nodes, given cells (N, M) of `weight` (N,).
+
+    Before, it is `precision` (M, M).
+    """
+    matrix = precision.copy(order="F")
+    _add_cells(nodes.indptr, nodes.indices, nodes.data, weight, matrix)
+    found: tuple[FloatArray, bool] = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+    return found
+
+
+def solved(factor: tuple[FloatArray, bool], values: FloatArray) -> FloatArray:
+    """Return the solution (M, ...) of the system with this factor."""
+    return np.asarray(cho_solve(factor, values, check_finite=False))
+
+
+def inverse(factor: tuple[FloatArray, bool]) -> FloatArray:
+    """Return (M, M) the inverse of the matrix with this factor."""
+    low = dpotri(factor[0], lower=1)[0]
+    return np.asarray(np.tril(low) + np.tril(low, -1).T)
+
+
+def cell_variances(nodes: sparse.csr_matrix, covariance: FloatArray) -> FloatArray:
+    """Return (N,) the variances of cells, of rows of `nodes` (N, M) whose covariance is (M, M)."""
+    found: FloatArray = _cell_variances(nodes.indptr, nodes.indices, nodes.data, covariance)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
+    """Return (N,) s_n^T matrix s_n of the rows s_n of a sparse matrix (N, M)."""
+    found = np.zeros(len(start) - 1)
+    for n in range(len(found)):
+        for i in range(start[n], start[n + 1]):
+            for j in range(start[n], start[n + 1]):
+                found[n] += share[i] * share[j] * matrix[node[i], node[j]]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _add_cells(start, node, share, weight, matrix):  # type: ignore[no-untyped-def]
+    """Add w_n s_n s_n^T of cells n to the lower half of `matrix` (M, M); s_n are rows of a sparse matrix."""
+    for n in range(len(weight)):
+        for i in range(start[n], start[n + 1]):
+            for j in range(start[n], i + 1):
+                low, high = min(node[i], node[j]), max(node[i], node[j])
+                matrix[high, low] += weight[n] * share[i] * share[j]
