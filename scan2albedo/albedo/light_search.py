@@ -28,8 +28,9 @@ _DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
 """The same of the first lamps in a room that is dark otherwise; what such a lamp shades is no outlier yet."""
 _SAME_COSINE = 0.9
 """Lamps whose directions have a larger cosine are one at the start."""
-_FOLLOWED, _KEPT = 4, 2
+_FOLLOWED, _KEPT = 6, 3
 """Distinct starts that take two steps, and that go on to where the posterior is largest."""
+_COARSE_STEPS = 4
 _FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
 _CAUTION = 0.1
@@ -136,7 +137,8 @@ class LightSearch:
         """Return (N,) what the mean log light of all explanations adds to the first, and their deviation."""
         known, values, fields = {id(p): value for value, p in self.found}, list[float](), list[FloatArray]()
         for point in wanted:
-            field = np.log(point.light)
+            # What is left of V without the highlight and the light is albedo.
+            field = np.log(point.light) - np.log(point.left_of_highlight())
             field -= np.average(field, weights=point.problem.level.weight)
             # Descents from several starts meet.
             if all(np.std(field - other) > _ALIKE for other in fields):
@@ -233,8 +235,8 @@ class LightSearch:
             # A lamp in a dark room is far from soft light: its own cost ranks it, not a predicted one.
             away = [(p.cost, p.x) for p in self._in_the_dark(base, model)]
             dark = self._points(coarse, model, _distinct(model, away, _KEPT), _DARK_SCALES)
-            fresh = sorted((descend(p, 2, meter) for p in dark), key=lambda p: p.cost)[:1]
-        tried = sorted((descend(p, 2, meter) for p in points), key=lambda p: p.cost)
+            fresh = sorted((descend(p, _COARSE_STEPS, meter) for p in dark), key=lambda p: p.cost)[:1]
+        tried = sorted((descend(p, _COARSE_STEPS, meter) for p in points), key=lambda p: p.cost)
         full, found = self._model(base.model.lights + 1), list[Point]()
         for start in [*tried[: _KEPT - len(fresh)], *fresh]:
             if found and meter.exhausted:

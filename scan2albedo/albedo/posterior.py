@@ -57,6 +57,8 @@ _DAMPING = Damping(first=1e-2, increase=8.0, least=1e-4, after_failure=1e-3, lar
 _SETTLED = 1e-4
 _LONGEST = 3.0
 """Longest step as a multiple of the model's first steps."""
+REMAINS = 0.1
+"""Part of V, and of a channel, that a highlight leaves: it takes none below what albedo remains."""
 EXTRA = 2
 """Parameters beside the light's: log scale, and how much of the faces' mean albedo this one has."""
 
@@ -222,6 +224,11 @@ class Point:
     def light_x(self) -> FloatArray:
         """The light's part of x."""
         return self.x[:-EXTRA]
+
+    def left_of_highlight(self) -> FloatArray:
+        """Return (N,) V without the highlight, which leaves some of it."""
+        value = np.exp(self.problem.value)
+        return np.asarray(np.maximum(value - self.specular, REMAINS * value))
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
