@@ -198,8 +198,8 @@ def _unmodelled(scene: LitImage, point: Point, light: FloatArray, specular: Floa
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
     measured = float(norm.ppf(0.75) ** -1 * np.median(np.abs(left[known])))
     grain = np.maximum(p.prior.deviation_at(scene.places)[:, 0], measured) ** 2
-    # A brow, a mole: Student's t, whose variance grows with what is seen.
-    grain = (FREEDOM * grain + left**2) / (FREEDOM + 1)
+    # A brow, a mole, hair: Student's t, whose variance grows with what is seen. Little is that bright.
+    grain = (FREEDOM * grain + np.minimum(left, 0.0) ** 2) / FREEDOM
     stray = point.scales.light * deviation_of_light(light, float(np.median(light[known])))
     unknown = stray**2 + (step / value) ** 2
     return np.asarray(left * unknown / (grain + unknown))
