@@ -39,8 +39,6 @@ _INDEPENDENT = 530.0
 """Cells of a whole chart that err independently. It has some 1,250 at 1/40 of its side; on path-traced faces
 that were left out light is found best where two or three count as one: what fits and lamps err by correlates
 farther than texture does."""
-_OF_AREA = 0.5
-"""The same over an area, as a part of that of single texels, where the light has been found."""
 _ALBEDOS = 0.1, 0.8
 """Of skin, dark and pale, in red."""
 NOISE = 0.02
@@ -50,7 +48,7 @@ DARK = 0.02
 _MISFIT_SD = 0.7
 """Standard deviation of the log of both scales that the image itself tells: how far this person is from the
 prior, and how rough."""
-_LIGHT_SD = 0.5
+_LIGHT_SD = 0.25
 _SOFT_SD = 0.4
 """The same of the harmonics of the environment: a studio has none."""
 _DAMPING = Damping(first=1e-2, increase=8.0, least=1e-4, after_failure=1e-3, largest=1e4)
@@ -325,7 +323,7 @@ class Point:
         Light that no part stands for is a part of the median light, relative to the light found here.
         """
         p, scales = self.problem, self.scales
-        dark = _OF_AREA * scales.light * deviation_of_light(self.light, float(np.median(self.light)))
+        dark = scales.light * deviation_of_light(self.light, float(np.median(self.light)))
         albedo = scales.albedo**2 * p.field.albedo_covariance
         total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
