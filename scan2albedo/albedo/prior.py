@@ -123,8 +123,10 @@ class AlbedoPrior:
                 )
             found[name] = found[name].astype(np.float64)
         a, b, c = found.pop("level").tolist()
-        if not (min(found["deviation"].min(), found["spread"].min(), found["length"], c) > 0):
-            raise LightingError(f"{what} {path}: deviation, spread, length or level is not above 0; {advice}")
+        least = np.linalg.eigvalsh(found["chroma"][1:])[0]
+        if not (min(found["deviation"].min(), found["spread"].min(), found["length"], c, least) > 0):
+            names = "deviation, spread, length, level or chroma"
+            raise LightingError(f"{what} {path}: {names} is not above 0; {advice}")
         numbers = {name: float(found.pop(name)) for name in ("shrinkage", "length")}
         return cls(**found | numbers | {"level": (a, b, c), "face": bool(found["face"])})
 
