@@ -106,7 +106,7 @@ def test_a_saved_prior_comes_back(prior, tmp_path):
     ("name", "value", "message"),
     [
         ("mean", np.zeros((3, 3, 3)), r"mean is float64 of shape \(3, 3, 3\).* \(64, 64, 3\); give a file"),
-        ("modes", np.zeros((3, 5, 2, 2)), r"expected finite numbers of shape \(3, R, 20, 20\)"),
+        ("modes", np.zeros((3, 5, 2, 2)), rf"expected finite numbers of shape \(3, R, {NODES}, {NODES}\)"),
         ("spread", np.full((3, NODES, NODES), np.nan), "spread .* expected finite"),
         ("deviation", np.zeros((MEANS, MEANS, 3)), "not above 0"),
         ("level", np.array("high"), "level is <U4"),
