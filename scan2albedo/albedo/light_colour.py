@@ -10,11 +10,10 @@ from scipy.linalg import block_diag, cho_factor
 
 from scan2albedo.albedo.light_parameters import HARMONICS
 from scan2albedo.albedo.node_field import inverse, posterior_factor, solved
-from scan2albedo.albedo.posterior import DARK, NOISE, Point, Posterior, cell_trust, robust_weights
+from scan2albedo.albedo.posterior import DARK, EXTRA, NOISE, Point, Posterior, cell_trust, robust_weights
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.plan import PlanStep
-from scan2albedo.lighting.shading import lamp_factors
 
 STAGE = "albedo.light_colour"
 _COLOUR_SD = 0.3, 0.1, 0.05
@@ -102,10 +101,12 @@ class _Colours:
         deviation = np.array([lamp] * self.lamps + [first] * 3 + [second] * (HARMONICS - 3))
         tint = np.transpose(_TINT_SD) @ np.array(_TINT_SD)
         both = [np.linalg.inv(change @ part @ change.T) for part in (p.prior.chroma[1:], tint)]
-        self.share, strength_sd = _highlights(point)
-        self.gloss = (
-            point.specular / (np.exp(p.value - point.left) - point.specular) / np.exp(p.nodes @ point.u)
-        )
+        scale, likeness = point.x[-EXTRA:]
+        whole = point.light * np.exp(scale + likeness * p.mean + p.nodes @ point.u)
+        self.gloss, strength_sd = point.highlights / whole, NOISE
+        if self.gloss.any():
+            at = point.model.position_of("specular")
+            strength_sd = min(math.sqrt(point.covariance()[at, at]) / point.x[at], 1.0)
         self.known = block_diag(np.diag(np.tile(deviation**-2.0, 2)), *both, strength_sd**-2)
         self.expected = np.zeros(len(self.known))
         self.expected[-5:-3] = change @ p.prior.chroma[0]
@@ -132,8 +133,9 @@ class _Colours:
             at = self.at(number)
             x = self.x[at]
             colors, (light, white) = np.exp(x[: self.lamps]), self.light(x)
-            relative, gloss = light / point.light / white, self.gloss * math.exp(x[-1])
-            own = gloss * (colors @ self.share) / white / np.exp(x[-3] + ratio.mean) / relative
+            relative = light / point.light / white
+            gloss, own = np.vstack([np.ones(self.lamps), colors / white]) @ self.gloss * math.exp(x[-1])
+            own /= np.exp(x[-3] + ratio.mean) * relative
             left = ratio.log - ratio.mean - x[-3] - x[-2] - np.log(relative * (1 + own) / (1 + gloss))
             parts = np.column_stack([point.lamps.T * colors, p.soft.transfer[:, 1:]]) / light[:, None]
             parts -= np.average(parts, weights=p.level.weight * light, axis=0)
@@ -202,18 +204,3 @@ class _Ratio:
         self.u = fields[:, -1]
         self.weight = robust_weights(rows[:, -1] - p.nodes @ self.u, self.variance, p.repeats)
         return np.asarray(rows.T @ weighted - onto.T @ fields)
-
-
-def _highlights(point: Point) -> tuple[FloatArray, float]:
-    """Return (L, N) each lamp's share of the highlights, and the standard deviation of their log strength."""
-    level, model, found = point.problem.level, point.model, point.model.decode(point.light_x)
-    share = np.zeros((model.lights, len(level.value)))
-    if not found.reflectance.specular_strength:
-        return share, NOISE
-    visible = point.problem.lattice.visibility(model, point.light_x, point.problem.blur)[0]
-    for number, (row, seen) in enumerate(zip(found.rows, visible, strict=True)):
-        lamp = level.position, level.normal, seen, row[:3], row[3], level.toward, found.reflectance
-        share[number] = row[4] * lamp_factors(*lamp).highlight
-    at = model.position_of("specular")
-    unsure = min(math.sqrt(point.covariance()[at, at]) / point.x[at], 1.0)
-    return share / np.maximum(share.sum(0), np.finfo(float).tiny), unsure
