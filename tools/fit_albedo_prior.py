@@ -130,6 +130,11 @@ def learn(heads: Iterable[Head]) -> AlbedoPrior:
     modes = [np.pad(one, ((0, most - len(one)), (0, 0), (0, 0))) for one in modes]
     medians = np.array([head.medians for head in given])
     slope, offset = np.polyfit(medians[:, 1], medians[:, 0], 1)
+    # The covariance of Student's predictive distribution of one person more: it exists for five and more.
+    chroma, ratios, count = AlbedoPrior.stationary().chroma, medians[:, 1:], len(given)
+    if count > 4:
+        one_more = (count**2 - 1) / (count * (count - 4)) * np.cov(ratios.T)
+        chroma = np.vstack([ratios.mean(0), one_more])
     scatter = float(np.std(medians[:, 0] - offset - slope * medians[:, 1], ddof=2)) if len(given) > 2 else 1.0
     return AlbedoPrior(
         mean=mean,
@@ -139,6 +144,7 @@ def learn(heads: Iterable[Head]) -> AlbedoPrior:
         shrinkage=SHRINKAGE,
         length=LENGTH,
         level=(float(offset), float(slope), scatter),
+        chroma=chroma,
         face=True,
     )
 

@@ -72,14 +72,15 @@ def divide_light(
     differences from it: noise that the channels share is in the first alone, noise of one channel in both.
 
     `texture` is linear, (H, W) or (H, W, C), `light` I_a + I_d > 0 (H, W) or of the texture's shape, and
-    `specular` (H, W) I_s: highlights are white. `mask` and `usable` (H, W) are the texels of the surface and
+    `specular` (H, W) or (H, W, 3) I_s. `mask` and `usable` (H, W) are the texels of the surface and
     those that were measured; the others keep the plain quotient, as all do without `shrink`. `skin` (H, W)
     says how surely a texel is skin, everywhere when None: what is rougher in the dark than in the light is
     noise there, but may be a beard elsewhere. `side` is that of a chart of the whole face in such texels, the
     mask's when omitted, and `usual` that of another part of the same image, so that parts join without a
     seam.
     """
-    channels = texture.reshape(*mask.shape, -1).astype(np.float64) - specular[..., None]
+    channels = texture.reshape(*mask.shape, -1).astype(np.float64)
+    channels -= specular.reshape(*mask.shape, -1)
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
     quotient = np.where(mask[..., None], channels / light, 0.0)
     known = usable.astype(np.float64)

@@ -112,9 +112,9 @@ def estimate_albedo(
     tenth of the texels faces `view_direction`. The trace's error is the perplexity of a cell: one over the
     geometric mean of its probability density.
 
-    Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface cannot
-    be distinguished from pigment: the mean light is white. Texels that are not skin weigh a quarter in the
-    search. White noise is filtered.
+    Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface is
+    told from pigment only by what is known of skin, and by highlights: the mean light is nearly white. Texels
+    that are not skin weigh a quarter in the search. White noise is filtered.
 
     The paper's objective knows lamps under constant white ambient light alone: one lamp at least, no
     occlusion, environment, bounce, colours or spread outlines.
@@ -225,7 +225,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         lights=lit.lights,
         parameters=parameters,
         shading=shading.astype(np.float32),
-        specular=specular.astype(np.float32),
+        specular=specular.mean(-1).astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
         plan=Plan((*found.steps, cameras, rectification, inpainting)),

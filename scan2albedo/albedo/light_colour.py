@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor
 
 from scan2albedo.albedo.light_parameters import HARMONICS
-from scan2albedo.albedo.node_field import posterior_factor
-from scan2albedo.albedo.posterior import DARK, NOISE, Point, cell_trust, robust_weights
+from scan2albedo.albedo.node_field import inverse, posterior_factor, solved
+from scan2albedo.albedo.posterior import DARK, EXTRA, NOISE, Point, Posterior, cell_trust, robust_weights
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.plan import PlanStep
@@ -20,21 +20,27 @@ _COLOUR_SD = 0.3, 0.1, 0.05
 """Standard deviations of the log of a lamp's colour beside that of the ambient light, one channel to the
 next, and of colour in the harmonics of orders 1 and 2: the log ratio of blue and red in daylight (6500 K) and
 in a bulb's light (2700 K) differs by 1.2, four standard deviations."""
+_TINT_SD = (0.045, 0.089), (-0.027, 0.013)
+"""Standard deviations of log green / red and log blue / red of the mean light, along the locus of black
+bodies and daylight and across: white balance errs by two degrees [1]_.
+
+.. [1] D. Cheng, D. Prasad, M. Brown, "Illuminant estimation for color constancy: why spatial-domain methods
+   work and the role of the color distribution", JOSA A 31(5), 2014.
+"""
 _CAST = 0.3
 """Variance of the colour of light that no part stands for, as a part of that of its brightness."""
 _STEPS = 10
-_LONGEST, _FARTHEST = 0.4, 1.5
-"""Of a step, and of any log colour."""
-_REMAINS = 0.1
-"""Part of a channel that a highlight leaves: it is white, and takes no channel below what albedo remains."""
+_LONGEST = 0.4
+"""Of a step of any log."""
 
 
 @dataclass(frozen=True)
 class LightColours:
-    """The colours of the parts of a light, whose mean over the surface is white.
+    """The colours of the parts of a light.
 
     `lamps` (L, 3), `ambient` (3,) and `bounce` (3,) multiply the white parts, `harmonics` (8, 3) are added to
-    the white ones. `cast` (M, 3) is the log colour, at the nodes, of light that no part stands for.
+    the white ones. `cast` (M, 3) is the log colour, at the nodes, of light that no part stands for. `gloss`
+    is what multiplies the strength of the highlights, which have their lamps' colours.
     """
 
     lamps: FloatArray
@@ -43,6 +49,7 @@ class LightColours:
     harmonics: FloatArray = field(default_factory=lambda: np.zeros((HARMONICS, 3)))
     bounce: FloatArray = field(default_factory=lambda: np.ones(3))
     cast: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    gloss: float = 1.0
 
     @classmethod
     def white(
@@ -56,90 +63,144 @@ class LightColours:
         return replace(self, lamps=self.lamps[order])
 
 
-@dataclass(frozen=True)
-class _Channel:
-    """One channel's log colours of the lamps and harmonics, its tint, its cast at the nodes, and the odds."""
-
-    lamps: FloatArray
-    harmonics: FloatArray
-    tint: float
-    cast: FloatArray
-    gain: float
-    log_odds: float
-
-
 def light_colours(point: Point, choice: bool | None) -> LightColours:
-    """Solve the colours of the light of a point, each channel beside the brightest one.
+    """Solve the colours of the light of a point, two channels beside the brightest one.
 
-        log T_c / T_0 = offset + m_c + M u_c + log I_c / I_0
+        T_c / T_0 = (q_c exp(t_c) I_c / I_0 + g k_c) / (1 + g),   log q_c = o_c + m_c + M u_c
 
-    with the prior of log ratios on the nodes, lamps of any colour near the ambient light's, and bounced light
-    of the colour of the surface. Light of one colour cannot be distinguished from pigment: the offset is free
-    and the mean light white. `choice` False leaves colour out.
+    with the prior of log ratios m, u on the nodes and o of a person; lamps of any colour near the ambient
+    light's, I_c / I_0 being 1 on average; bounced light of the colour of the surface; the highlights' ratio g
+    to the rest of the brightest channel, known as well as the search knows it, in the colours k of the lamps;
+    and the tint t of all light. Light of one colour is told from pigment by what is known of both, and by the
+    highlights. `choice` False leaves colour out.
     """
-    problem, count, nodes = point.problem, point.model.lights, len(point.problem.field.used)
-    color = problem.level.color
+    count, nodes = point.model.lights, len(point.problem.field.used)
+    color = point.problem.level.color
     if choice is False:
         return LightColours.white(count, "left out by the caller", nodes=nodes)
     if not np.ptp(color, axis=1).any():
         return LightColours.white(count, "the picture is grey", "no colour", nodes)
-    below = np.maximum(color - point.specular[:, None], _REMAINS * color)
-    lead = problem.lead
-    found = LightColours.white(count, nodes=nodes)
-    odds = 0.0
-    for number, c in enumerate([c for c in range(3) if c != lead], 1):
-        channel = _solved(point, below[:, c], below[:, lead], number)
-        gain = channel.gain
-        state = point.model.soft(point.light_x)
-        found.lamps[:, c] = gain * np.exp(channel.lamps)
-        found.ambient[c] = gain
-        found.harmonics[:, c] = gain * (state.harmonics + channel.harmonics) - state.harmonics
-        found.bounce[c] = gain * channel.tint
-        found.cast[:, c] = channel.cast
-        odds += channel.log_odds
-    reason = "the parts of the light have their own colours"
-    return replace(found, step=PlanStep(STAGE, True, reason, f"log odds {odds:.1f}"))
-
-
-def _solved(point: Point, value: FloatArray, leading: FloatArray, number: int) -> _Channel:
-    """Solve one channel by Gauss-Newton steps; `number` is that of the prior's channel."""
-    p, level, count = point.problem, point.problem.level, point.model.lights
-    darkest = DARK * np.median(leading)
-    log_ratio = np.log(np.maximum(value, darkest) / np.maximum(leading, darkest))
-    tint = math.exp(float(np.median(log_ratio)))
-    mean = p.prior.mean_at(p.places)[:, number]
-    sigma = p.prior.deviation_at(p.places)[:, number]
-    dark = DARK * np.median(value) / np.maximum(value, darkest)
-    variance = (sigma**2 + NOISE**2 + dark**2) / cell_trust(level)
-    covariance = p.field.of_used(p.prior.covariance(number)) + _CAST * p.field.light_covariance
-    precision = cho_solve(cho_factor(covariance, lower=True), np.eye(len(covariance)))
-    lamp, first, second = _COLOUR_SD
-    deviation = np.array([lamp] * count + [first] * 3 + [second] * (HARMONICS - 3))
-    prior, transfer = 1 / deviation**2, p.soft.transfer[:, 1:]
-    bounced = point.bounced()
-    x, offset = np.zeros(len(deviation)), float(np.median(log_ratio - mean))
-    weight = 1 / (p.repeats * variance)
+    colours = _Colours(point)
     for _ in range(_STEPS):
-        lamps = point.lamps * np.exp(x[:count])[:, None]
-        light = point.light + (lamps - point.lamps).sum(0) + transfer @ x[count:] + bounced * (tint - 1)
-        light = np.maximum(light, DARKEST)
-        left = log_ratio - mean - np.log(light / point.light) - offset
-        slopes = np.column_stack([lamps.T, transfer]) / light[:, None]
-        rows = np.column_stack([slopes, np.ones(len(left)), left])
-        factor = posterior_factor(p.nodes, weight, precision)
-        onto = p.onto_nodes @ (rows * weight[:, None])
-        inner = rows.T @ (rows * weight[:, None]) - onto.T @ cho_solve(factor, onto, check_finite=False)
-        matrix = inner[:-1, :-1] + np.diag(np.append(prior, 0.0))
-        step = np.linalg.solve(matrix, inner[:-1, -1] - np.append(prior * x, 0.0))
-        x = np.clip(x + np.clip(step[:-1], -_LONGEST, _LONGEST), -_FARTHEST, _FARTHEST)
-        offset += float(step[-1])
-        u = cho_solve(factor, onto[:, -1], check_finite=False)
-        weight = robust_weights(left - p.nodes @ u, variance, p.repeats)
-    cast = _CAST * p.field.light_covariance @ (precision @ u)
-    change = light / point.light * np.exp(p.nodes @ cast)
-    whole = np.average(point.light, weights=level.weight)
-    gain = float(whole / np.average(point.light * change, weights=level.weight))
-    # Of the colours' posterior and prior where there is none (Dickey, see `light_priors.parts_steps`).
-    own = matrix[:-1, :-1]
-    log_odds = 0.5 * (float(x @ own @ x) - float(np.linalg.slogdet(own)[1]) + float(np.log(prior).sum()))
-    return _Channel(x[:count], x[count:], tint, cast, gain, log_odds)
+        colours.step()
+    return colours.found()
+
+
+class _Colours:
+    """The posterior of x: log colours of lamps and harmonics by channel, o and t of both, and log strength of
+    the highlights. `known` and `expected` are the precision and the mean of their prior.
+    """
+
+    def __init__(self, point: Point) -> None:
+        self.point, p, self.lamps = point, point.problem, point.model.lights
+        self.channels = [c for c in range(3) if c != p.lead]
+        # Log ratios to red, which the prior knows, become those to the leading channel.
+        change = (np.eye(3)[self.channels] - np.eye(3)[p.lead])[:, 1:]
+        self.ratios = [_Ratio(point, c, row) for c, row in zip(self.channels, change, strict=True)]
+        lamp, first, second = _COLOUR_SD
+        deviation = np.array([lamp] * self.lamps + [first] * 3 + [second] * (HARMONICS - 3))
+        tint = np.transpose(_TINT_SD) @ np.array(_TINT_SD)
+        both = [np.linalg.inv(change @ part @ change.T) for part in (p.prior.chroma[1:], tint)]
+        scale, likeness = point.x[-EXTRA:]
+        whole = point.light * np.exp(scale + likeness * p.mean + p.nodes @ point.u)
+        self.gloss, strength_sd = point.highlights / whole, NOISE
+        if self.gloss.any():
+            at = point.model.position_of("specular")
+            strength_sd = min(math.sqrt(point.covariance()[at, at]) / point.x[at], 1.0)
+        self.known = block_diag(np.diag(np.tile(deviation**-2.0, 2)), *both, strength_sd**-2)
+        self.expected = np.zeros(len(self.known))
+        self.expected[-5:-3] = change @ p.prior.chroma[0]
+        self.x, self.precision = self.expected.copy(), self.known
+        self.x[-5:-3] = [np.median(ratio.log - ratio.mean) for ratio in self.ratios]
+
+    def at(self, number: int) -> IntArray:
+        """Return the places in x of one of the two channels: parts, o, t and the highlights' strength."""
+        size, parts = len(self.x), (len(self.x) - 5) // 2
+        return np.r_[number * parts : (number + 1) * parts, size - 5 + number, size - 3 + number, size - 1]
+
+    def light(self, x: FloatArray) -> tuple[FloatArray, float]:
+        """Return (N,) the untinted light of the channel whose parts, o, ... are x, and its mean by I's."""
+        point, weights = self.point, self.point.problem.level.weight
+        light = point.light + np.expm1(x[: self.lamps]) @ point.lamps + point.bounced() * math.expm1(x[-3])
+        light = np.maximum(light + point.problem.soft.transfer[:, 1:] @ x[self.lamps : -3], DARKEST)
+        return light, float(np.average(light, weights=weights) / np.average(point.light, weights=weights))
+
+    def step(self) -> None:
+        """Take one step of Gauss and Newton; the nodes' fields and the robust weights follow."""
+        p, point = self.point.problem, self.point
+        matrix, slope = self.known.copy(), self.known @ (self.expected - self.x)
+        for number, ratio in enumerate(self.ratios):
+            at = self.at(number)
+            x = self.x[at]
+            colors, (light, white) = np.exp(x[: self.lamps]), self.light(x)
+            relative = light / point.light / white
+            gloss, own = np.vstack([np.ones(self.lamps), colors / white]) @ self.gloss * math.exp(x[-1])
+            own /= np.exp(x[-3] + ratio.mean) * relative
+            left = ratio.log - ratio.mean - x[-3] - x[-2] - np.log(relative * (1 + own) / (1 + gloss))
+            parts = np.column_stack([point.lamps.T * colors, p.soft.transfer[:, 1:]]) / light[:, None]
+            parts -= np.average(parts, weights=p.level.weight * light, axis=0)
+            seen = 1 / (1 + own[:, None])
+            rows = [parts * seen, seen, np.ones_like(seen), 1 / (1 + gloss[:, None]) - seen, left[:, None]]
+            inner = ratio.reduced(p, np.hstack(rows))
+            matrix[np.ix_(at, at)] += inner[:-1, :-1]
+            slope[at] += inner[:-1, -1]
+        self.x = self.x + np.clip(np.linalg.solve(matrix, slope), -_LONGEST, _LONGEST)
+        self.precision = matrix
+
+    def found(self) -> LightColours:
+        """Return the colours, and the log odds for them."""
+        point, p = self.point, self.point.problem
+        found = LightColours.white(self.lamps, nodes=len(p.field.used))
+        state = point.model.soft(point.light_x)
+        for number, (c, ratio) in enumerate(zip(self.channels, self.ratios, strict=True)):
+            x = self.x[self.at(number)]
+            light, white = self.light(x)
+            cast = _CAST * p.field.light_covariance @ (ratio.precision @ ratio.u)
+            gain = math.exp(x[-2]) / white
+            gain /= float(np.average(np.exp(p.nodes @ cast), weights=light * p.level.weight))
+            found.lamps[:, c] = gain * np.exp(x[: self.lamps])
+            found.ambient[c], found.bounce[c] = gain, gain * math.exp(x[-3])
+            found.harmonics[:, c] = gain * (state.harmonics + x[self.lamps : -3]) - state.harmonics
+            found.cast[:, c] = cast
+        # Of the colours' posterior and prior where there is none (Dickey, see `light_priors.parts_steps`).
+        at = np.r_[: len(self.x) - 5, -3, -2]
+        x, own = self.x[at], np.linalg.inv(np.linalg.inv(self.precision)[np.ix_(at, at)])
+        before = np.linalg.slogdet(self.known[np.ix_(at, at)])[1]
+        odds = 0.5 * float(x @ own @ x - np.linalg.slogdet(own)[1] + before)
+        reason = "the parts of the light have their own colours"
+        step = PlanStep(STAGE, True, reason, f"log odds {odds:.1f}")
+        return replace(found, step=step, gloss=math.exp(self.x[-1]))
+
+
+class _Ratio:
+    """A channel beside the leading one: its log ratio, what is known of it, and the nodes' field `u` (M,).
+
+    It is the sum of log ratios to red by their signs (2,).
+    """
+
+    def __init__(self, point: Point, channel: int, signs: FloatArray) -> None:
+        p, level = point.problem, point.problem.level
+        value, leading = level.color[:, channel], level.color[:, p.lead]
+        least = DARK * np.median(leading)
+        self.log = np.log(np.maximum(value, least) / np.maximum(leading, least))
+        self.mean = p.prior.mean_at(p.places)[:, 1:] @ signs
+        dark = DARK * np.median(value) / np.maximum(value, least)
+        grain = p.prior.deviation_at(p.places)[:, 1:] ** 2 @ signs**2
+        self.variance = (grain + NOISE**2 + dark**2) / cell_trust(level)
+        fields = [s**2 * p.field.of_used(p.prior.covariance(n)) for n, s in enumerate(signs, 1)]
+        covariance = np.add(*fields) + _CAST * p.field.light_covariance
+        self.precision = inverse(cho_factor(covariance, lower=True))
+        self.weight = 1 / (p.repeats * self.variance)
+        self.u = np.zeros(len(covariance))
+
+    def reduced(self, p: Posterior, rows: FloatArray) -> FloatArray:
+        """Return (K, K) the products of `rows` (N, K), weighted, with the nodes' field taken out of them.
+
+        The last column is what is left: the field and the weights for the next step come from it.
+        """
+        weighted = rows * self.weight[:, None]
+        onto = p.onto_nodes @ weighted
+        fields = solved(posterior_factor(p.nodes, self.weight, self.precision), onto)
+        self.u = fields[:, -1]
+        self.weight = robust_weights(rows[:, -1] - p.nodes @ self.u, self.variance, p.repeats)
+        return np.asarray(rows.T @ weighted - onto.T @ fields)

@@ -186,7 +186,7 @@ class Point:
             specular,
             *slopes,
         )
-        self.lamps = slopes[0][2 : 3 * model.lights : 3].copy()
+        self.lamps, self.highlights = (part[2 : 3 * model.lights : 3].copy() for part in slopes)
         p.soft.add(model, light_x, light, slopes[0])
         scale, likeness = self.x[-EXTRA:]
         albedo = np.exp(scale + likeness * p.mean)

@@ -35,6 +35,7 @@ _SHAPES: dict[str, tuple[int | None, ...]] = {
     "shrinkage": (),
     "length": (),
     "level": (3,),
+    "chroma": (3, 2),
     "face": (),
 }
 """Of the arrays of a file."""
@@ -72,6 +73,8 @@ class AlbedoPrior:
     level: tuple[float, float, float]
     """(a, b, c): a person's median log(red) is a + b times the median log(green / red), with standard
     deviation c."""
+    chroma: FloatArray
+    """(3, 2): mean of a person's median log(green / red) and log(blue / red), and their covariance."""
     face: bool
     """Whether it was learned from faces: places are then those of `GeometryImage.face_chart`."""
 
@@ -99,6 +102,8 @@ class AlbedoPrior:
             shrinkage=0.0,
             length=length,
             level=(float(np.log(_LEVEL[0])), 0.0, _LEVEL[1]),
+            # Nothing is known of these.
+            chroma=np.vstack([np.zeros(2), 100 * np.eye(2)]),
             face=False,
         )
 
@@ -118,8 +123,10 @@ class AlbedoPrior:
                 )
             found[name] = found[name].astype(np.float64)
         a, b, c = found.pop("level").tolist()
-        if not (min(found["deviation"].min(), found["spread"].min(), found["length"], c) > 0):
-            raise LightingError(f"{what} {path}: deviation, spread, length or level is not above 0; {advice}")
+        least = np.linalg.eigvalsh(found["chroma"][1:])[0]
+        if not (min(found["deviation"].min(), found["spread"].min(), found["length"], c, least) > 0):
+            names = "deviation, spread, length, level or chroma"
+            raise LightingError(f"{what} {path}: {names} is not above 0; {advice}")
         numbers = {name: float(found.pop(name)) for name in ("shrinkage", "length")}
         return cls(**found | numbers | {"level": (a, b, c), "face": bool(found["face"])})
 

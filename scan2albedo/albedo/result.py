@@ -35,7 +35,7 @@ class AlbedoEstimate:
     shading: NDArray[np.float32]
     """(H, W, 3): I of each channel (lamps, soft and bounced light), which divided the texture."""
     specular: NDArray[np.float32]
-    """(H, W): I_s, which was subtracted from the texture: highlights are white."""
+    """(H, W): mean I_s, which was subtracted from the texture in the lamps' colours."""
     shadow: NDArray[np.float32]
     """(H, W): visibility in [0, 1], the smallest over the lights."""
     confidence: NDArray[np.float32]
@@ -76,7 +76,7 @@ class AlbedoEstimate:
     ) -> NDArray[np.float32]:
         """Return (H, W, 3) the linear texture under other lights in their colours, with shadows.
 
-        T = A (I_a + I_d) + I_s with the estimated reflectance; highlights are white, as those removed were.
+        T = A (I_a + I_d) + I_s with the estimated reflectance, highlights in the colours of their lamps.
         I_a is 1 without an environment; give the estimate's own for the light of the scan. With one, the
         surface also throws light onto itself, if its `bounce` says so. One viewer sees all of it, whatever
         cameras took the texture.
@@ -95,7 +95,7 @@ class AlbedoEstimate:
         ).shading
         albedo = self.albedo_linear[mask].astype(np.float64)
         result = np.zeros((*mask.shape, 3), np.float32)
-        result[mask] = albedo * shading.light_linear + shading.specular[:, None]
+        result[mask] = albedo * shading.light_linear + shading.specular_linear
         return result
 
 

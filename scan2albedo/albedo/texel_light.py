@@ -43,7 +43,7 @@ class TexelLight:
     light_linear: FloatArray
     """(N, 3)."""
     specular: FloatArray
-    """(N,) in the unit of the texture."""
+    """(N, 3) in the unit of the texture."""
     visible: FloatArray
     """(N,) 0 where some lamp is hidden."""
     cast: FloatArray
@@ -77,15 +77,15 @@ class _Lamps:
     rows: FloatArray
     reflectance: Reflectance
 
-    def shading(self, visible: NDArray) -> Shading:
-        """Return the shading under lamps of which so much, (L, N), is seen."""
+    def shading(self, visible: NDArray, colors: FloatArray | None = None) -> Shading:
+        """Return the shading under lamps of which so much, (L, N), is seen; `colors` (L, 3) are theirs."""
         image, mask = self.scene.image, self.scene.image.mask
         scale = np.ones(int(mask.sum()))
         if image.specular_scale is not None:
             scale = image.specular_scale[mask].astype(np.float64)
         surface = image.position[mask], image.normal[mask].astype(np.float64)
         view = image.toward_camera(self.scene.view)
-        return shade_rows(*surface, visible, self.rows, view, self.reflectance, scale)
+        return shade_rows(*surface, visible, self.rows, view, self.reflectance, scale, colors)
 
 
 def _of_solution(
@@ -93,7 +93,7 @@ def _of_solution(
 ) -> TexelLight:
     """Return the light of one explanation; without `point` and `colours` it is that of the paper's search."""
     image, state, model, caster = scene.image, solution.hypothesis, solution.model, scene.shadows[0]
-    strength = state.reflectance.specular_strength * unit
+    strength = state.reflectance.specular_strength * unit * (colours.gloss if colours else 1)
     reflectance = replace(state.reflectance, specular_strength=strength)
     order = np.argsort(-state.rows[:, 4], kind="stable")
     lamps = _Lamps(scene, state.rows[order], reflectance)
@@ -121,7 +121,7 @@ def _of_solution(
             lights[k] = replace(lights[k], intensity=intensity, color_linear=(red, green, blue))
     else:
         colors = LightColours.white(len(lights))
-    shaded = lamps.shading(visible)
+    shaded = lamps.shading(visible, colors.lamps)
     light = shaded.light_linear
     if point is not None or model.occlusion or model.bounce or model.environment:
         environment, light = _with_soft_light(scene, solution, shaded.lamps, shaded.lamps, colors)
@@ -131,7 +131,7 @@ def _of_solution(
     return TexelLight(
         light.mean(-1),
         light,
-        shaded.specular,
+        shaded.specular_linear,
         visible.min(0, initial=1).astype(np.float64),
         np.maximum(facing - visible, 0).max(0, initial=0).astype(np.float64),
         np.zeros(len(light)),

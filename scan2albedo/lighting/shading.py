@@ -50,13 +50,14 @@ class Reflectance:
 class Shading:
     """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture.
 
-    `light_linear` (N, 3) is the light in the lamps' colours, whose mean over the channels is `light`;
-    highlights stay white. `lamps` (L, N) is each lamp's part of the light.
+    `light_linear` and `specular_linear` (N, 3) are both in the lamps' colours, whose means over the channels
+    they are. `lamps` (L, N) is each lamp's part of the light.
     """
 
     light: FloatArray
     specular: FloatArray
     light_linear: FloatArray
+    specular_linear: FloatArray
     lamps: FloatArray
 
 
@@ -91,7 +92,7 @@ def shade_points(
     """Evaluate the ASRM: T = A (I_a + I_d) + I_s.
 
     I_d = sum_k V_k E_k f(n, l_k, v), I_s = k_s sum_k V_k E_k phong(n, l_k, v), I_a = 1, with V the visibility
-    and E = intensity (distance/r)^2 (no falloff for a distant light), times the lamp's colour in I_d.
+    and E = intensity (distance/r)^2 (no falloff for a distant light), times the lamp's colour.
 
     `position` (N, 3) is in mm, the model's frame, `normal` (N, 3) unit. Lights may be none. `visible` (L, N)
     is 0 where a light is hidden; everything is visible when None. `view_direction` (3,) or (N, 3), of any
@@ -140,7 +141,8 @@ def shade_rows(
     `colors` (L, 3) are the lamps', all white when None.
     """
     light, gloss = np.ones(len(position)), np.zeros(len(position))
-    tint, lamps = np.zeros((len(position), 3)), np.empty((len(rows), len(position)))
+    tint, sheen = np.zeros((2, len(position), 3))
+    lamps = np.empty((len(rows), len(position)))
     for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
         factors = lamp_factors(position, normal, seen, row[:3], row[3], np.atleast_2d(view), reflectance)
         lamps[k] = row[4] * factors.diffuse
@@ -148,7 +150,10 @@ def shade_rows(
         gloss += row[4] * factors.highlight
         if colors is not None:
             tint += lamps[k][:, None] * (colors[k] - 1)
-    return Shading(light, reflectance.specular_strength * scale * gloss, light[:, None] + tint, lamps)
+            sheen += row[4] * factors.highlight[:, None] * (colors[k] - 1)
+    strength = reflectance.specular_strength * scale
+    whole = strength[:, None] * (gloss[:, None] + sheen)
+    return Shading(light, strength * gloss, light[:, None] + tint, whole, lamps)
 
 
 @dataclass(frozen=True)

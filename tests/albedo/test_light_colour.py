@@ -10,12 +10,15 @@ from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.light_colour import light_colours
 from scan2albedo.albedo.lit_image import LitImage
-from scan2albedo.albedo.posterior import Posterior, descend
-from scan2albedo.albedo.prior import AlbedoPrior
+from scan2albedo.albedo.node_field import Scales
+from scan2albedo.albedo.posterior import descend
+from scan2albedo.albedo.prior import MEANS, AlbedoPrior
 from scan2albedo.core import Meter
+from scan2albedo.lighting.shading import Reflectance, lamp_factors
 
-LAMP, INTENSITY = (50, 10), 2.0
-WARM = np.array([1.4, 1.0, 0.6])
+LAMP, INTENSITY, VIEW = (50, 10), 2.0, (0.0, 0.0, 1.0)
+WARM, TINT = np.array([1.4, 1.0, 0.6]), np.array([1.05, 1.0, 0.91])
+STATIONARY, GLOSS = AlbedoPrior.stationary(), Reflectance("lambert", 0.0, 0.15, 10.0)
 
 
 @pytest.fixture(scope="module")
@@ -25,26 +28,30 @@ def ball(scenes):
 
 @pytest.fixture(scope="module")
 def lit(ball, scenes):
-    """Return a function: the image, and where the posterior is largest, when the lamp has a colour."""
+    """Return a function: where the posterior is largest when the lamp has a colour, and all light a tint.
 
-    def at(color, albedo=ball.albedo):
-        cosine = np.maximum(ball.image.normal @ scenes.direction(*LAMP), 0)[..., None]
-        texture = (0.3 * albedo * (1 + INTENSITY * cosine * color)).astype(np.float32)
-        image = replace(ball.image, texture_linear=texture * ball.image.mask[..., None])
-        prior, meter = AlbedoPrior.stationary(), Meter("albedo", "")
-        usable = usable_texels(image)
-        scene = LitImage(image, usable, "lambert", (0.0, 0.0, 1.0), EstimateOptions(), meter, prior)
-        level, model = scene.level(40), scene.model(1)
-        problem = Posterior(
-            level,
-            (level.center + 0.5) / np.asarray(image.shape),
-            scene.lattice(level),
-            scene.soft(level),
-            prior,
-            meter,
-        )
-        x = model.from_lights(scenes.direction(*LAMP)[None], np.array([INTENSITY]))
-        return descend(problem.start(model, x), 10, meter)
+    With `gloss` there are highlights, and the point is that of the true light, highlights so strong.
+    """
+
+    def at(color, albedo=ball.albedo, prior=STATIONARY, tint=1.0, gloss=None):
+        image, mask, toward = ball.image, ball.image.mask, scenes.direction(*LAMP)
+        cosine = np.maximum(image.normal @ toward, 0)[..., None]
+        texture = 0.3 * albedo * (1 + INTENSITY * cosine * color)
+        if gloss is not None:
+            surface = image.position[mask], image.normal[mask].astype(float), np.ones(mask.sum())
+            lobe = lamp_factors(*surface, toward, 0.0, np.array([VIEW]), GLOSS).highlight[:, None]
+            texture[mask] += 0.3 * GLOSS.specular_strength * INTENSITY * lobe * color
+        image = replace(image, texture_linear=(texture * tint * mask[..., None]).astype(np.float32))
+        meter, usable = Meter("albedo", ""), usable_texels(image)
+        scene = LitImage(image, usable, "lambert", VIEW, EstimateOptions(), meter, prior)
+        model, problem = scene.model(1), scene.posterior(40)
+        x, known = model.from_lights(toward[None], np.array([INTENSITY])), problem.started(Scales())
+        if gloss is None:
+            return descend(problem.start(model, x, known), 10, meter)
+        strength = gloss * 0.3 * GLOSS.specular_strength / problem.level.unit
+        x = np.append(x, [strength, math.log(GLOSS.exponent)])
+        point = problem.start(model.with_part("specular"), x, known)
+        return point.moved(np.zeros(len(point.x)))
 
     return at
 
@@ -107,3 +114,37 @@ def test_a_channel_without_light_stays_finite(lit, ball):
     found = light_colours(point, None)
     assert np.isfinite(_light(point, found)).all()
     assert (_light(point, found) > 0).all()
+
+
+def test_the_ratios_of_the_prior_belong_to_their_channels_whichever_leads(lit, ball):
+    rows = np.linspace(-0.3, 0.3, MEANS)[:, None]
+    mean = np.dstack([0 * rows, rows, -rows]) * np.ones((MEANS, MEANS, 1))
+    prior = replace(STATIONARY, mean=mean, spread=STATIONARY.spread / 10)
+    pattern = np.exp(mean.repeat(len(ball.albedo) // MEANS, 0).repeat(len(ball.albedo) // MEANS, 1))
+    red, blue = (lit(WARM, pattern * channels, prior) for channels in ([0.6, 0.3, 0.2], [0.1, 0.2, 0.6]))
+    assert (red.problem.lead, blue.problem.lead) == (0, 2)
+    one, other = (light_colours(point, None) for point in (red, blue))
+    for found in (one, other):
+        assert np.log(found.lamps[0] / found.ambient)[[0, 2]] @ [1, -1] == pytest.approx(0.65, abs=0.25)
+        assert np.abs(found.cast).max() < 0.12
+
+
+def test_the_tint_of_all_light_is_told_by_what_is_known_of_the_albedo(lit, ball):
+    skin = ball.albedo[ball.image.mask]
+    own = np.median(np.log(skin[:, 1:] / skin[:, :1]), axis=0)
+    known = replace(STATIONARY, chroma=np.vstack([own, 1e-4 * np.eye(2)]))
+    tints = []
+    for prior in (known, STATIONARY):
+        point = lit(np.ones(3), prior=prior, tint=TINT)
+        mean = np.average(
+            _light(point, light_colours(point, None)), axis=0, weights=point.problem.level.weight
+        )
+        tints.append(np.log(mean / mean[0]))
+    assert tints[0] == pytest.approx(np.log(TINT / TINT[0]), abs=0.03)
+    assert tints[1] == pytest.approx(np.zeros(3), abs=0.01)
+
+
+@pytest.mark.parametrize("strength", [0.7, 1.4])
+def test_the_channels_tell_how_strong_highlights_are(lit, strength):
+    found = light_colours(lit(np.ones(3), gloss=strength), None)
+    assert abs(math.log(found.gloss * strength)) < 0.8 * abs(math.log(strength))

@@ -72,6 +72,15 @@ def test_brows_are_dark_and_lips_are_red():
     assert abs(above).max() < 0.3
 
 
+def test_skin_is_redder_than_it_is_green_and_blue():
+    mean, *covariance = AlbedoPrior.faces().chroma
+    green, blue = np.sqrt(np.diag(covariance))
+    assert -1.5 < mean[1] < mean[0] < -0.7
+    # From the palest to the darkest person both vary by a factor of four, together.
+    assert (green, blue) == pytest.approx((0.25, 0.4), rel=0.1)
+    assert covariance[0][1] > 0.85 * green * blue
+
+
 def test_faces_are_symmetric():
     prior = AlbedoPrior.faces()
     for grid in (prior.mean, prior.deviation):
@@ -85,7 +94,7 @@ def test_a_saved_prior_comes_back(prior, tmp_path):
     path = tmp_path / "prior.npz"
     prior.save(path)
     back = AlbedoPrior.load(path)
-    for name in ("mean", "deviation", "modes", "spread"):
+    for name in ("mean", "deviation", "modes", "spread", "chroma"):
         assert getattr(back, name) == pytest.approx(getattr(prior, name), rel=1e-3, abs=1e-6)
     for name in ("shrinkage", "length", "level", "face"):
         assert getattr(back, name) == getattr(prior, name)
@@ -97,10 +106,11 @@ def test_a_saved_prior_comes_back(prior, tmp_path):
     ("name", "value", "message"),
     [
         ("mean", np.zeros((3, 3, 3)), r"mean is float64 of shape \(3, 3, 3\).* \(64, 64, 3\); give a file"),
-        ("modes", np.zeros((3, 5, 2, 2)), r"expected finite numbers of shape \(3, R, 20, 20\)"),
+        ("modes", np.zeros((3, 5, 2, 2)), rf"expected finite numbers of shape \(3, R, {NODES}, {NODES}\)"),
         ("spread", np.full((3, NODES, NODES), np.nan), "spread .* expected finite"),
         ("deviation", np.zeros((MEANS, MEANS, 3)), "not above 0"),
         ("level", np.array("high"), "level is <U4"),
+        ("chroma", np.zeros((3, 2)), "not above 0"),
     ],
 )
 def test_a_file_of_other_arrays_is_refused_by_name(name, value, message, tmp_path):
