@@ -40,7 +40,8 @@ class LightColours:
 
     `lamps` (L, 3), `ambient` (3,) and `bounce` (3,) multiply the white parts, `harmonics` (8, 3) are added to
     the white ones. `cast` (M, 3) is the log colour, at the nodes, of light that no part stands for. `gloss`
-    is what multiplies the strength of the highlights, which have their lamps' colours.
+    is what multiplies the strength of the highlights, which have their lamps' colours. `ratio` (N, 3) is the
+    log of all light beside the white one, on the cells.
     """
 
     lamps: FloatArray
@@ -50,6 +51,7 @@ class LightColours:
     bounce: FloatArray = field(default_factory=lambda: np.ones(3))
     cast: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
     gloss: float = 1.0
+    ratio: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
 
     @classmethod
     def white(
@@ -151,6 +153,7 @@ class _Colours:
         """Return the colours, and the log odds for them."""
         point, p = self.point, self.point.problem
         found = LightColours.white(self.lamps, nodes=len(p.field.used))
+        log_ratio = np.zeros((len(p.value), 3))
         state = point.model.soft(point.light_x)
         for number, (c, ratio) in enumerate(zip(self.channels, self.ratios, strict=True)):
             x = self.x[self.at(number)]
@@ -162,6 +165,7 @@ class _Colours:
             found.ambient[c], found.bounce[c] = gain, gain * math.exp(x[-3])
             found.harmonics[:, c] = gain * (state.harmonics + x[self.lamps : -3]) - state.harmonics
             found.cast[:, c] = cast
+            log_ratio[:, c] = math.log(gain) + np.log(light / point.light) + p.nodes @ cast
         # Of the colours' posterior and prior where there is none (Dickey, see `light_priors.parts_steps`).
         at = np.r_[: len(self.x) - 5, -3, -2]
         x, own = self.x[at], np.linalg.inv(np.linalg.inv(self.precision)[np.ix_(at, at)])
@@ -169,7 +173,7 @@ class _Colours:
         odds = 0.5 * float(x @ own @ x - np.linalg.slogdet(own)[1] + before)
         reason = "the parts of the light have their own colours"
         step = PlanStep(STAGE, True, reason, f"log odds {odds:.1f}")
-        return replace(found, step=step, gloss=math.exp(self.x[-1]))
+        return replace(found, step=step, gloss=math.exp(self.x[-1]), ratio=log_ratio)
 
 
 class _Ratio:

@@ -134,8 +134,12 @@ class LightSearch:
         )
 
     def _averaged(self, wanted: list[Point]) -> tuple[FloatArray, FloatArray]:
-        """Return (N,) what the mean log light of all explanations adds to the first, and their deviation."""
+        """Return (N, 3) what the mean log light of all explanations adds to the first's, and (N,) their spread.
+
+        The colours are those of the first few.
+        """
         known, values, fields = {id(p): value for value, p in self.found}, list[float](), list[FloatArray]()
+        tints, choice = list[FloatArray](), self.scene.options.choice("albedo.light_colour")
         for point in wanted:
             # What is left of V without the highlight and the light is albedo.
             field = np.log(point.light) - np.log(point.left_of_highlight())
@@ -144,11 +148,17 @@ class LightSearch:
             if all(np.std(field - other) > _ALIKE for other in fields):
                 values.append(known[id(point)])
                 fields.append(field)
+                if len(tints) < _KEPT:
+                    tints.append(light_colours(point, choice).ratio)
         weights = np.exp(_TEMPER * (np.array(values) - max(values)))
         weights /= weights.sum()
-        apart_from_first = np.array(fields) - fields[0]
-        shift = weights @ apart_from_first
-        return shift, np.sqrt(weights @ (apart_from_first - shift) ** 2)
+        beside_first, tinted = (
+            np.array(fields) - fields[0],
+            weights[: len(tints)] / weights[: len(tints)].sum(),
+        )
+        shift = weights @ beside_first
+        colour = sum(weight * (tint - tints[0]) for weight, tint in zip(tinted, tints, strict=True))
+        return shift[:, None] + colour, np.sqrt(weights @ (beside_first - shift) ** 2)
 
     def _lamps_step(self, best_of: dict[int, float], count: int, asked: int | None) -> PlanStep:
         least = best_of[min(best_of)]

@@ -37,7 +37,7 @@ _LEAST_RESIDUAL = 1e-3
 class Explanation:
     """The best explanation, its colours, and what all of them together say.
 
-    `shift` (N,) is what their mean log light adds to the best one's on the cells of `level`, `spread` (N,)
+    `shift` (N, 3) is what their mean log light adds to the best one's on the cells of `level`, `spread` (N,)
     their standard deviation.
     """
 

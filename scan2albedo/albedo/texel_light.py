@@ -64,8 +64,9 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     if told is None:
         return _of_solution(scene, found.solution, found.unit, None, None)
     lit = _of_solution(scene, found.solution, found.unit, told.best, told.colours)
-    shift, spread = cell_field(told.level, np.column_stack([told.shift, told.spread]), scene.image.mask).T
-    light = lit.light_linear * np.exp(shift)[:, None]
+    cells = np.column_stack([told.shift, told.spread])
+    *shift, spread = cell_field(told.level, cells, scene.image.mask).T
+    light = lit.light_linear * np.exp(np.stack(shift, 1))
     return replace(lit, light=light.mean(-1), light_linear=light, deviation=spread)
 
 
