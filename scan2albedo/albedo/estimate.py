@@ -16,7 +16,6 @@ from scan2albedo.albedo.levels import (
     cell_field,
     toward_viewer,
     usable_texels,
-    value_channel,
     with_every_normal,
 )
 from scan2albedo.albedo.light_search import LightSearch
@@ -24,7 +23,6 @@ from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.prior import AlbedoPrior
-from scan2albedo.albedo.rectification import rectify
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.albedo.texel_light import light_on_texels
@@ -173,41 +171,29 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     assert image.texture_linear is not None
     mask, deviation = image.mask, None
     lit = light_on_texels(scene, found)
-    light, specular, shadow, cast, shading = (
+    light, specular, shadow, shading = (
         np.zeros((*mask.shape, *field.shape[1:]))
-        for field in (lit.light, lit.specular, lit.visible, lit.cast, lit.light_linear)
+        for field in (lit.light, lit.specular, lit.visible, lit.light_linear)
     )
     light[mask], specular[mask], shadow[mask] = lit.light, lit.specular, lit.visible
-    cast[mask], shading[mask] = lit.cast, lit.light_linear
+    shading[mask] = lit.light_linear
     if found.explanation is not None:
         best = found.explanation.best
         cells = best.light_deviation()[:, None]
         deviation = np.zeros(mask.shape)
         deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
     # What makes a good albedo better is left out once the seconds have ended.
-    late, begin = meter.out_of_time, meter.elapsed_s
+    late = meter.out_of_time
     division = divide_light(
-        image.texture_linear,
-        shading,
-        specular,
-        mask,
-        usable,
-        skin=image.skin,
-        shrink=not late,
+        image.texture_linear, shading, specular, mask, usable, skin=image.skin, shrink=not late
     )
-    # Lines along shadows err most, and go in at most twice the seconds that the division took.
-    late = late and meter.would_overrun(2 * (meter.elapsed_s - begin))
-    rectification = _left_out("albedo.rectification", options, late)
-    albedo = value = value_channel(division.albedo)
-    if rectification is None:
-        forced = options.choice("albedo.rectification") is True
-        albedo, rectification = rectify(albedo, light, cast, usable, force=forced)
-    # Hue and saturation stay; black turns grey.
-    ratio, black = albedo / np.maximum(value, 1e-9), value <= 1e-9
-    color = (division.albedo * ratio[..., None]).astype(np.float32)
-    color[black] = albedo[black, None]
-    inpainting = _left_out("albedo.inpainting", options, late)
-    if inpainting is None:
+    color, stage = division.albedo.astype(np.float32), "albedo.inpainting"
+    choice = options.choice(stage)
+    if choice is False:
+        inpainting = PlanStep(stage, False, "left out by the caller")
+    elif late and choice is None:
+        inpainting = PlanStep(stage, False, "the budget ended before it")
+    else:
         color, inpainting = inpainted(color, image, usable, options, seed)
     cameras = _cameras_step(scene, lit.reflectance)
     rough = "minnaert_exponent" if lit.reflectance.brdf == "minnaert" else "sigma_rad"
@@ -228,7 +214,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         specular=specular.astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, cameras, rectification, inpainting)),
+        plan=Plan((*found.steps, cameras, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
@@ -262,14 +248,6 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     if reflectance.specular_strength == 0 and reflectance.roughness == plain:
         return PlanStep(_CAMERAS, False, "what is found of the light looks alike from everywhere", evidence)
     return PlanStep(_CAMERAS, True, "each texel is seen from its camera", evidence)
-
-
-def _left_out(stage: str, options: EstimateOptions, late: bool) -> PlanStep | None:
-    """Return the plan's row of a repair that is not even looked at, else None."""
-    choice = options.choice(stage)
-    if choice is False:
-        return PlanStep(stage, False, "left out by the caller")
-    return PlanStep(stage, False, "the budget ended before it") if late and choice is None else None
 
 
 def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:

@@ -122,7 +122,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
             RayCaster(thin.vertices, thin.faces) if estimate.casts_shadows else None,
             estimate.shadow_offset_mm,
             estimate.environment,
-        ).shading.light_linear
+        ).light_linear
         log_lit = np.log(np.maximum(lit, DARKEST * usual))
         hits = surface_query(thin.vertices, thin.faces).query(vertices)
         log_beyond = np.einsum("nk,nkc->nc", hits.barycentric, log_lit[thin.faces[hits.face]])
