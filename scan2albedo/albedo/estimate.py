@@ -184,9 +184,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
     # What makes a good albedo better is left out once the seconds have ended.
     late = meter.out_of_time
-    division = divide_light(
-        image.texture_linear, shading, specular, mask, usable, skin=image.skin, shrink=not late
-    )
+    division = divide_light(image.texture_linear, shading, specular, mask, usable, shrink=not late)
     color, stage = division.albedo.astype(np.float32), "albedo.inpainting"
     choice = options.choice(stage)
     if choice is False:
