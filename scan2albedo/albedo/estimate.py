@@ -14,7 +14,6 @@ from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
 from scan2albedo.albedo.levels import (
     cell_field,
-    toward_viewer,
     usable_texels,
     with_every_normal,
 )
@@ -142,7 +141,7 @@ def estimate_albedo(
     image, paper = with_every_normal(image), options.objective == "albedo-deviation"
     if paper or options.choice(_CAMERAS) is False:
         image = replace(image, camera=None, camera_positions=None)
-    facing, plan = toward_viewer(image, usable, view), Plan()
+    facing, plan = float(np.mean((image.normal @ np.asarray(view))[usable] > 0)), Plan()
     if facing < _LEAST_FACING:
         reason = (
             f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
@@ -171,12 +170,9 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     assert image.texture_linear is not None
     mask, deviation = image.mask, None
     lit = light_on_texels(scene, found)
-    light, specular, shadow, shading = (
-        np.zeros((*mask.shape, *field.shape[1:]))
-        for field in (lit.light, lit.specular, lit.visible, lit.light_linear)
-    )
-    light[mask], specular[mask], shadow[mask] = lit.light, lit.specular, lit.visible
-    shading[mask] = lit.light_linear
+    specular, shadow = np.zeros((2, *mask.shape))
+    shading = np.zeros((*mask.shape, 3))
+    specular[mask], shadow[mask], shading[mask] = lit.specular, lit.visible, lit.light_linear
     if found.explanation is not None:
         best = found.explanation.best
         cells = best.light_deviation()[:, None]
@@ -224,7 +220,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         shadow_offset_mm=SHADOW_OFFSET_MM,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
-        expected_error=expected_error(division.deviation, deviation, light, mask, image.skin),
+        expected_error=expected_error(division.deviation, deviation, mask, image.skin),
         environment=lit.environment,
     )
 
@@ -275,5 +271,5 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         casts_shadows=True,
         shadow_offset_mm=SHADOW_OFFSET_MM,
         environment=environment_of_shading(coefficients),
-        expected_error=expected_error(division.deviation, None, shading.max(axis=-1), image.mask, image.skin),
+        expected_error=expected_error(division.deviation, None, image.mask, image.skin),
     )

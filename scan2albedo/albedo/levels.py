@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
 
+from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
@@ -18,16 +19,8 @@ from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
 from scan2albedo.lighting.interreflection import SMALLEST_MM, surface_keys
 
-_BLACK = 1e-6
-"""Parts of the brightest texel up to which a texel is black."""
-_SHORT = 0.5
-"""Normals shorter than this are not known."""
-_CHOICE_SIDE = 15
-"""Side [texels] of the square over which channels are compared."""
-
-
-_LEAST_SKIN = 0.05
-"""Mean skin below which there is none to speak of."""
+BLOCK_AREA = 0.125
+"""Area of a block of constant albedo as a part of the chart's: larger than the texture's grain."""
 _NOT_SKIN = 0.25
 """Weight of what is not skin: without any, nothing is known of the light below a beard."""
 
@@ -61,7 +54,7 @@ class Level:
     factor: int
 
     def blocks(
-        self, area: float, shifts: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.5, 0.5))
+        self, area: float = BLOCK_AREA, shifts: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.5, 0.5))
     ) -> tuple[NDArray[np.int32], int]:
         """Return (S, N) the block of each cell in S overlapping partitions, and how many blocks there are.
 
@@ -91,13 +84,13 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> 
     are alike and the light is poor. Choosing by averages avoids that.
     """
     known = usable[..., None] * texture_linear
-    chosen = uniform_filter(known, (_CHOICE_SIDE, _CHOICE_SIDE, 1)).argmax(-1)
+    chosen = uniform_filter(known, (WINDOW, WINDOW, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
 def known_normals(image: GeometryImage) -> BoolArray:
     """Return (H, W) where the normal is known: not 0."""
-    return np.asarray(lengths(image.normal) > _SHORT)
+    return np.asarray(lengths(image.normal) > 0.5)
 
 
 def with_every_normal(image: GeometryImage) -> GeometryImage:
@@ -107,11 +100,6 @@ def with_every_normal(image: GeometryImage) -> GeometryImage:
         return image
     nearest = distance_transform_edt(~(known & image.mask), return_distances=False, return_indices=True)
     return replace(image, normal=np.where(known[..., None], image.normal, image.normal[tuple(nearest)]))
-
-
-def toward_viewer(image: GeometryImage, usable: BoolArray, view: tuple[float, float, float]) -> float:
-    """Return which part of the usable texels faces the viewer."""
-    return float(np.mean((image.normal @ np.asarray(view))[usable] > 0))
 
 
 def usable_texels(image: GeometryImage) -> BoolArray:
@@ -129,7 +117,7 @@ def usable_texels(image: GeometryImage) -> BoolArray:
     image.check_normals()
     seen = image.seen
     value = value_channel(image.texture_linear)
-    black = value <= _BLACK * value[seen].max(initial=0.0)
+    black = value <= 0
     clipped = value >= SATURATION_LINEAR
     usable = seen & ~black & ~clipped & known_normals(image)
     if int(usable.sum()) < MINIMAL_TEXELS:
@@ -173,7 +161,7 @@ def build_level(
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)
-    if image.skin is not None and image.skin[usable].mean() >= _LEAST_SKIN:
+    if image.skin is not None and (image.skin[usable] > _NOT_SKIN).any():
         part = np.maximum(image.skin, _NOT_SKIN)
     return Level(
         position,

@@ -14,7 +14,6 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.shading import Reflectance, light_from_direction
 from scan2albedo.lighting.shadow_map import view_frame
 
-_DEFAULT_EXPONENT = 16.0
 HARMONICS = 8
 """Harmonics of the environment beside the constant one: orders 1 and 2."""
 
@@ -94,7 +93,7 @@ class LightModel:
             )
         if self.specular and self.lights:
             rows.append(("specular", 0.05, 0.0, 2.0, 0.08))
-            rows.append(("log_exponent", math.log(_DEFAULT_EXPONENT), math.log(4.0), math.log(200.0), 0.6))
+            rows.append(("log_exponent", math.log(Reflectance.exponent), math.log(4.0), math.log(200.0), 0.6))
         if self.occlusion:
             rows.append(("fill", 0.5, 0.0, 1.0, 0.2))
         if self.bounce:
@@ -169,7 +168,7 @@ class LightModel:
             self.brdf,
             float(tail.get("minnaert", 1.0) if minnaert else math.sqrt(tail.get("variance", 0.0))),
             float(tail.get("specular", 0.0)),
-            math.exp(tail.get("log_exponent", math.log(_DEFAULT_EXPONENT))),
+            math.exp(tail.get("log_exponent", math.log(Reflectance.exponent))),
         )
         return Hypothesis(rows, reflectance, self.radius_deg)
 

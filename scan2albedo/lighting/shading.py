@@ -13,7 +13,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting import kernels
 
-_BRDFS = {"oren-nayar": kernels.OREN_NAYAR, "lambert": kernels.OREN_NAYAR, "minnaert": kernels.MINNAERT}
+_BRDFS = "lambert", "minnaert", "oren-nayar"
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Reflectance:
 
     def __post_init__(self) -> None:
         if self.brdf not in _BRDFS:
-            raise ValueError(f"brdf is {self.brdf!r}, expected one of {sorted(_BRDFS)}")
+            raise ValueError(f"brdf is {self.brdf!r}, expected one of {_BRDFS}")
         if self.brdf == "lambert" and self.roughness != 0:
             raise ValueError(f"a Lambertian surface has roughness 0, got {self.roughness}")
         for name in ("roughness", "specular_strength", "exponent"):
@@ -41,9 +41,9 @@ class Reflectance:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number, 0 or more")
 
     @property
-    def kernel_brdf(self) -> int:
-        """Number of the diffuse model in the kernels."""
-        return _BRDFS[self.brdf]
+    def kernel_brdf(self) -> bool:
+        """What the kernels call the diffuse model: whether it is Minnaert's."""
+        return self.brdf == "minnaert"
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.applications.poisson import forward_differences, integrate_gradients
+from scan2albedo.optimization.poisson import forward_differences, integrate_gradients
 
 SIZE = 128
 
