@@ -143,21 +143,24 @@ def build_level(
     assert image.texture_linear is not None
     field = brightest_around(image.texture_linear, usable) if values is None else values
     factor = max(1, -(-max(image.shape) // size))
-    count = _cell_sums(usable[..., None].astype(np.float64), usable, factor)[..., 0]
-    filled = count > 0
+    across = -(-image.shape[1] // factor)
+    row, column = np.nonzero(usable)
+    found, index, count = np.unique(
+        row // factor * across + column // factor, return_inverse=True, return_counts=True
+    )
 
     def mean(field: NDArray) -> FloatArray:
-        flat = np.ascontiguousarray(field).reshape(*field.shape[:2], -1)
-        return _cell_sums(flat, usable, factor)[filled] / count[filled][:, None]
+        parts = field[usable].reshape(len(index), -1).T
+        return np.stack([np.bincount(index, part) for part in parts], 1) / count[:, None]
 
     position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     toward = np.zeros(image.position.shape)
     toward[image.mask] = image.toward_camera(view)
-    center = mean(np.moveaxis(np.indices(image.shape, np.float64), 0, -1))
-    middle = np.zeros((*filled.shape, 3))
-    middle[filled] = position
-    anchor = image.position[tuple(_closest_texels(image.position, middle, usable, factor)[filled].T)]
+    # The texel closest to each cell's mean.
+    away = ((image.position[usable] - position[index]) ** 2).sum(1)
+    order = np.lexsort((away, index))
+    anchor = image.position[usable][order[np.searchsorted(index[order], np.arange(len(found)))]]
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)
@@ -169,54 +172,24 @@ def build_level(
         normalized(mean(toward)),
         anchor,
         value / unit,
-        count[filled] / factor**2 * mean(part)[:, 0],
+        count / factor**2 * mean(part)[:, 0],
         scale,
         unit,
         mean(image.texture_linear) / unit,
-        np.argwhere(filled),
-        center,
+        np.stack(np.divmod(found, across), 1),
+        mean(np.moveaxis(np.indices(image.shape, np.float64), 0, -1)),
         int(image.mask.sum()),
         factor,
     )
 
 
-@njit(cache=True, nogil=True)
-def _cell_sums(field, usable, factor):  # type: ignore[no-untyped-def]
-    """Return (h, w, C) the sums of `field` (H, W, C) over the usable texels of each cell."""
-    height, width, channels = field.shape
-    sums = np.zeros((-(-height // factor), -(-width // factor), channels))
-    for i in range(height):
-        for j in range(width):
-            if usable[i, j]:
-                for c in range(channels):
-                    sums[i // factor, j // factor, c] += field[i, j, c]
-    return sums
-
-
-@njit(cache=True, nogil=True)
-def _closest_texels(position, mean, usable, factor):  # type: ignore[no-untyped-def]
-    """Return (h, w, 2) row and column of each cell's usable texel closest to the cell's `mean` (h, w, 3)."""
-    found = np.zeros((mean.shape[0], mean.shape[1], 2), np.int64)
-    best = np.full(mean.shape[:2], np.inf)
-    for i in range(usable.shape[0]):
-        for j in range(usable.shape[1]):
-            if usable[i, j]:
-                a, b = i // factor, j // factor
-                square = 0.0
-                for c in range(3):
-                    square += (position[i, j, c] - mean[a, b, c]) ** 2
-                if square < best[a, b]:
-                    best[a, b] = square
-                    found[a, b, 0], found[a, b, 1] = i, j
-    return found
-
-
 def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (N,) the mean over each cell's texels within `mask` (H, W) of `values` there."""
-    fields = np.zeros((*mask.shape, 2))
-    fields[mask, 0], fields[mask, 1] = values, 1.0
-    sums = _cell_sums(fields, mask, level.factor)[tuple(level.cell.T)]
-    return np.asarray(sums[:, 0] / sums[:, 1])
+    across = -(-mask.shape[1] // level.factor)
+    row, column = np.nonzero(mask)
+    number, cell = row // level.factor * across + column // level.factor, level.cell @ (across, 1)
+    sums, count = np.bincount(number, values), np.bincount(number)
+    return np.asarray(sums[cell] / count[cell])
 
 
 def cell_field(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
