@@ -16,8 +16,6 @@ WINDOW = 25
 _SHARED = 8.0
 """Noise that channels share is up to so many times what they do not, or what is usual in the image if that is
 more: what is more in some place, such as stubble, is texture."""
-_NOISE_GROUPS = 12
-"""Groups of equal light over which noise is separated from texture."""
 
 
 @dataclass(frozen=True)
@@ -128,17 +126,18 @@ def additive_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray
 
     The variance of the second difference of T - I_s, `diffuse` (H, W), is k (s^2 + t I^2): noise s^2 does not
     depend on the light I, texture t is multiplied by it. Both are fitted, not negative, to the medians over
-    texels grouped by I. 0 where the light hardly varies, since the two cannot be separated there.
+    groups of texels of equal I. 0 where the light hardly varies, since the two cannot be separated there.
     """
     second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
     inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]
     # A shadow's edge is neither noise nor texture.
     jump = np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1]
     chosen = inner & jump
-    if int(chosen.sum()) < 100 * _NOISE_GROUPS:
+    count = int(chosen.sum()) // WINDOW**2
+    if count < 2:
         return 0.0
     square, energy = second[chosen] ** 2 / 1.5, light[:, 1:-1][chosen] ** 2
-    groups = np.array_split(np.argsort(energy, kind="stable"), _NOISE_GROUPS)
+    groups = np.array_split(np.argsort(energy, kind="stable"), count)
     # The median of a squared normal deviate is 0.4549 of its variance.
     variance = np.array([np.median(square[group]) for group in groups]) / 0.4549
     level = np.array([np.mean(energy[group]) for group in groups])

@@ -18,8 +18,8 @@ def harmonic_degrees(order: int) -> IntArray:
     >>> harmonic_degrees(2).tolist()
     [0, 1, 1, 1, 2, 2, 2, 2, 2]
     """
-    _check_order(order)
-    return np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    # Degree l stands at l^2 ... (l + 1)^2 - 1.
+    return np.sqrt(np.arange(_count(order))).astype(np.int64)
 
 
 def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
@@ -115,13 +115,9 @@ def _axes(direction: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _count(order: int) -> int:
-    _check_order(order)
-    return (order + 1) ** 2
-
-
-def _check_order(order: int) -> None:
     if order < 0:
         raise ValueError(f"order must be 0 or more, got {order}")
+    return (order + 1) ** 2
 
 
 def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatArray:

@@ -142,21 +142,13 @@ def shade_rows(
     light, gloss = np.ones(len(position)), np.zeros(len(position))
     tint, lamps = np.zeros((len(position), 3)), np.empty((len(rows), len(position)))
     for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
-        factors = lamp_factors(position, normal, seen, row[:3], row[3], np.atleast_2d(view), reflectance)
-        lamps[k] = row[4] * factors.diffuse
+        at = row[:3], row[3], np.atleast_2d(view), reflectance
+        lamps[k], highlight = row[4] * lamp_factors(position, normal, seen, *at)
         light += lamps[k]
-        gloss += row[4] * factors.highlight
+        gloss += highlight
         if colors is not None:
             tint += lamps[k][:, None] * (colors[k] - 1)
     return Shading(light, reflectance.specular_strength * scale * gloss, light[:, None] + tint, lamps)
-
-
-@dataclass(frozen=True)
-class LampFactors:
-    """What multiplies a lamp's intensity: (N,) in the light on the albedo, (N,) in a highlight of k_s = 1."""
-
-    diffuse: FloatArray
-    highlight: FloatArray
 
 
 def lamp_factors(
@@ -167,9 +159,9 @@ def lamp_factors(
     nearness: float,
     view: FloatArray,
     reflectance: Reflectance,
-) -> LampFactors:
-    """Return how N points answer to one lamp: what the estimate and relighting share."""
-    factors = LampFactors(np.empty(len(position)), np.empty(len(position)))
+) -> FloatArray:
+    """Return (2, N) what multiplies a lamp's intensity in light on the albedo, in highlights of k_s = 1."""
+    factors = np.empty((2, len(position)))
     kernels.lamp_factors(
         position,
         normal,
@@ -180,7 +172,7 @@ def lamp_factors(
         reflectance.kernel_brdf,
         float(reflectance.roughness),
         float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0,
-        factors.diffuse,
-        factors.highlight,
+        factors[0],
+        factors[1],
     )
     return factors
