@@ -62,33 +62,25 @@ def divide_light(
     relative = quotient / around
     noise = channel_noise(relative, channels, around, light, usable, usual)
     weight = known * light[..., noise.lead] ** 2
-    leading = _filtered(relative[..., noise.lead], weight, noise.leading)
+    leading, own, left = _filtered(relative[..., noise.lead], weight, noise.leading)
     filtered = np.empty(relative.shape)
     for c in range(relative.shape[-1]):
         beside = relative[..., c] - relative[..., noise.lead]
         if noise.beside[..., c].any():
-            beside = _filtered(beside, weight, noise.beside[..., c]).field
-        filtered[..., c] = (leading.field + beside) * around[..., c]
-    own = np.where(usable, leading.own, 0.0)
+            beside = _filtered(beside, weight, noise.beside[..., c])[0]
+        filtered[..., c] = (leading + beside) * around[..., c]
+    own[~usable] = 0.0
     kept = np.where((usable & shrink)[..., None], filtered, quotient)
     albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
-    deviation = np.sqrt(leading.variance + own * noise.rounding) / np.maximum(leading.field, 1e-12)
+    deviation = np.sqrt(left + own * noise.rounding) / np.maximum(leading, 1e-12)
     deviation = np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0)
     return Division(albedo, own, deviation, noise)
 
 
-@dataclass(frozen=True)
-class _Filtered:
-    """A field (H, W), how much of each texel is its own, and the variance of the noise that is left."""
-
-    field: FloatArray
-    own: FloatArray
-    variance: FloatArray
-
-
-def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filtered:
+def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> FloatArray:
     """Return a field without white noise of the variance `noise` (H, W): Wiener's filter at two scales.
 
+    The result is (3, H, W): the field, how much of each texel is its own, the variance of what noise is left.
     The field is its mean over 5 x 5 texels, what the mean over 3 x 3 adds to it, and what the texel adds to
     that. White noise has 1/25, 1/9 - 1/25 and 1 - 1/9 of its variance in them. Of each addition, whose
     variance nearby is v and the noise's n, the best linear estimate keeps the part c = 1 - n / v; noise of
@@ -96,7 +88,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
     """
     field = np.ascontiguousarray(field)
     if not noise.any():
-        return _Filtered(field, np.ones(field.shape), np.zeros(field.shape))
+        return np.stack([field, np.ones(field.shape), np.zeros(field.shape)])
     # Running sums may end below 0 by a rounding error.
     noise_here = np.maximum(window_mean(noise, weight, WINDOW), 0.0)
     known = weight > 0
@@ -116,7 +108,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
         own += kept * (finer_share - share)
         variance += kept * part
         finer, finer_share = coarser, share
-    return _Filtered(result + finer, own + finer_share, variance + finer_share * noise_here)
+    return np.stack([result + finer, own + finer_share, variance + finer_share * noise_here])
 
 
 @njit(cache=True, nogil=True)
