@@ -7,36 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
-from scan2albedo.albedo.noise import WINDOW, channel_noise, window_mean
+from scan2albedo.albedo.noise import WINDOW, ChannelNoise, channel_noise, window_mean
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _SCALES = (3, 5)
 """Sides, in texels, of the neighbourhoods toward whose means a noisy texel is drawn."""
-_EDGE, _LEAST_NOISE = 3.0, 0.02
-"""Standard deviations of noise, never less than this, at which a neighbour counts a quarter: it differs."""
-_AROUND = 17
-"""Side, in texels, of the mean that relative values refer to."""
-_DARK = 1e-6
-"""Least such mean, as a part of the largest."""
-_DIM, _DARKER = 0.5, 0.35
-"""Light, as parts of its median, below which grain is compared with that of the light, and wholly trusted."""
-_GRAIN, _ROUGHER, _SMOOTH = 9 / 512, 2.0, 0.04
-"""Side of the means that grain differs from, as a part of the chart's; how much rougher than in the light
-texture may be; relative deviation up to which it always may."""
-_BLACK = 0.05
-"""Relative value up to which errors refer to that of the texel."""
-
-
-@dataclass(frozen=True)
-class Usual:
-    """What is usual over a whole image: of noise its channel `lead` and `ratio` (`ChannelNoise`), the
-    `light`, and how `rough` the albedo is where it is lit, None where nothing lies in the dark."""
-
-    lead: int
-    ratio: float
-    light: float
-    rough: float | None
+_EDGE = 3.0
+"""Standard deviations of noise at which a neighbour counts a quarter: it differs."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +29,8 @@ class Division:
     albedo: NDArray
     confidence: FloatArray
     deviation: FloatArray
-    usual: Usual
-    """Of this image, for its other parts."""
+    noise: ChannelNoise
+    """Of this image: what is usual in it serves its other parts."""
 
 
 def divide_light(
@@ -61,10 +40,8 @@ def divide_light(
     mask: BoolArray,
     usable: BoolArray,
     *,
-    skin: NDArray | None = None,
     shrink: bool = True,
-    side: int | None = None,
-    usual: Usual | None = None,
+    usual: ChannelNoise | None = None,
 ) -> Division:
     """Return (M_T - I_s) / I, drawn toward the neighbourhood where noise outweighs texture.
 
@@ -73,76 +50,38 @@ def divide_light(
 
     `texture` is linear, (H, W) or (H, W, C), `light` I_a + I_d > 0 (H, W) or of the texture's shape, and
     `specular` (H, W) or (H, W, 3) I_s. `mask` and `usable` (H, W) are the texels of the surface and
-    those that were measured; the others keep the plain quotient, as all do without `shrink`. `skin` (H, W)
-    says how surely a texel is skin, everywhere when None: what is rougher in the dark than in the light is
-    noise there, but may be a beard elsewhere. `side` is that of a chart of the whole face in such texels, the
-    mask's when omitted, and `usual` that of another part of the same image, so that parts join without a
-    seam.
+    those that were measured; the others keep the plain quotient, as all do without `shrink`. `usual` is the
+    noise of another part of the same image, so that parts join without a seam.
     """
     channels = texture.reshape(*mask.shape, -1).astype(np.float64)
     channels -= specular.reshape(*mask.shape, -1)
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
     quotient = np.where(mask[..., None], channels / light, 0.0)
     known = usable.astype(np.float64)
-    around = np.stack([window_mean(c, known, _AROUND) for c in np.moveaxis(quotient, -1, 0)], -1)
-    around = np.maximum(around, max(_DARK * float(around.max(initial=0.0)), 1e-12))
+    around = np.stack([window_mean(c, known, WINDOW) for c in np.moveaxis(quotient, -1, 0)], -1)
+    around = np.maximum(around, max(1e-6 * float(around.max(initial=0.0)), 1e-12))
     relative = quotient / around
-    lead, ratio = (None, None) if usual is None else (usual.lead, usual.ratio)
-    noise = channel_noise(relative, channels, around, light, usable, lead=lead, ratio=ratio)
+    noise = channel_noise(relative, channels, around, light, usable, usual)
     weight = known * light[..., noise.lead] ** 2
-    leading = _filtered(relative[..., noise.lead], weight, noise.leading)
+    leading, own, left = _filtered(relative[..., noise.lead], weight, noise.leading)
     filtered = np.empty(relative.shape)
     for c in range(relative.shape[-1]):
         beside = relative[..., c] - relative[..., noise.lead]
         if noise.beside[..., c].any():
-            beside = _filtered(beside, weight, noise.beside[..., c]).field
-        filtered[..., c] = (leading.field + beside) * around[..., c]
-    grain_window = max(3, 2 * round(_GRAIN * (side or max(mask.shape)) / 2 - 0.5) + 1)  # odd
-    lead_light = light[..., noise.lead]
-    if usual is None:
-        typical = float(np.median(lead_light[usable])) if usable.any() else 1.0
-        rough = _roughness(filtered[..., noise.lead], known, grain_window)
-        lit, dim = usable & (lead_light > _DIM * typical), usable & (lead_light < _DIM * typical)
-        limit = max(_ROUGHER * float(np.median(rough[lit])), _SMOOTH**2) if lit.any() and dim.any() else None
-        usual = Usual(noise.lead, noise.ratio, typical, limit)
-    # Texture is as rough in the dark as in the light, relative to its mean. What is rougher in the dark is
-    # noise that the quotient amplifies, or a line along a shadow: Wiener's filter draws it toward the mean.
-    grain = np.ones(mask.shape)
-    dark = np.clip((_DIM - lead_light / usual.light) / (_DIM - _DARKER), 0.0, 1.0) * usable
-    if usual.rough is not None and dark.any():
-        rough = np.maximum(_roughness(filtered[..., noise.lead], known, grain_window), 1e-12)
-        sure = dark if skin is None else dark * skin
-        grain = 1 - sure * (1 - np.clip(usual.rough / rough, 0.0, 1.0))
-    own = np.where(usable, leading.own * grain, 0.0)
-    if (grain < 1).any():
-        smooth = np.stack([window_mean(c, known, grain_window) for c in np.moveaxis(filtered, -1, 0)], -1)
-        filtered = smooth + grain[..., None] * (filtered - smooth)
+            beside = _filtered(beside, weight, noise.beside[..., c])[0]
+        filtered[..., c] = (leading + beside) * around[..., c]
+    own[~usable] = 0.0
     kept = np.where((usable & shrink)[..., None], filtered, quotient)
     albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
-    deviation = np.sqrt(leading.variance + own * noise.rounding) / np.maximum(leading.field, _BLACK)
+    deviation = np.sqrt(left + own * noise.rounding) / np.maximum(leading, 1e-12)
     deviation = np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0)
-    return Division(albedo, own, deviation, usual)
+    return Division(albedo, own, deviation, noise)
 
 
-def _roughness(value: FloatArray, known: FloatArray, window: int) -> FloatArray:
-    """Return (H, W) the mean square difference of a field from its mean around, relative to that mean."""
-    around = np.maximum(window_mean(value, known, _AROUND), 1e-12)
-    relative = value / around
-    return window_mean((relative - window_mean(relative, known, window)) ** 2, known, WINDOW)
-
-
-@dataclass(frozen=True)
-class _Filtered:
-    """A field (H, W), how much of each texel is its own, and the variance of the noise that is left."""
-
-    field: FloatArray
-    own: FloatArray
-    variance: FloatArray
-
-
-def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filtered:
+def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> FloatArray:
     """Return a field without white noise of the variance `noise` (H, W): Wiener's filter at two scales.
 
+    The result is (3, H, W): the field, how much of each texel is its own, the variance of what noise is left.
     The field is its mean over 5 x 5 texels, what the mean over 3 x 3 adds to it, and what the texel adds to
     that. White noise has 1/25, 1/9 - 1/25 and 1 - 1/9 of its variance in them. Of each addition, whose
     variance nearby is v and the noise's n, the best linear estimate keeps the part c = 1 - n / v; noise of
@@ -150,13 +89,13 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
     """
     field = np.ascontiguousarray(field)
     if not noise.any():
-        return _Filtered(field, np.ones(field.shape), np.zeros(field.shape))
+        return np.stack([field, np.ones(field.shape), np.zeros(field.shape)])
     # Running sums may end below 0 by a rounding error.
     noise_here = np.maximum(window_mean(noise, weight, WINDOW), 0.0)
     known = weight > 0
     whole = np.where(known, field, window_mean(field, known.astype(np.float64), 3))
-    guide = _medians(np.pad(whole.astype(np.float32), 1, mode="edge")).astype(np.float64)
-    reach = _EDGE**2 * (noise_here + _LEAST_NOISE**2)
+    guide = median_filter(whole, 3, mode="nearest")
+    reach = np.maximum(_EDGE**2 * noise_here, 1e-12)
     finer, finer_share = field, np.ones(field.shape)
     result, own, variance = np.zeros(field.shape), np.zeros(field.shape), np.zeros(field.shape)
     for window in _SCALES:
@@ -170,28 +109,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> _Filt
         own += kept * (finer_share - share)
         variance += kept * part
         finer, finer_share = coarser, share
-    return _Filtered(result + finer, own + finer_share, variance + finer_share * noise_here)
-
-
-@njit(cache=True, nogil=True)
-def _medians(padded):  # type: ignore[no-untyped-def]
-    """Return medians over 3 x 3: of the largest low, the median middle and the least high of columns."""
-    result = np.empty((padded.shape[0] - 2, padded.shape[1] - 2), padded.dtype)
-    for row in range(len(result)):
-        for column in range(result.shape[1]):
-            p = padded[row : row + 3, column : column + 3]
-            a = _sorted_three(p[0, 0], p[1, 0], p[2, 0])
-            b = _sorted_three(p[0, 1], p[1, 1], p[2, 1])
-            c = _sorted_three(p[0, 2], p[1, 2], p[2, 2])
-            middle = _sorted_three(a[1], b[1], c[1])[1]
-            result[row, column] = _sorted_three(max(a[0], b[0], c[0]), middle, min(a[2], b[2], c[2]))[1]
-    return result
-
-
-@njit(cache=True, nogil=True)
-def _sorted_three(a, b, c):  # type: ignore[no-untyped-def]
-    low, high = min(a, b), max(a, b)
-    return min(low, c), max(low, min(high, c)), max(high, c)
+    return np.stack([result + finer, own + finer_share, variance + finer_share * noise_here])
 
 
 @njit(cache=True, nogil=True)

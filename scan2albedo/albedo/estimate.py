@@ -14,9 +14,7 @@ from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
 from scan2albedo.albedo.levels import (
     cell_field,
-    toward_viewer,
     usable_texels,
-    value_channel,
     with_every_normal,
 )
 from scan2albedo.albedo.light_search import LightSearch
@@ -24,7 +22,6 @@ from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.prior import AlbedoPrior
-from scan2albedo.albedo.rectification import rectify
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.albedo.texel_light import light_on_texels
@@ -144,7 +141,7 @@ def estimate_albedo(
     image, paper = with_every_normal(image), options.objective == "albedo-deviation"
     if paper or options.choice(_CAMERAS) is False:
         image = replace(image, camera=None, camera_positions=None)
-    facing, plan = toward_viewer(image, usable, view), Plan()
+    facing, plan = float(np.mean((image.normal @ np.asarray(view))[usable] > 0)), Plan()
     if facing < _LEAST_FACING:
         reason = (
             f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
@@ -173,41 +170,24 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     assert image.texture_linear is not None
     mask, deviation = image.mask, None
     lit = light_on_texels(scene, found)
-    light, specular, shadow, cast, shading = (
-        np.zeros((*mask.shape, *field.shape[1:]))
-        for field in (lit.light, lit.specular, lit.visible, lit.cast, lit.light_linear)
-    )
-    light[mask], specular[mask], shadow[mask] = lit.light, lit.specular, lit.visible
-    cast[mask], shading[mask] = lit.cast, lit.light_linear
+    specular, shadow = np.zeros((2, *mask.shape))
+    shading = np.zeros((*mask.shape, 3))
+    specular[mask], shadow[mask], shading[mask] = lit.specular, lit.visible, lit.light_linear
     if found.explanation is not None:
         best = found.explanation.best
         cells = best.light_deviation()[:, None]
         deviation = np.zeros(mask.shape)
         deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
     # What makes a good albedo better is left out once the seconds have ended.
-    late, begin = meter.out_of_time, meter.elapsed_s
-    division = divide_light(
-        image.texture_linear,
-        shading,
-        specular,
-        mask,
-        usable,
-        skin=image.skin,
-        shrink=not late,
-    )
-    # Lines along shadows err most, and go in at most twice the seconds that the division took.
-    late = late and meter.would_overrun(2 * (meter.elapsed_s - begin))
-    rectification = _left_out("albedo.rectification", options, late)
-    albedo = value = value_channel(division.albedo)
-    if rectification is None:
-        forced = options.choice("albedo.rectification") is True
-        albedo, rectification = rectify(albedo, light, cast, usable, force=forced)
-    # Hue and saturation stay; black turns grey.
-    ratio, black = albedo / np.maximum(value, 1e-9), value <= 1e-9
-    color = (division.albedo * ratio[..., None]).astype(np.float32)
-    color[black] = albedo[black, None]
-    inpainting = _left_out("albedo.inpainting", options, late)
-    if inpainting is None:
+    late = meter.out_of_time
+    division = divide_light(image.texture_linear, shading, specular, mask, usable, shrink=not late)
+    color, stage = division.albedo.astype(np.float32), "albedo.inpainting"
+    choice = options.choice(stage)
+    if choice is False:
+        inpainting = PlanStep(stage, False, "left out by the caller")
+    elif late and choice is None:
+        inpainting = PlanStep(stage, False, "the budget ended before it")
+    else:
         color, inpainting = inpainted(color, image, usable, options, seed)
     cameras = _cameras_step(scene, lit.reflectance)
     rough = "minnaert_exponent" if lit.reflectance.brdf == "minnaert" else "sigma_rad"
@@ -228,7 +208,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         specular=specular.mean(-1).astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, cameras, rectification, inpainting)),
+        plan=Plan((*found.steps, cameras, inpainting)),
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
@@ -240,7 +220,7 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         shadow_offset_mm=SHADOW_OFFSET_MM,
         uncertainty=found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
-        expected_error=expected_error(division.deviation, deviation, light, mask, image.skin),
+        expected_error=expected_error(division.deviation, deviation, mask, image.skin),
         environment=lit.environment,
     )
 
@@ -262,14 +242,6 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     if reflectance.specular_strength == 0 and reflectance.roughness == plain:
         return PlanStep(_CAMERAS, False, "what is found of the light looks alike from everywhere", evidence)
     return PlanStep(_CAMERAS, True, "each texel is seen from its camera", evidence)
-
-
-def _left_out(stage: str, options: EstimateOptions, late: bool) -> PlanStep | None:
-    """Return the plan's row of a repair that is not even looked at, else None."""
-    choice = options.choice(stage)
-    if choice is False:
-        return PlanStep(stage, False, "left out by the caller")
-    return PlanStep(stage, False, "the budget ended before it") if late and choice is None else None
 
 
 def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
@@ -299,5 +271,5 @@ def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
         casts_shadows=True,
         shadow_offset_mm=SHADOW_OFFSET_MM,
         environment=environment_of_shading(coefficients),
-        expected_error=expected_error(division.deviation, None, shading.max(axis=-1), image.mask, image.skin),
+        expected_error=expected_error(division.deviation, None, image.mask, image.skin),
     )

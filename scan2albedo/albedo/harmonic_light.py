@@ -7,16 +7,11 @@ from scipy.optimize import least_squares
 
 from scan2albedo.albedo.levels import Level, build_level
 from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.lighting.harmonics import harmonics
-
-_LIGHT_FLOOR = 0.02
-"""Shading below this part of its mean counts as this: harmonics may turn negative, light may not."""
-_BLOCK_AREA = 0.125
-"""Area of a block of constant albedo as a part of the chart's."""
-_ROUNDS = 20
 
 
 def fit_harmonic_light(
@@ -41,7 +36,7 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
     """Return (9,) the coefficients of one channel."""
     basis = harmonics(level.normal, 2)
     mean = np.average(basis, axis=0, weights=level.weight)
-    root, (blocks, count) = np.sqrt(level.weight), level.blocks(_BLOCK_AREA)
+    root, (blocks, count) = np.sqrt(level.weight), level.blocks()
 
     def complete(free: FloatArray) -> FloatArray:
         # The constant is chosen so that the mean shading is 1.
@@ -49,7 +44,7 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
 
     def residual(free: FloatArray) -> FloatArray:
         meter.count()
-        light = np.maximum(basis @ complete(free), _LIGHT_FLOOR)
+        light = np.maximum(basis @ complete(free), DARKEST)
         parts = []
         for block in blocks:
             top = np.bincount(block, level.weight * level.value * light, count)
@@ -58,18 +53,16 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
         return np.concatenate(parts)
 
     free = np.zeros(basis.shape[1] - 1)
-    for _ in range(_ROUNDS):
-        # A few steps at a time, so that a budget can end the fit between them.
-        if meter.exhausted:
-            if not meter.rows:
-                meter.record(float(np.mean(np.abs(residual(free)))))
-            break
+    # A few steps at a time, so that a budget can end the fit between them.
+    while not meter.exhausted:
         step = least_squares(residual, free, loss="soft_l1", f_scale=0.05, max_nfev=8)
         moved = float(np.abs(step.x - free).max())
         free = step.x
         meter.record(float(np.mean(np.abs(step.fun))))
         if moved < 1e-5:
-            break
+            return complete(free)
+    if not meter.rows:
+        meter.record(float(np.mean(np.abs(residual(free)))))
     return complete(free)
 
 
@@ -77,5 +70,5 @@ def harmonic_shading(image: GeometryImage, coefficients: FloatArray) -> FloatArr
     """Return (H, W, 3) the shading of each channel, floored; 1 outside the mask."""
     shading = np.ones((*image.shape, 3))
     lit = harmonics(image.normal[image.mask], 2) @ coefficients
-    shading[image.mask] = np.maximum(lit, _LIGHT_FLOOR)
+    shading[image.mask] = np.maximum(lit, DARKEST)
     return shading

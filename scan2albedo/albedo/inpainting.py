@@ -5,19 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.optimization.poisson import integrate_gradients
 
 _NEIGHBOURS = 14
 _PROBES = 12
-_RADIUS = 40 / 512
-_FLOOR = np.float32(1e-4)
+RADIUS = 40 / 512
+FLOOR = np.float32(1e-4)
 """Albedo below this counts as this in logarithms."""
-_OWN_STEP = np.float32(0.6)
-"""Weight of two copies' own difference where copies from different places meet."""
-_HOLD = np.float32(1e-4)
-"""Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
-_SETTLED = np.float32(1e-3)
-"""Blending ends when no log albedo moves by more than this."""
 
 
 def resynthesize(
@@ -60,7 +55,7 @@ def resynthesize(
     known = origin if context is None else origin | (context & ~target)
     if bad := int((~np.isfinite(albedo[known]).all(1)).sum()):
         raise ValueError(f"{bad} of {int(known.sum())} texels to copy from or compare with are not finite")
-    radius = max(4, round(_RADIUS * max(target.shape)))
+    radius = max(4, round(RADIUS * max(target.shape)))
     window = surroundings(target, radius)
     if not origin[window].any():
         window = (slice(None), slice(None))
@@ -68,8 +63,8 @@ def resynthesize(
     # With a rim of nothing known around it no index has to be checked.
     inside, copies, around = (np.pad(part[window], reach) for part in (target, origin, known))
     field = np.zeros((*inside.shape, 3), np.float32)
-    field[reach:-reach, reach:-reach] = np.log(np.maximum(albedo[window].astype(np.float32), _FLOOR))
-    order, layers = _order(inside, around)
+    field[reach:-reach, reach:-reach] = np.log(np.maximum(albedo[window].astype(np.float32), FLOOR))
+    order = _order(inside, around)
     # Offsets of neighbours without (0, 0), the nearest first.
     offsets = np.stack([grid.ravel() for grid in np.indices((2 * reach + 1, 2 * reach + 1)) - reach], 1)
     offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")[1:]]
@@ -82,11 +77,12 @@ def resynthesize(
         offsets,
         np.argwhere(copies),
         rng.integers(-radius, radius + 1, (len(order), _PROBES, 2), np.int32),
-        np.float32(1 / max(_variance(field, copies), 1e-6)),
+        np.float32(1 / max(field[copies].var(0).mean(), 1e-6)),
         _NEIGHBOURS,
         rng,
     )
-    blend_copies(filled, field, order, came_from, around, 2 * layers + 1)
+    across, down = (copied_steps(filled, field, came_from, around, axis) for axis in (1, 0))
+    filled = integrate_gradients(filled, inside, around, across, down)
     result = albedo.copy()
     new = np.exp(filled[inside], dtype=np.float64)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
@@ -104,7 +100,7 @@ def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:
 
 @njit(cache=True, nogil=True)
 def _order(target, known):  # type: ignore[no-untyped-def]
-    """Return (T, 2) the target's texels, those with most known neighbours first, and the number of layers.
+    """Return (T, 2) the target's texels, those with most known neighbours first, in layers.
 
     Each layer takes the texels with at least three known neighbours (or as many as there are).
     """
@@ -114,7 +110,7 @@ def _order(target, known):  # type: ignore[no-untyped-def]
     left = np.stack((rows, columns), 1)
     count = np.empty(len(left), np.int64)
     order = np.empty_like(left)
-    placed, layers = 0, 0
+    placed = 0
     while len(left):
         for t in range(len(left)):
             count[t] = 0
@@ -132,22 +128,7 @@ def _order(target, known):  # type: ignore[no-untyped-def]
         for t in range(first, placed):
             done[order[t, 0], order[t, 1]] = True
         left = left[here < enough]
-        layers += 1
-    return order, layers
-
-
-@njit(cache=True, nogil=True)
-def _variance(field, chosen):  # type: ignore[no-untyped-def]
-    """Return the variance of `field` (H, W, 3) over the chosen texels, mean of the channels."""
-    count, total, square = 0, np.zeros(3), np.zeros(3)
-    for i in range(chosen.shape[0]):
-        for j in range(chosen.shape[1]):
-            if chosen[i, j]:
-                count += 1
-                for c in range(3):
-                    total[c] += field[i, j, c]
-                    square[c] += np.float64(field[i, j, c]) ** 2
-    return float(np.mean(square / count - (total / count) ** 2))
+    return order
 
 
 @njit(cache=True, nogil=True)
@@ -233,74 +214,25 @@ def _distance(field, context, i, j, near, own, precision, enough):  # type: igno
     return distance
 
 
-@njit(cache=True, nogil=True)
-def blend_copies(filled, field, order, came_from, context, diameter):  # type: ignore[no-untyped-def]
-    """Integrate the copies' gradients over the texels of `order`, in place, by successive over-relaxation.
+def copied_steps(
+    filled: FloatArray, field: FloatArray, came_from: IntArray, known: BoolArray, axis: int
+) -> FloatArray:
+    """Return the forward differences along an axis that copies should have: those where they came from.
 
-    Minimises sum |u_q - u_p - g_pq|^2 over neighbours p, q, of which one at least was copied, plus a little
-    of |u_p - its copy|^2, so that nothing drifts away where the border is far. Across the border g is the
-    step beside the place the copy came from. Where two copies from different places meet it is a mean of that
-    and of their own difference: the first alone takes a quarter of the texture's variance away, the second
-    adds some.
+    Across the border that is the step beside the place the copy came from; the left or upper texel of a pair
+    is asked first. Where two copies meet it is the mean of that and of their own difference: the first alone
+    takes a quarter of the texture's variance away, the second adds some.
     """
-    pull, links, degree, share = _equations(filled, field, order, came_from, context)
-    # The best factor for a square of this side; the error falls by e in diameter / (2 pi) sweeps.
-    relaxation = np.float32(2.0 / (1.0 + np.sin(np.pi / (diameter + 1))))
-    for _ in range(10 * diameter):
-        moved = np.float32(0)
-        for t in range(len(order)):
-            if degree[t] == 0:
-                continue
-            row, column, missing = order[t, 0], order[t, 1], np.float32(4 - degree[t])
-            a, b, c, d = links[t]
-            for channel in range(3):
-                old = filled[row, column, channel]
-                total = pull[t, channel] - missing * old
-                total += filled[a[0], a[1], channel] + filled[b[0], b[1], channel]
-                total += filled[c[0], c[1], channel] + filled[d[0], d[1], channel]
-                change = relaxation * (total * share[t] - old)
-                filled[row, column, channel] = old + change
-                moved = max(moved, abs(change))
-        if moved < _SETTLED:
-            break
-
-
-@njit(cache=True, nogil=True)
-def _equations(filled, field, order, came_from, context):  # type: ignore[no-untyped-def]
-    """Return what u_p = share (pull + sum over neighbours u_q) needs for texels p (T), all g_pq in the pull.
-
-    These are pull (T, 3), links (T, 4, 2), degree (T,) and share (T,): the first `degree` of the links are
-    neighbours, the texel itself stands in for missing ones.
-    """
-    count = order.shape[0]
-    pull, links = np.zeros((count, 3), np.float32), np.zeros((count, 4, 2), np.int64)
-    degree, share = np.zeros(count, np.int64), np.zeros(count, np.float32)
-    for t in range(count):
-        row, column = order[t, 0], order[t, 1]
-        for i, j in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-            a, b = row + i, column + j
-            inner = came_from[a, b, 0] >= 0
-            if not (context[a, b] or inner):
-                continue
-            k = degree[t]
-            degree[t] += 1
-            links[t, k, 0], links[t, k, 1] = a, b
-            # The left or upper texel of a pair is asked first, so that both ends want the same step.
-            for end in range(2):
-                here = (end == 0) == (i + j > 0)
-                p, q, sign = (row, column, 1) if here else (a, b, -1)
-                m, n = came_from[p, q, 0], came_from[p, q, 1]
-                if m >= 0 and context[m + sign * i, n + sign * j]:
-                    for c in range(3):
-                        step = sign * (field[m + sign * i, n + sign * j, c] - field[m, n, c])
-                        if inner:
-                            own = filled[a, b, c] - filled[row, column, c]
-                            step = _OWN_STEP * own + (np.float32(1) - _OWN_STEP) * step
-                        pull[t, c] -= step
-                    break
-        for k in range(degree[t], 4):
-            links[t, k, 0], links[t, k, 1] = row, column
-        for c in range(3):
-            pull[t, c] += _HOLD * filled[row, column, c]
-        share[t] = np.float32(1) / (np.float32(degree[t]) + _HOLD)
-    return pull, links, degree, share
+    front, back = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
+    there, pairs = np.diff(field, axis=axis), known[front] & known[back]
+    own = np.diff(filled, axis=axis)
+    steps, both = np.zeros_like(own), np.ones(own.shape[:2], bool)
+    for end, before in ((back, 1), (front, 0)):
+        place = came_from[end].copy()
+        both &= place[..., 0] >= 0
+        good = place[..., 0] >= 0
+        place[..., axis] -= before
+        good &= pairs[place[..., 0], place[..., 1]]
+        steps[good] = there[place[good][:, 0], place[good][:, 1]]
+    steps[both] = 0.5 * (steps + own)[both]
+    return steps

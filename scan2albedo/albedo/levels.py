@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
 
+from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
@@ -18,16 +19,8 @@ from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
 from scan2albedo.lighting.interreflection import SMALLEST_MM, surface_keys
 
-_BLACK = 1e-6
-"""Parts of the brightest texel up to which a texel is black."""
-_SHORT = 0.5
-"""Normals shorter than this are not known."""
-_CHOICE_SIDE = 15
-"""Side [texels] of the square over which channels are compared."""
-
-
-_LEAST_SKIN = 0.05
-"""Mean skin below which there is none to speak of."""
+BLOCK_AREA = 0.125
+"""Area of a block of constant albedo as a part of the chart's: larger than the texture's grain."""
 _NOT_SKIN = 0.25
 """Weight of what is not skin: without any, nothing is known of the light below a beard."""
 
@@ -61,7 +54,7 @@ class Level:
     factor: int
 
     def blocks(
-        self, area: float, shifts: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.5, 0.5))
+        self, area: float = BLOCK_AREA, shifts: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.5, 0.5))
     ) -> tuple[NDArray[np.int32], int]:
         """Return (S, N) the block of each cell in S overlapping partitions, and how many blocks there are.
 
@@ -91,13 +84,13 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> 
     are alike and the light is poor. Choosing by averages avoids that.
     """
     known = usable[..., None] * texture_linear
-    chosen = uniform_filter(known, (_CHOICE_SIDE, _CHOICE_SIDE, 1)).argmax(-1)
+    chosen = uniform_filter(known, (WINDOW, WINDOW, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
 def known_normals(image: GeometryImage) -> BoolArray:
     """Return (H, W) where the normal is known: not 0."""
-    return np.asarray(lengths(image.normal) > _SHORT)
+    return np.asarray(lengths(image.normal) > 0.5)
 
 
 def with_every_normal(image: GeometryImage) -> GeometryImage:
@@ -107,11 +100,6 @@ def with_every_normal(image: GeometryImage) -> GeometryImage:
         return image
     nearest = distance_transform_edt(~(known & image.mask), return_distances=False, return_indices=True)
     return replace(image, normal=np.where(known[..., None], image.normal, image.normal[tuple(nearest)]))
-
-
-def toward_viewer(image: GeometryImage, usable: BoolArray, view: tuple[float, float, float]) -> float:
-    """Return which part of the usable texels faces the viewer."""
-    return float(np.mean((image.normal @ np.asarray(view))[usable] > 0))
 
 
 def usable_texels(image: GeometryImage) -> BoolArray:
@@ -129,7 +117,7 @@ def usable_texels(image: GeometryImage) -> BoolArray:
     image.check_normals()
     seen = image.seen
     value = value_channel(image.texture_linear)
-    black = value <= _BLACK * value[seen].max(initial=0.0)
+    black = value <= 0
     clipped = value >= SATURATION_LINEAR
     usable = seen & ~black & ~clipped & known_normals(image)
     if int(usable.sum()) < MINIMAL_TEXELS:
@@ -155,25 +143,28 @@ def build_level(
     assert image.texture_linear is not None
     field = brightest_around(image.texture_linear, usable) if values is None else values
     factor = max(1, -(-max(image.shape) // size))
-    count = _cell_sums(usable[..., None].astype(np.float64), usable, factor)[..., 0]
-    filled = count > 0
+    across = -(-image.shape[1] // factor)
+    row, column = np.nonzero(usable)
+    found, index, count = np.unique(
+        row // factor * across + column // factor, return_inverse=True, return_counts=True
+    )
 
     def mean(field: NDArray) -> FloatArray:
-        flat = np.ascontiguousarray(field).reshape(*field.shape[:2], -1)
-        return _cell_sums(flat, usable, factor)[filled] / count[filled][:, None]
+        parts = field[usable].reshape(len(index), -1).T
+        return np.stack([np.bincount(index, part) for part in parts], 1) / count[:, None]
 
     position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     toward = np.zeros(image.position.shape)
     toward[image.mask] = image.toward_camera(view)
-    center = mean(np.moveaxis(np.indices(image.shape, np.float64), 0, -1))
-    middle = np.zeros((*filled.shape, 3))
-    middle[filled] = position
-    anchor = image.position[tuple(_closest_texels(image.position, middle, usable, factor)[filled].T)]
+    # The texel closest to each cell's mean.
+    away = ((image.position[usable] - position[index]) ** 2).sum(1)
+    order = np.lexsort((away, index))
+    anchor = image.position[usable][order[np.searchsorted(index[order], np.arange(len(found)))]]
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)
-    if image.skin is not None and image.skin[usable].mean() >= _LEAST_SKIN:
+    if image.skin is not None and (image.skin[usable] > _NOT_SKIN).any():
         part = np.maximum(image.skin, _NOT_SKIN)
     return Level(
         position,
@@ -181,54 +172,24 @@ def build_level(
         normalized(mean(toward)),
         anchor,
         value / unit,
-        count[filled] / factor**2 * mean(part)[:, 0],
+        count / factor**2 * mean(part)[:, 0],
         scale,
         unit,
         mean(image.texture_linear) / unit,
-        np.argwhere(filled),
-        center,
+        np.stack(np.divmod(found, across), 1),
+        mean(np.moveaxis(np.indices(image.shape, np.float64), 0, -1)),
         int(image.mask.sum()),
         factor,
     )
 
 
-@njit(cache=True, nogil=True)
-def _cell_sums(field, usable, factor):  # type: ignore[no-untyped-def]
-    """Return (h, w, C) the sums of `field` (H, W, C) over the usable texels of each cell."""
-    height, width, channels = field.shape
-    sums = np.zeros((-(-height // factor), -(-width // factor), channels))
-    for i in range(height):
-        for j in range(width):
-            if usable[i, j]:
-                for c in range(channels):
-                    sums[i // factor, j // factor, c] += field[i, j, c]
-    return sums
-
-
-@njit(cache=True, nogil=True)
-def _closest_texels(position, mean, usable, factor):  # type: ignore[no-untyped-def]
-    """Return (h, w, 2) row and column of each cell's usable texel closest to the cell's `mean` (h, w, 3)."""
-    found = np.zeros((mean.shape[0], mean.shape[1], 2), np.int64)
-    best = np.full(mean.shape[:2], np.inf)
-    for i in range(usable.shape[0]):
-        for j in range(usable.shape[1]):
-            if usable[i, j]:
-                a, b = i // factor, j // factor
-                square = 0.0
-                for c in range(3):
-                    square += (position[i, j, c] - mean[a, b, c]) ** 2
-                if square < best[a, b]:
-                    best[a, b] = square
-                    found[a, b, 0], found[a, b, 1] = i, j
-    return found
-
-
 def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (N,) the mean over each cell's texels within `mask` (H, W) of `values` there."""
-    fields = np.zeros((*mask.shape, 2))
-    fields[mask, 0], fields[mask, 1] = values, 1.0
-    sums = _cell_sums(fields, mask, level.factor)[tuple(level.cell.T)]
-    return np.asarray(sums[:, 0] / sums[:, 1])
+    across = -(-mask.shape[1] // level.factor)
+    row, column = np.nonzero(mask)
+    number, cell = row // level.factor * across + column // level.factor, level.cell @ (across, 1)
+    sums, count = np.bincount(number, values), np.bincount(number)
+    return np.asarray(sums[cell] / count[cell])
 
 
 def cell_field(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:

@@ -14,7 +14,6 @@ from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.shading import Reflectance, light_from_direction
 from scan2albedo.lighting.shadow_map import view_frame
 
-_DEFAULT_EXPONENT = 16.0
 HARMONICS = 8
 """Harmonics of the environment beside the constant one: orders 1 and 2."""
 
@@ -81,27 +80,30 @@ class LightModel:
     radius_deg: float = 0.0
 
     @cached_property
-    def _tail(self) -> list[tuple[str, float, float, float, float]]:
-        """Return (name, start, lower, upper, first step) of the parameters after the lights."""
-        rows = []
+    def _tail(self) -> dict[str, tuple[float, float, float, float]]:
+        """Return start, lower, upper bound and first step of the parameters after the lights, by name.
+
+        A part's first parameter has its name.
+        """
+        rows = {}
         if self.near and self.lights:
-            rows.append(("nearness", 0.1, 0.0, 0.6, 0.1))
+            rows["near"] = 0.1, 0.0, 0.6, 0.1
         if self.rough and self.lights:
-            rows.append(
-                ("minnaert", 1.0, 0.3, 2.0, 0.2)
-                if self.brdf == "minnaert"
-                else ("variance", 0.04, 0.0, 1.0, 0.04)
-            )
+            rows["rough"] = (1.0, 0.3, 2.0, 0.2) if self.brdf == "minnaert" else (0.04, 0.0, 1.0, 0.04)
         if self.specular and self.lights:
-            rows.append(("specular", 0.05, 0.0, 2.0, 0.08))
-            rows.append(("log_exponent", math.log(_DEFAULT_EXPONENT), math.log(4.0), math.log(200.0), 0.6))
+            rows["specular"] = 0.05, 0.0, 2.0, 0.08
+            rows["exponent"] = math.log(Reflectance.exponent), math.log(4.0), math.log(200.0), 0.6
         if self.occlusion:
-            rows.append(("fill", 0.5, 0.0, 1.0, 0.2))
+            rows["occlusion"] = 0.5, 0.0, 1.0, 0.2
         if self.bounce:
-            rows.append(("bounce", 0.3, 0.0, 0.9, 0.1))
+            rows["bounce"] = 0.3, 0.0, 0.9, 0.1
         if self.environment:
-            rows += [(f"harmonic{k}", 0.0, -1.8, 1.8, 0.1) for k in range(1, HARMONICS + 1)]
+            names = "environment", *(f"harmonic{k}" for k in range(2, HARMONICS + 1))
+            rows |= dict.fromkeys(names, (0.0, -1.8, 1.8, 0.1))
         return rows
+
+    def _values(self, x: FloatArray) -> dict[str, float]:
+        return dict(zip(self._tail, x[3 * self.lights :].tolist(), strict=True))
 
     @cached_property
     def _frame(self) -> FloatArray:
@@ -115,21 +117,19 @@ class LightModel:
     @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Return (lower, upper) of x."""
-        tail = self._tail
-        lower = [-1.95, -1.95, math.log(0.02)] * self.lights + [row[2] for row in tail]
-        upper = [1.95, 1.95, math.log(20.0)] * self.lights + [row[3] for row in tail]
+        tail = self._tail.values()
+        lower = [-1.95, -1.95, math.log(0.02)] * self.lights + [row[1] for row in tail]
+        upper = [1.95, 1.95, math.log(20.0)] * self.lights + [row[2] for row in tail]
         return np.array(lower), np.array(upper)
 
     def steps(self) -> FloatArray:
         """Return first step lengths of x."""
-        return np.array([0.12, 0.12, 0.3] * self.lights + [row[4] for row in self._tail])
+        return np.array([0.12, 0.12, 0.3] * self.lights + [row[3] for row in self._tail.values()])
 
     def from_lights(self, directions: FloatArray, intensities: FloatArray) -> FloatArray:
         """Return x of lights in `directions` (L, 3), everything else at its start."""
         head = [[*self.coordinates(d), math.log(e)] for d, e in zip(directions, intensities, strict=True)]
-        return np.array(
-            [*(value for light in head for value in light), *(row[1] for row in self._tail)], float
-        )
+        return np.array([*np.ravel(head), *(row[0] for row in self._tail.values())], float)
 
     def coordinates(self, direction: FloatArray) -> tuple[float, float]:
         """Return p of a unit direction (3,)."""
@@ -157,48 +157,36 @@ class LightModel:
     def decode(self, x: FloatArray) -> Hypothesis:
         """Return the hypothesis that x stands for (x clipped to the bounds)."""
         x = np.clip(x, *self.bounds)
-        tail = dict(zip([row[0] for row in self._tail], x[3 * self.lights :], strict=True))
-        rows = np.zeros((self.lights, 5))
+        tail, rows = self._values(x), np.zeros((self.lights, 5))
         for k in range(self.lights):
             px, py, log_intensity = x[3 * k : 3 * k + 3]
             rows[k, :3] = self.direction(px, py)
-            rows[k, 3] = tail.get("nearness", 0.0) / self.radius_mm
+            rows[k, 3] = tail.get("near", 0.0) / self.radius_mm
             rows[k, 4] = math.exp(log_intensity)
         minnaert = self.brdf == "minnaert"
+        rough = tail.get("rough", 1.0 if minnaert else 0.0)
         reflectance = Reflectance(
             self.brdf,
-            float(tail.get("minnaert", 1.0) if minnaert else math.sqrt(tail.get("variance", 0.0))),
-            float(tail.get("specular", 0.0)),
-            math.exp(tail.get("log_exponent", math.log(_DEFAULT_EXPONENT))),
+            rough if minnaert else math.sqrt(rough),
+            tail.get("specular", 0.0),
+            math.exp(tail.get("exponent", math.log(Reflectance.exponent))),
         )
         return Hypothesis(rows, reflectance, self.radius_deg)
 
     def soft(self, x: FloatArray) -> SoftState:
         """Return the state of soft light that x stands for."""
-        tail = dict(zip([row[0] for row in self._tail], x[3 * self.lights :], strict=True))
-        harmonics = np.array([tail.get(f"harmonic{k}", 0.0) for k in range(1, HARMONICS + 1)])
-        return SoftState(float(tail.get("fill", 1.0)), float(tail.get("bounce", 0.0)), harmonics)
+        tail, harmonics = self._values(x), np.zeros(HARMONICS)
+        if self.environment:
+            harmonics = x[self.position_of("environment") :][:HARMONICS]
+        return SoftState(tail.get("occlusion", 1.0), tail.get("bounce", 0.0), harmonics)
 
     def position_of(self, part: str) -> int:
         """Return where in x a part is, its first parameter; ValueError when it is not free."""
-        names = {
-            "near": ("nearness",),
-            "rough": ("variance", "minnaert"),
-            "specular": ("specular",),
-            "occlusion": ("fill",),
-            "bounce": ("bounce",),
-            "environment": ("harmonic1",),
-        }[part]
-        for k, row in enumerate(self._tail):
-            if row[0] in names:
-                return 3 * self.lights + k
-        raise ValueError(f"{part!r} is not free in {self}")
+        return 3 * self.lights + list(self._tail).index(part)
 
     def has(self, part: str) -> bool:
         """Return whether a part is free: of lamps only where there is one."""
-        return bool(getattr(self, part)) and (
-            self.lights > 0 or part in ("occlusion", "bounce", "environment")
-        )
+        return part in self._tail
 
     def with_part(self, part: str, free: bool = True) -> LightModel:
         """Return the model with a part free, or fixed at its plain value."""
@@ -206,8 +194,9 @@ class LightModel:
 
     def extend(self, x: FloatArray, other: LightModel) -> FloatArray:
         """Return x of `other`, which has the same lights and more or fewer free parts, at the same state."""
-        mine = dict(zip([row[0] for row in self._tail], x[3 * self.lights :], strict=True))
-        return np.concatenate([x[: 3 * self.lights], [mine.get(row[0], row[1]) for row in other._tail]])
+        mine = self._values(x)
+        tail = [mine.get(name, row[0]) for name, row in other._tail.items()]
+        return np.concatenate([x[: 3 * self.lights], tail])
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,13 @@ OPTIONAL_STEPS = (
     "albedo.bounce",
     "albedo.environment",
     "albedo.light_colour",
-    "albedo.rectification",
     "albedo.inpainting",
 )
 """Steps that the evidence decides on, unless `EstimateOptions.skip` or `force` names them: cast shadows, the
 lamps' angular radius, the cameras that each texel is seen from, Phong's highlight, a finite distance common
 to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient light, one bounce of light
-off the surface, an environment in spherical harmonics, colours of the light's parts, repair of the albedo
-along shadow outlines, repair of saturated texels. Parts of the light that are not skipped are always in the
-model, as far as their priors allow."""
+off the surface, an environment in spherical harmonics, colours of the light's parts, repair of saturated
+texels. Parts of the light that are not skipped are always in the model, as far as their priors allow."""
 
 MINIMAL_TEXELS, SATURATION_LINEAR, SHADOW_OFFSET_MM = 64, 0.995, 0.2
 """Fewer usable texels are an error; texels at or above this value are clipped: no weight, and candidates for

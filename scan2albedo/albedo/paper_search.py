@@ -19,8 +19,6 @@ from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 from scan2albedo.optimization import simulated_annealing
 
-_BLOCK_AREA = 0.125
-"""Area of one block as a part of the chart's: larger than the texture's grain."""
 _DIRECTIONS = 80
 """Directions of the table of visibilities: annealing moves too far for shadow rays of its own."""
 _ANNEALING, _POLISH = 1500, 160
@@ -61,7 +59,7 @@ class DeviationProblem:
 
     def __init__(self, scene: LitImage, level: Level) -> None:
         self._level, self._view, self.meter = level, np.asarray(scene.view), scene.meter
-        self._blocks, self._count = level.blocks(_BLOCK_AREA)
+        self._blocks, self._count = level.blocks()
         surface = scene.shadows[0], level.anchor, level.normal
         self._shadows = ShadowMap(*surface, SHADOW_OFFSET_MM)
 

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import Plan
@@ -92,23 +91,11 @@ class AlbedoEstimate:
             else None,
             self.shadow_offset_mm,
             environment,
-        ).shading
+        )
         albedo = self.albedo_linear[mask].astype(np.float64)
         result = np.zeros((*mask.shape, 3), np.float32)
         result[mask] = albedo * shading.light_linear + shading.specular_linear
         return result
-
-
-@dataclass(frozen=True)
-class LitSurface:
-    """`shading` of the N masked texels, and the part of each light (L, N) `visible` and in `cast` shadow.
-
-    Both are uint8, or float32 where a lamp has a size. Texels turned away from a light have neither.
-    """
-
-    shading: Shading
-    visible: NDArray
-    cast: NDArray
 
 
 def shade_image(
@@ -119,34 +106,26 @@ def shade_image(
     caster: RayCaster | None,
     offset_mm: float,
     environment: EnvironmentLight | None = None,
-    open_above: FloatArray | None = None,
-) -> LitSurface:
+) -> Shading:
     """Shade the masked texels with shadows of `caster` (None: attached shadows alone).
 
     `view_direction` is one for all, (3,), or one a texel, (N, 3). The environment stands for the ambient
-    light of 1. `open_above` (N,) is what `ShadowMap` spares rays by.
+    light of 1.
     """
     mask = image.mask
     position, normal = image.position[mask], image.normal[mask]
-    hidden = ShadowMap(caster, position, normal, offset_mm, open_above)
-    attached = ShadowMap(None, position, normal, offset_mm)
-    none = np.ones((0, len(position)), np.uint8)
-    visible, facing = (
-        np.stack([shadows.reached(lamp.direction, lamp.distance_mm, lamp.radius_deg) for lamp in lights])
-        if lights
-        else none
-        for shadows in (hidden, attached)
-    )
+    hidden = ShadowMap(caster, position, normal, offset_mm)
+    seen = [hidden.reached(lamp.direction, lamp.distance_mm, lamp.radius_deg) for lamp in lights]
     shading = shade_points(
         position,
         normal,
         lights,
         reflectance,
-        visible=visible,
+        visible=np.array(seen).reshape(len(lights), len(position)),
         view_direction=view_direction,
         specular_scale=None if image.specular_scale is None else image.specular_scale[mask],
     )
     if environment is not None:
         soft = environment_light_on(environment, hidden, shading.light_linear - 1)
         shading = replace(shading, light=soft.mean(-1), light_linear=soft)
-    return LitSurface(shading, visible, facing - visible)
+    return shading

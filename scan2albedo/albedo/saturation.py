@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, binary_propagation
 
-from scan2albedo.albedo.inpainting import resynthesize, surroundings
-from scan2albedo.albedo.options import SATURATION_LINEAR, EstimateOptions
+from scan2albedo.albedo.inpainting import FLOOR, RADIUS, resynthesize, surroundings
+from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are not highlights but over-exposure."""
-_LEAST_DEVIATION = 0.02
-"""Least standard deviation of log albedo that a highlight is measured in."""
-_RADIUS = 40 / 512
-_ENOUGH = 64
-"""Fewer trustworthy texels than this neither show a highlight nor make a regression."""
-_POOLED = 0.1
-"""All sources together count as much as this part of a window full of sources."""
 _RIDGE = 2e-5
 """Variance of log albedo below which channels are taken to keep their ratio: what 8 bits leave unsure."""
-_FLOOR = 1e-4
-"""Albedo below this counts as this in logarithms."""
 
 
 def inpainted(
@@ -88,12 +81,12 @@ def missed_highlight(
     and texels that may belong to the result.
     """
     nothing = np.zeros_like(clipped)
-    if int(source.sum()) < _ENOUGH:
+    if int(source.sum()) < MINIMAL_TEXELS:
         return nothing
     darkest = np.minimum(np.minimum(albedo_linear[..., 0], albedo_linear[..., 1]), albedo_linear[..., 2])
-    level = np.log(np.maximum(darkest, 1e-4))
+    level = np.log(np.maximum(darkest, FLOOR))
     middle = float(np.median(level[source]))
-    deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), _LEAST_DEVIATION)
+    deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), math.sqrt(_RIDGE))
     excess = (level - middle) / deviation
     seeds = binary_opening(clipped & (excess > 4))
     if not seeds.any():
@@ -109,9 +102,10 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
 
     log A_c = m_c + sum_s b_s (log A_s - m_s), b = (C_ss + r)^-1 (C_sc + r / |s|),
 
-    with means m, covariances C and a small ridge r that draws towards constant ratios. Few pigments colour a
-    face, so one channel predicts much of the others, as in a guided filter [1]_. The clipped value itself,
-    divided by the light, is the least a lost channel can be.
+    with means m, covariances C, in which all sources together count as 64 more, and a small ridge r that
+    draws towards constant ratios. Few pigments colour a face, so one channel predicts much of the others, as
+    in a guided filter [1]_. The clipped value itself, divided by the light, is the least a lost channel can
+    be.
 
     `lost` (H, W, 3) marks channels without a trustworthy value; texels that lost all three, and everything
     when there are too few texels of `source` (H, W), are left as they are. Sums over windows come from tables
@@ -121,22 +115,22 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     """
     touched = any_channel(lost)
     target, origin = touched & ~all_channels(lost), source & ~touched
-    if not target.any() or int(origin.sum()) < _ENOUGH:
+    if not target.any() or int(origin.sum()) < MINIMAL_TEXELS:
         return albedo
-    radius = max(4, round(_RADIUS * max(target.shape)))
+    radius = max(4, round(RADIUS * max(target.shape)))
     window = surroundings(target, 4 * radius)
-    if int(origin[window].sum()) < _ENOUGH:
+    if int(origin[window].sum()) < MINIMAL_TEXELS:
         window = (slice(None), slice(None))
     result = albedo.copy()
     inside = target[window]
-    field = np.log(np.maximum(albedo[window], _FLOOR))
+    field = np.log(np.maximum(albedo[window], FLOOR))
     predicted = _predict(
         field,
         np.argwhere(inside),
         lost[window],
         origin[window],
         radius,
-        _POOLED * (2 * radius + 1) ** 2,
+        float(MINIMAL_TEXELS),
         _RIDGE,
     )
     old = albedo[window][inside]

@@ -8,20 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_erosion
 
 from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.posterior import Point
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 
-_NOISE, _LIGHT = 1.5, 2.6
-"""Times what is said of the noise that is left, and of the light's uncertainty, that texels err by: the light
-is estimated as if its model were right."""
-_MISPLACED, _NOT_SKIN, _ALWAYS = 0.3 / 256, 0.2, 0.03
-"""Parts of the chart's side by which the light lies beside where it should; relative errors of what is not
-skin, whose shape and reflectance are least known, and of everything. All five are fitted to path-traced faces
-of two people under twelve kinds of light, and raw scans of six, so that .68 of their texels err by less."""
+_LIGHT = 2.6
+"""Times the light's uncertainty that texels err by: the light is estimated as if its model were right."""
+_NOT_SKIN, _ALWAYS = 0.2, 0.03
+"""Relative errors of what is not skin, whose shape and reflectance are least known, and of everything. All
+three are fitted to path-traced faces of two people under twelve kinds of light, and raw scans of six, so that
+.68 of their texels err by less."""
 
 
 @dataclass(frozen=True)
@@ -78,23 +76,18 @@ class LightUncertainty:
 def expected_error(
     noise: FloatArray,
     deviation: FloatArray | None,
-    light: FloatArray,
     mask: BoolArray,
     skin: NDArray | None = None,
 ) -> NDArray[np.float32]:
     """Return (H, W) the relative error that two texels in three stay below, in [0, 1]; 0 outside the mask.
 
     `noise` (H, W) is the relative standard deviation of the noise that is left, 1 where nothing was measured,
-    `deviation` (H, W) that of the albedo which follows from the light's uncertainty, where it is known,
-    `light` (H, W) I: where it changes quickly, a fit that is off by part of a texel errs most. `skin` (H, W)
-    says how surely a texel is skin, everywhere when None.
+    `deviation` (H, W) that of the albedo which follows from the light's uncertainty, where it is known.
+    `skin` (H, W) says how surely a texel is skin, everywhere when None.
     """
-    level = np.log(np.where(mask & (light > 0), light, 1.0))
-    squares = (_NOISE * noise) ** 2 + _ALWAYS**2
+    squares = noise**2 + _ALWAYS**2
     if deviation is not None:
         squares += (_LIGHT * deviation) ** 2
-    slope = np.where(binary_erosion(mask), np.minimum(np.hypot(*np.gradient(level)), 1.0), 0.0)
-    squares += (_MISPLACED * max(mask.shape) * slope) ** 2
     if skin is not None:
         squares += (_NOT_SKIN * (1 - skin)) ** 2
     said = np.where(noise >= 1, 1.0, np.minimum(np.sqrt(squares), 1.0))

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_opening, label, maximum_filter
 from skimage.morphology import disk
 
-from scan2albedo.albedo.poisson import integrate_gradients
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.optimization.poisson import integrate_gradients
 
 FEATURES = {
     "eyes": ("left_eye", "right_eye"),

@@ -12,7 +12,8 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 from skimage.filters.rank import median
 
 from scan2albedo.albedo import AlbedoEstimate
-from scan2albedo.albedo.division import Usual, divide_light
+from scan2albedo.albedo.division import divide_light
+from scan2albedo.albedo.noise import ChannelNoise
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.applications.face_features import AROUND, FLOOR
 from scan2albedo.applications.shadow_lines import outlines, without_lines
@@ -122,7 +123,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
             RayCaster(thin.vertices, thin.faces) if estimate.casts_shadows else None,
             estimate.shadow_offset_mm,
             estimate.environment,
-        ).shading.light_linear
+        ).light_linear
         log_lit = np.log(np.maximum(lit, DARKEST * usual))
         hits = surface_query(thin.vertices, thin.faces).query(vertices)
         log_beyond = np.einsum("nk,nkc->nc", hits.barycentric, log_lit[thin.faces[hits.face]])
@@ -233,7 +234,7 @@ def _unlit_texture(
     places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
     count = Counter(map(tuple, places.tolist()))
     tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
-    usual: Usual | None = None
+    usual: ChannelNoise | None = None
     for top, left in sorted(tiles, key=lambda tile: -count[tile]):
         low = np.maximum([left - margin, top - margin], 0)
         high = np.minimum([left + _TILE + margin, top + _TILE + margin], [shape[1], shape[0]])
@@ -263,7 +264,6 @@ def _unlit_texture(
                 np.zeros(there[box].shape),
                 there[box],
                 usable[box],
-                side=light.side,
                 usual=usual,
             )
             albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
@@ -271,7 +271,7 @@ def _unlit_texture(
             near[there] = near_outlines * np.stack([1 - weight, np.ones_like(weight)], axis=1)
             if near[..., 0].any():
                 albedo[box] = without_lines(albedo[box], near[box], there[box], light.texels_per_mm)
-            usual = filtered.usual
+            usual = filtered.noise
         # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
         side = 2 * _GUTTER + 1
         count_there = uniform_filter(there.astype(np.float32), side, mode="mirror")[..., None]

@@ -1,8 +1,8 @@
 """Lines in a scan's unlit texture, where the light's outlines miss those of the texture.
 
-On the face's chart rectification removes them (`scan2albedo.albedo.rectification`). Beyond it the shape is
-the scan's own, coarse and rough, so more is doubtful: near outlines of the light only detail is kept, and
-what it lies on is filled in from both sides, where these are alike.
+On the face's chart each texel says which lamps reach it (`scan2albedo.albedo.texel_light`). Beyond it the
+shape is the scan's own, coarse and rough: near outlines of the light only detail is kept, and what it lies on
+is filled in from both sides, where these are alike.
 """
 
 from __future__ import annotations

@@ -84,11 +84,6 @@ class Meter:
         """Whether the budget's seconds have ended; work that counts as no evaluation may then be left out."""
         return self.budget.seconds is not None and self.elapsed_s >= self.budget.seconds
 
-    def would_overrun(self, seconds: float) -> bool:
-        """Whether work that takes `seconds` would overrun the budget by more than its `grace`."""
-        budget = self.budget.seconds
-        return budget is not None and self.elapsed_s + seconds > budget + grace(budget)
-
     def count(self, evaluations: int = 1) -> None:
         """Add to the evaluations spent."""
         self.evaluations += evaluations

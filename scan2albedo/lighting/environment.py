@@ -18,7 +18,6 @@ LightSpread = Literal["important", "even"]
 _EVEN_SHARE = 0.1
 """Part of `important_directions` that does not follow the light."""
 _LLOYD_STEPS = 2
-_GOLDEN = (np.sqrt(5) - 1) / 2
 _FINEST_ROWS = 256
 """Texels of coarser maps are cut up to this many rows, so that cells of many lights keep their share."""
 
@@ -142,7 +141,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     share += _EVEN_SHARE * size / (4 * np.pi)
     # A lattice through the inverse distribution of the shares.
     step = np.arange(count)
-    down, across = (step + 0.5) / count, (step * _GOLDEN + 0.5) % 1.0
+    down, across = (step + 0.5) / count, (step * (np.sqrt(5) - 1) / 2 + 0.5) % 1.0
     of_rows = np.concatenate([[0.0], np.cumsum(share.sum(1))])
     of_rows /= of_rows[-1]
     row = np.interp(down, of_rows, np.arange(len(of_rows), dtype=np.float64))
@@ -151,7 +150,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     places = np.arange(of_columns.shape[1], dtype=np.float64)
     own = np.minimum(row.astype(np.int64), rows - 1)
     column = np.array([np.interp(u, of_columns[r], places) for u, r in zip(across, own, strict=True)])
-    toward = _map_directions(row / rows, column / columns)
+    toward = map_directions(row / rows * np.pi, (column / columns - 0.5) * 2 * np.pi)
     texels, share = texel_directions((rows, columns)).reshape(-1, 3), share.ravel()
     for _ in range(_LLOYD_STEPS):
         nearest = cKDTree(toward).query(texels)[1]
@@ -165,13 +164,13 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
 def texel_directions(shape: tuple[int, int]) -> FloatArray:
     """Return (H, W, 3) unit vectors to the middles of a map's texels."""
     height, width = shape
-    down, across = (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width
-    return _map_directions(*np.meshgrid(down, across, indexing="ij"))
+    polar = (np.arange(height)[:, None] + 0.5) / height * np.pi
+    return map_directions(polar, ((np.arange(width) + 0.5) / width - 0.5) * 2 * np.pi)
 
 
-def _map_directions(down: FloatArray, across: FloatArray) -> FloatArray:
-    """Return (..., 3) unit vectors to places of a map, in parts of its height and width."""
-    polar, azimuth = down * np.pi, (across - 0.5) * 2 * np.pi
+def map_directions(polar_rad: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
+    """Return (..., 3) unit vectors of angles from +y down, and from +z toward +x."""
+    polar, azimuth = np.broadcast_arrays(polar_rad, azimuth_rad)
     return np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
 
 
@@ -220,10 +219,11 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     repeat = max(1, -(-_FINEST_ROWS // height))
     rows, columns = height * repeat, width * repeat
     solid_angle = texel_solid_angles(rows, columns)
-    nearest, across = np.empty((rows, columns), np.int32), (np.arange(columns) + 0.5) / columns
+    nearest = np.empty((rows, columns), np.int32)
+    azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     # Row by row: maps may have many millions of texels.
     for row in range(rows):
-        nearest[row] = tree.query(_map_directions(np.full(columns, (row + 0.5) / rows), across))[1]
+        nearest[row] = tree.query(map_directions((row + 0.5) / rows * np.pi, azimuth))[1]
     texel = np.add.outer(
         np.arange(rows, dtype=np.int32) // repeat * width, np.arange(columns, dtype=np.int32) // repeat
     )

@@ -11,7 +11,6 @@ from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.interreflection import Patches
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
-_ORDER = 2
 _COSINE_LOBE = np.array([1.0, *[2 / 3] * 3, *[1 / 4] * 5])
 """Of the clamped cosine over pi, for each harmonic."""
 _DIRECTIONS = 96
@@ -27,7 +26,7 @@ def open_transfer(normal: FloatArray) -> FloatArray:
     >>> open_transfer(np.array([[0.0, 0.0, 1.0]]))[0, :3].round(3).tolist()
     [1.0, 0.0, 1.155]
     """
-    values = harmonics(normal, _ORDER)
+    values = harmonics(normal, 2)
     return np.asarray(values / values[:, :1] * _COSINE_LOBE)
 
 
@@ -62,7 +61,7 @@ def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) ->
     if shadows.caster is None:
         return free
     sky = sky_table(shadows) if sky is None else sky
-    values = harmonics(sky.directions, _ORDER)
+    values = harmonics(sky.directions, 2)
     weighted = values / values[:, :1] * (4 / len(values))
     cosine = np.maximum(shadows.normal @ sky.directions.T, 0.0)
     whole, part = cosine @ weighted, (cosine * sky.visibility.T) @ weighted

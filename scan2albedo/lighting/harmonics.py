@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.environment import DistantLights, map_directions
 
 _NODES = 160
 """Least number of quadrature nodes from pole to pole: degree 8 is then integrated to 1e-7."""
@@ -18,8 +18,8 @@ def harmonic_degrees(order: int) -> IntArray:
     >>> harmonic_degrees(2).tolist()
     [0, 1, 1, 1, 2, 2, 2, 2, 2]
     """
-    _check_order(order)
-    return np.repeat(np.arange(order + 1), 2 * np.arange(order + 1) + 1)
+    # Degree l stands at l^2 ... (l + 1)^2 - 1.
+    return np.sqrt(np.arange(_count(order))).astype(np.int64)
 
 
 def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
@@ -115,13 +115,9 @@ def _axes(direction: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _count(order: int) -> int:
-    _check_order(order)
-    return (order + 1) ** 2
-
-
-def _check_order(order: int) -> None:
     if order < 0:
         raise ValueError(f"order must be 0 or more, got {order}")
+    return (order + 1) ** 2
 
 
 def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatArray:
@@ -158,15 +154,6 @@ def row_projection(row: int, shape: tuple[int, int], order: int = 8) -> FloatArr
     values = harmonics(map_directions(polar[:, None, None], azimuth), order)
     share = down_weight * np.sin(polar) * np.pi / height
     return np.einsum("a,c,awcb->wb", share, across_weight * 2 * np.pi / width, values, optimize=True)
-
-
-def map_directions(polar_rad: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
-    """Return (..., 3) unit vectors of angles from +y down, and from +z toward +x."""
-    polar, azimuth = np.broadcast_arrays(
-        np.asarray(polar_rad, np.float64), np.asarray(azimuth_rad, np.float64)
-    )
-    across = np.sin(polar)
-    return np.stack([across * np.sin(azimuth), np.cos(polar), across * np.cos(azimuth)], -1)
 
 
 def project_distant_lights(lights: DistantLights, order: int = 8) -> FloatArray:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-OREN_NAYAR, MINNAERT = 0, 1
-
 COSINE_FLOOR = 1e-4
 """Cosines below this count as this where a model divides by them."""
 
@@ -20,7 +18,7 @@ def oren_nayar_coefficients(sigma):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def lamp_factors(  # type: ignore[no-untyped-def]
-    position, normal, visible, direction, nearness, view, brdf, roughness, exponent, diffuse, lobe
+    position, normal, visible, direction, nearness, view, minnaert, roughness, exponent, diffuse, lobe
 ):
     """Fill f / r^2 and (r.v)^m / r^2 of N points under one lamp of intensity 1, r in its own distances.
 
@@ -30,8 +28,8 @@ def lamp_factors(  # type: ignore[no-untyped-def]
 
     `position`, `normal` (N, 3) are in mm and unit; `visible` (N,) is the part of the lamp that reaches each
     point; `direction` (3,) and `view`, (N, 3) or (1, 3), are unit; `nearness` is 1/distance, 0 for a distant
-    lamp. `brdf` is `OREN_NAYAR` (Lambert is roughness 0) or `MINNAERT`, `roughness` sigma in radians or
-    Minnaert's exponent; an `exponent` below 0 leaves the highlight out. `diffuse`, `lobe` (N,) are filled.
+    lamp. `roughness` is Oren-Nayar's sigma in radians (0 is Lambert), or Minnaert's exponent; an `exponent`
+    below 0 leaves the highlight out. `diffuse`, `lobe` (N,) are filled.
     """
     a, b = oren_nayar_coefficients(roughness)
     for i in range(position.shape[0]):
@@ -54,7 +52,7 @@ def lamp_factors(  # type: ignore[no-untyped-def]
         n_l /= length
         l_v /= length
         energy = visible[i] / square
-        if brdf == MINNAERT:
+        if minnaert:
             diffuse[i] = energy * n_l**roughness * max(n_v, COSINE_FLOOR) ** (roughness - 1.0)
         else:
             cos_r = max(n_v, 0.0)
@@ -75,7 +73,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     tangents,
     radius,
     view,
-    brdf,
+    minnaert,
     roughness,
     specular,
     exponent,
@@ -94,10 +92,11 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     then, where free (`near`, `rough`, `glossy`), `radius` / distance with `radius` in mm, sigma^2 (or
     Minnaert's exponent), strength of the highlight and the logarithm of its exponent.
 
-    `position`, `normal`, `brdf`, `roughness`, `exponent` are as in `lamp_factors`. `lights` (L, 5) hold unit
-    direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) the derivatives of each
-    direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N) float32
-    its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is unit,
+    `position`, `normal`, `minnaert`, `roughness`, `exponent` are as in `lamp_factors`. `lights` (L, 5) hold
+    unit direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) the derivatives of
+    each direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N)
+    float32 its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is
+    unit,
     `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
     `light_out`, `specular_out` (N,) and `light_slope`, `specular_slope` (>= P, N) are filled; all float64
     where nothing else is said.
@@ -136,7 +135,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
             energy = lights[k, 4] / (length * length)
             s = max(l_v - n_l * cos_r, 0.0)
             larger = max(max(n_l, cos_r), COSINE_FLOOR)
-            if brdf == MINNAERT:
+            if minnaert:
                 diffuse = n_l**roughness * floored ** (roughness - 1.0)
             else:
                 diffuse = n_l * (a + b * s / larger)
@@ -161,7 +160,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                 stretch = (l0 * t0 + l1 * t1 + l2 * t2) / (length * length)
                 n_l_slope = (n0 * t0 + n1 * t1 + n2 * t2) / length - n_l * stretch
                 l_v_slope = (v0 * t0 + v1 * t1 + v2 * t2) / length - l_v * stretch
-                if brdf == MINNAERT:
+                if minnaert:
                     turned = roughness * diffuse / n_l * n_l_slope
                 else:
                     s_slope = l_v_slope - cos_r * n_l_slope if s > 0.0 else 0.0
@@ -180,7 +179,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
             light_slope[3 * k + 2, i] += seen * energy * diffuse
             specular_slope[3 * k + 2, i] += strength * seen * energy * lobe
             if rough:
-                if brdf == MINNAERT:
+                if minnaert:
                     light_slope[at_rough, i] += seen * energy * diffuse * np.log(n_l * floored)
                 else:
                     light_slope[at_rough, i] += seen * energy * n_l * (a_slope + b_slope * s / larger)

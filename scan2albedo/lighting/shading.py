@@ -13,7 +13,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting import kernels
 
-_BRDFS = {"oren-nayar": kernels.OREN_NAYAR, "lambert": kernels.OREN_NAYAR, "minnaert": kernels.MINNAERT}
+_BRDFS = "lambert", "minnaert", "oren-nayar"
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Reflectance:
 
     def __post_init__(self) -> None:
         if self.brdf not in _BRDFS:
-            raise ValueError(f"brdf is {self.brdf!r}, expected one of {sorted(_BRDFS)}")
+            raise ValueError(f"brdf is {self.brdf!r}, expected one of {_BRDFS}")
         if self.brdf == "lambert" and self.roughness != 0:
             raise ValueError(f"a Lambertian surface has roughness 0, got {self.roughness}")
         for name in ("roughness", "specular_strength", "exponent"):
@@ -41,9 +41,9 @@ class Reflectance:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number, 0 or more")
 
     @property
-    def kernel_brdf(self) -> int:
-        """Number of the diffuse model in the kernels."""
-        return _BRDFS[self.brdf]
+    def kernel_brdf(self) -> bool:
+        """What the kernels call the diffuse model: whether it is Minnaert's."""
+        return self.brdf == "minnaert"
 
 
 @dataclass(frozen=True)
@@ -144,24 +144,16 @@ def shade_rows(
     tint, sheen = np.zeros((2, len(position), 3))
     lamps = np.empty((len(rows), len(position)))
     for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
-        factors = lamp_factors(position, normal, seen, row[:3], row[3], np.atleast_2d(view), reflectance)
-        lamps[k] = row[4] * factors.diffuse
+        at = row[:3], row[3], np.atleast_2d(view), reflectance
+        lamps[k], highlight = row[4] * lamp_factors(position, normal, seen, *at)
         light += lamps[k]
-        gloss += row[4] * factors.highlight
+        gloss += highlight
         if colors is not None:
             tint += lamps[k][:, None] * (colors[k] - 1)
             sheen += row[4] * factors.highlight[:, None] * (colors[k] - 1)
     strength = reflectance.specular_strength * scale
     whole = strength[:, None] * (gloss[:, None] + sheen)
     return Shading(light, strength * gloss, light[:, None] + tint, whole, lamps)
-
-
-@dataclass(frozen=True)
-class LampFactors:
-    """What multiplies a lamp's intensity: (N,) in the light on the albedo, (N,) in a highlight of k_s = 1."""
-
-    diffuse: FloatArray
-    highlight: FloatArray
 
 
 def lamp_factors(
@@ -172,9 +164,9 @@ def lamp_factors(
     nearness: float,
     view: FloatArray,
     reflectance: Reflectance,
-) -> LampFactors:
-    """Return how N points answer to one lamp: what the estimate and relighting share."""
-    factors = LampFactors(np.empty(len(position)), np.empty(len(position)))
+) -> FloatArray:
+    """Return (2, N) what multiplies a lamp's intensity in light on the albedo, in highlights of k_s = 1."""
+    factors = np.empty((2, len(position)))
     kernels.lamp_factors(
         position,
         normal,
@@ -185,7 +177,7 @@ def lamp_factors(
         reflectance.kernel_brdf,
         float(reflectance.roughness),
         float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0,
-        factors.diffuse,
-        factors.highlight,
+        factors[0],
+        factors[1],
     )
     return factors

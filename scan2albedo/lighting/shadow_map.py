@@ -15,9 +15,8 @@ from scan2albedo.geometry.rays import RayCaster
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
 
-_DISC, _RIM = 16, 5
-"""Points that stand for a lamp of some size, and how many of them at least, the outermost, tell whether all
-count: a sixth of more."""
+_DISC = 16
+"""Points that stand for a lamp of some size."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,9 @@ class ShadowMap:
         spread = radius / np.maximum(length - radius / 2, 1e-9)
         result = (cosine > self._above + spread).astype(np.float32)
         unsure = np.flatnonzero((result == 0) & (cosine > -spread))
-        disc = disc_directions(direction, radius_deg, points)
-        # The rim comes last; where it is hidden or seen as a whole, so is the rest.
-        inner, some = points - max(_RIM, points // 6), self._some(unsure)
+        disc = cone_directions(points, direction, radius)
+        # Its outer third comes last; where that is hidden or seen as a whole, so is the rest.
+        inner, some = points - points // 3, self._some(unsure)
         seen, facing = some._seen(disc[inner:], distance_mm)
         partly = np.flatnonzero((seen > 0) & (seen < facing))
         more, most = some._some(partly)._seen(disc[:inner], distance_mm)
@@ -115,19 +114,6 @@ class ShadowMap:
         """Return the visibility of distant lights from each of `directions` (D, 3)."""
         toward = np.asarray(directions, np.float64)
         return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
-
-
-def disc_directions(direction: ArrayLike, radius_deg: float, count: int) -> FloatArray:
-    """Return (count, 3) unit vectors spread evenly over a disc of this angular radius around `direction`.
-
-    >>> disc_directions(np.array([0.0, 0.0, 1.0]), 10.0, 8).shape
-    (8, 3)
-    """
-    frame = view_frame(direction)
-    step = np.arange(count)
-    height = 1 - (step + 0.5) / count * (1 - math.cos(math.radians(radius_deg)))
-    turn, across = step * math.pi * (3 - math.sqrt(5)), np.sqrt(1 - height**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), height], 1) @ frame
 
 
 def shadow_offset_mm(size: float, offset_mm: float) -> float:

@@ -110,7 +110,7 @@ class ProcessOptions:
     """Names from `STAGES`."""
     force: Sequence[str] = ()
     """Names from `STEPS`: steps to carry out whatever the evidence says, where there is anything to do (a
-    shadow's outline to rectify, a saturated texel to inpaint)."""
+    saturated texel to inpaint)."""
     pictures: bool = True
     """Whether overview.png and error_vs_time.png are drawn."""
     files: str = "standard"

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.lighting.harmonics import map_directions, row_projection
+from scan2albedo.lighting.environment import map_directions
+from scan2albedo.lighting.harmonics import row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
 

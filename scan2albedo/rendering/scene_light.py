@@ -14,7 +14,7 @@ from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.environment_light import environment_light_on
-from scan2albedo.lighting.shading import LampFactors, Reflectance, lamp_factors
+from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 _LAMP_POINTS = 96
@@ -78,8 +78,8 @@ class SceneLight:
 
 def each_lamp(
     shadows: ShadowMap, light: SceneLight, reflectance: Reflectance, view: ArrayLike
-) -> Iterator[tuple[int, LampFactors]]:
-    """Yield the number of each lamp that shines, and what its intensity counts by on the points of `shadows`.
+) -> Iterator[tuple[int, FloatArray]]:
+    """Yield the number of each lamp that shines, and `lamp_factors` (2, N) on the points of `shadows`.
 
     `view`, (3,) or (N, 3), unit, points toward the viewer.
     """
@@ -112,10 +112,10 @@ def shade(
     surface throws onto itself of all light.
     """
     diffuse, specular = np.zeros((2, len(shadows.normal), 3))
-    for k, factors in each_lamp(shadows, light, reflectance, view):
-        diffuse += factors.diffuse[:, None] * light.intensity[k]
+    for k, (facing, mirrored) in each_lamp(shadows, light, reflectance, view):
+        diffuse += facing[:, None] * light.intensity[k]
         if reflectance.specular_strength > 0:
-            specular += factors.highlight[:, None] * light.intensity[k]
+            specular += mirrored[:, None] * light.intensity[k]
     if light.soft is not None:
         diffuse = environment_light_on(light.soft, shadows, diffuse)
     scale = 1.0 if specular_scale is None else specular_scale[:, None]

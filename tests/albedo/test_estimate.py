@@ -150,7 +150,7 @@ def test_result_has_the_promised_fields(frontal, frontal_estimate):
     assert estimate.iterations == estimate.trace.rows[-1].evaluations
     stages = {step.stage for step in estimate.plan}
     assert {"albedo.lights", "albedo.shadows", "albedo.specular", "albedo.near_light", "albedo.roughness",
-            "albedo.rectification", "albedo.inpainting"} <= stages  # fmt: skip
+            "albedo.inpainting"} <= stages  # fmt: skip
     assert all(step.evidence or "caller" in step.reason or "asked" in step.reason for step in estimate.plan)
 
 
@@ -208,7 +208,7 @@ def test_parts_are_forced_and_left_out_by_the_caller(frontal):
     forced = estimate_albedo(frontal.image, 1, options=everything)
     assert all(forced.plan.ran(f"albedo.{part}") for part in parts)
     bare = estimate_albedo(frontal.image, 1, options=nothing)
-    assert not any(bare.plan.ran(f"albedo.{part}") for part in (*parts, "rectification", "inpainting"))
+    assert not any(bare.plan.ran(f"albedo.{part}") for part in (*parts, "inpainting"))
     assert bare.parameters["specular_strength"] == 0
     assert bare.parameters["sigma_rad"] == 0
 

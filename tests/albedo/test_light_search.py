@@ -13,7 +13,7 @@ from scan2albedo.synthetic import face, light_at
 
 FAR = math.inf
 PARTS = ("specular", "near_light", "roughness", "occlusion", "bounce", "environment")
-ROWS = {"shadows", "lights", "lamp_size", *PARTS, "light_colour", "cameras", "rectification", "inpainting"}
+ROWS = {"shadows", "lights", "lamp_size", *PARTS, "light_colour", "cameras", "inpainting"}
 
 
 def _angles_deg(estimate, directions):

@@ -66,7 +66,7 @@ def _rays(scene, solution, environment=None):
     """Return (N, 3) the light of a solution's lamps, traced for each texel."""
     state = solution.hypothesis
     surface = scene.image, state.lights(), state.reflectance, scene.view, scene.shadows[0], 0.2
-    return shade_image(*surface, environment).shading.light_linear
+    return shade_image(*surface, environment).light_linear
 
 
 def test_without_members_the_light_is_that_of_the_lamps_under_constant_ambient_light(lit_face):
@@ -104,7 +104,7 @@ def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth):
     mask = truth.image.mask
     reflectance = solution.hypothesis.reflectance
     lamps = solution.hypothesis.lights()
-    open_light = shade_image(truth.image, lamps, reflectance, (0, 0, 1), None, 0.2).shading.light_linear
+    open_light = shade_image(truth.image, lamps, reflectance, (0, 0, 1), None, 0.2).light_linear
     texture = truth.image.texture_linear.copy()
     texture[mask] = texture[mask] / _rays(lit_face, solution) * open_light
     other = _scene(replace(truth.image, texture_linear=texture))
@@ -146,7 +146,7 @@ def test_an_estimate_is_relit_by_its_own_light(monkeypatch):
 
     monkeypatch.setattr("scan2albedo.albedo.estimate.divide_light", plain)
     image = face(0, size=64, lights=[light_at(40, 15)]).image
-    estimate = estimate_albedo(image, 1, options=EstimateOptions(skip=("albedo.rectification",)))
+    estimate = estimate_albedo(image, 1)
     assert estimate.environment is not None
     again, mask = estimate.relit(estimate.lights, estimate.environment), image.mask
     texture = image.texture_linear

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.environment import DistantLights, map_directions
 from scan2albedo.lighting.harmonics import (
     harmonics,
-    map_directions,
     project_distant_lights,
     project_environment,
 )

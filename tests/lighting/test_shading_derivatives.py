@@ -14,7 +14,7 @@ DIRECTIONS = np.array([[0.5, 0.2, 0.8], [-0.7, 0.4, 0.5], [0.1, -0.9, 0.4]])
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 INTENSITIES = np.array([2.0, 0.7, 1.3])
 STEP = 1e-5
-NAMES = {"nearness": 0.2, "variance": 0.09, "minnaert": 0.8, "specular": 0.3, "log_exponent": np.log(12.0)}
+VALUES = {"near": 0.2, "rough": 0.5, "specular": 0.3, "exponent": np.log(12.0)}
 
 MODELS = pytest.mark.parametrize("near", [False, True], ids=["distant", "near"])
 BRDFS = pytest.mark.parametrize("brdf", ["oren-nayar", "minnaert"])
@@ -24,7 +24,7 @@ LIGHTS = pytest.mark.parametrize("lights", [1, 2, 3])
 def _model(lights, brdf, near, rough=True, specular=True):
     model = LightModel(lights, brdf, tuple(VIEW), RADIUS_MM, near, rough, specular)
     x = model.from_lights(DIRECTIONS[:lights], INTENSITIES[:lights])
-    x[3 * lights :] = [NAMES[row[0]] for row in model._tail]
+    x[3 * lights :] = [VALUES[name] for name in model._tail]
     return model, x
 
 

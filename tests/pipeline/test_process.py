@@ -338,8 +338,7 @@ def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, eval
 
 
 def test_forced_steps_run_whatever_the_evidence(ball):
-    # Nothing is saturated and no outline is cast here, so there is nothing to inpaint or rectify; the other
-    # parts of the light are always in the model.
+    # Nothing is saturated, so there is nothing to inpaint; the parts of the light are always in the model.
     steps = ["albedo.shadows"]
     plan = s2a.process(ball, model="none", size=48).plan
     assert not any(plan.ran(step) for step in steps)

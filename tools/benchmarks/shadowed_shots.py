@@ -12,7 +12,7 @@ from functools import cache
 import numpy as np
 
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.harmonics import map_directions
+from scan2albedo.lighting.environment import map_directions
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance import EXPONENTS, VertexReflectance
 from scan2albedo.reflectance.lighting_model import SHAPE

@@ -1,4 +1,4 @@
-"""Named extremes of the albedo stage: the search for the light, division, rectification, inpainting."""
+"""Named extremes of the albedo stage: the search for the light, division, inpainting."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.inpainting import resynthesize
-from scan2albedo.albedo.rectification import rectify
 from scan2albedo.core import Budget, PointLight
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.synthetic import Material, SyntheticScene, hemisphere, light_at
@@ -548,25 +547,3 @@ def _black_hole() -> str:
     target[20:28, 20:28] = True
     assert not resynthesize(albedo, target, ~target).any()
     return "stays black"
-
-
-@CASES.extreme(STAGE, "shadow outlines everywhere")
-def _outlines() -> str:
-    shadow = (np.indices((SIZE, SIZE)) // 2).sum(0) % 2 == 0
-    light = np.where(shadow, 1.0, 3.0)
-    albedo = np.random.default_rng(0).uniform(0.4, 0.6, (SIZE, SIZE))
-    everywhere = np.ones((SIZE, SIZE), bool)
-    for force in (False, True):
-        repaired, step = rectify(albedo, light, shadow.astype(float), everywhere, force=force)
-        assert_finite(repaired)
-        assert not step.ran
-    return f"left as it is: {step.evidence}"
-
-
-@CASES.extreme(STAGE, "shadow outlines, no usable texel")
-def _outlines_unseen() -> str:
-    shadow = (np.indices((SIZE, SIZE)) // 8).sum(0) % 2 == 0
-    light, nowhere = np.where(shadow, 1.0, 3.0), np.zeros((SIZE, SIZE), bool)
-    _, step = rectify(np.ones((SIZE, SIZE)), light, shadow.astype(float), nowhere, force=True)
-    assert not step.ran
-    return step.evidence

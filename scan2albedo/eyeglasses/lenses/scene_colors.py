@@ -218,15 +218,15 @@ class LitScene:
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
             reach = 1 + float(np.linalg.norm(lens.vertices - center, axis=1).max())
             near.append((lens, lens.caster.to_local(position), lens.material.transmission, center, reach))
-        for k, factors in each_lamp(shadows, self._light, reflectance, view):
+        for k, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
             toward, intensity = self._light.directions[k], self._light.intensity[k]
             passed.fill(1.0)
             for lens, local, share, center, reach in near:
-                ray = _through_ball(position, center, reach, toward, factors.diffuse)
+                ray = _through_ball(position, center, reach, toward, facing)
                 passed[ray[lens.caster.occluded_local(local[ray], toward)]] *= share
-            _add_light(factors.diffuse, intensity, passed, matte)
+            _add_light(facing, intensity, passed, matte)
             if strength > 0:
-                _add_light(factors.highlight, intensity, passed, glossy)
+                _add_light(mirrored, intensity, passed, glossy)
         return albedo * matte + strength * glossy
 
 

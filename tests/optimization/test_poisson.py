@@ -1,0 +1,58 @@
+"""Fields are rebuilt from their gradients inside a region."""
+
+import numpy as np
+import pytest
+
+from scan2albedo.optimization.poisson import forward_differences, integrate_gradients
+
+SIZE = 128
+
+
+@pytest.fixture
+def field():
+    """Smooth waves."""
+    rows, columns = np.mgrid[:SIZE, :SIZE] / SIZE
+    return 0.5 + 0.2 * np.sin(9 * rows + 4 * columns) * np.cos(7 * columns)
+
+
+@pytest.fixture
+def region():
+    """A disc."""
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    return (rows - 60) ** 2 + (columns - 64) ** 2 < 30**2
+
+
+def test_gradients_integrate_to_the_field_they_came_from(field, region):
+    broken = np.where(region, 7.0, field)
+    rebuilt = integrate_gradients(broken, region, ~region, *forward_differences(field))
+    assert rebuilt == pytest.approx(field, abs=1e-4)
+
+
+def test_a_region_that_touches_nothing_known_keeps_its_level(field, region):
+    nothing = np.zeros_like(region)
+    kept = integrate_gradients(field, region, nothing, *forward_differences(field))
+    assert kept == pytest.approx(field, abs=1e-6)
+
+
+@pytest.mark.parametrize("channels", [(), (3,)])
+def test_a_region_without_neighbours_along_an_axis_is_integrated_along_the_other(channels):
+    field = np.linspace(1, 2, 5).reshape(1, 5, *[1] * len(channels)) * np.ones((1, 5, *channels))
+    region = np.array([[False, True, True, False, False]])
+    known = np.array([[True, False, False, False, False]])
+    broken = np.where(region.reshape(1, 5, *[1] * len(channels)), 7.0, field)
+    rebuilt = integrate_gradients(broken, region, known, *forward_differences(field))
+    assert rebuilt == pytest.approx(field, abs=1e-6)
+    one = np.array([[False, True, False, False, False]])
+    alone = integrate_gradients(broken, one, ~np.ones_like(one), *forward_differences(field))
+    assert alone == pytest.approx(broken)
+
+
+def test_gradients_of_several_channels_integrate_as_each_alone(field, region):
+    color = np.stack([field, field**2, 1 - field], -1)
+    broken = np.where(region[..., None], 7.0, color)
+    together = integrate_gradients(broken, region, ~region, *forward_differences(color))
+    alone = [
+        integrate_gradients(broken[..., c], region, ~region, *forward_differences(color[..., c]))
+        for c in range(3)
+    ]
+    assert together == pytest.approx(np.stack(alone, -1), abs=1e-9)
