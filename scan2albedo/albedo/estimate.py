@@ -170,8 +170,8 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
     assert image.texture_linear is not None
     mask, deviation = image.mask, None
     lit = light_on_texels(scene, found)
-    specular, shadow = np.zeros((2, *mask.shape))
-    shading = np.zeros((*mask.shape, 3))
+    shadow = np.zeros(mask.shape)
+    specular, shading = np.zeros((2, *mask.shape, 3))
     specular[mask], shadow[mask], shading[mask] = lit.specular, lit.visible, lit.light_linear
     if found.explanation is not None:
         best = found.explanation.best

@@ -134,7 +134,7 @@ class LightSearch:
         )
 
     def _averaged(self, wanted: list[Point]) -> tuple[FloatArray, FloatArray]:
-        """Return (N, 3) what the mean log light of all explanations adds to the first's, and (N,) their spread.
+        """Return (N, 3) what the mean log light of all explanations adds to the first, and (N,) their spread.
 
         The colours are those of the first few.
         """

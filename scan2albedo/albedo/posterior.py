@@ -67,7 +67,7 @@ class Posterior:
         log V = log(A I + I_s),   log A = scale + likeness * mean + M u + e
 
     with u the `field` at the nodes, and e of single cells from Student's t of scale g s_i, g the scale of
-    grain. `places` (N, 2) are those of the cells on the prior's chart, `blur` that of the outlines of shadows.
+    grain. `places` (N, 2) are those of the cells on the prior's chart, `blur` that of shadows' outlines.
     """
 
     def __init__(

@@ -24,8 +24,6 @@ from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 
-_TOGETHER = 0.8 / 256
-"""Neighbours that a shadow covers together (standard deviation, as a part of the chart's side)."""
 _GRAIN = 0.25
 """Standard deviation of log albedo beside what is known of it, where a texel tells shadow from light."""
 _HALF_STEP = 2 / 255
@@ -46,8 +44,6 @@ class TexelLight:
     """(N, 3) in the unit of the texture."""
     visible: FloatArray
     """(N,) 0 where some lamp is hidden."""
-    cast: FloatArray
-    """(N,) 1 where some lamp's cast shadow lies."""
     deviation: FloatArray
     """(N,) standard deviation of the log of the light over the explanations."""
     lights: tuple[PointLight, ...]
@@ -134,7 +130,6 @@ def _of_solution(
         light,
         shaded.specular_linear,
         visible.min(0, initial=1).astype(np.float64),
-        np.maximum(facing - visible, 0).max(0, initial=0).astype(np.float64),
         np.zeros(len(light)),
         tuple(lights),
         environment,
@@ -164,7 +159,6 @@ def _seen_shadows(
 
     blur = point.problem.blur
     whole = blurred(np.ones(len(value)), blur)
-    near = blurred(np.ones(len(value)), _TOGETHER)
     seen, known = visible.astype(np.float64), usable[mask].astype(np.float64)
     away = facing == 0
     priors = [
@@ -177,7 +171,7 @@ def _seen_shadows(
             without, lit = np.log(others), np.log(others + lamps[k])
             step = lit - without
             odds = (value - 0.5 * (without + lit)) * step / (_GRAIN**2 + DARKEST / others) * known
-            odds = blurred(np.clip(odds, -6.0, 6.0), _TOGETHER) / near
+            odds = np.clip(odds, -6.0, 6.0)
             odds += np.log(prior / (1 - prior))
             seen[k] = np.where(away[k], 1.0, 1 / (1 + np.exp(-odds)))
     return np.where(away, 0.0, seen).astype(np.float32)

@@ -150,7 +150,7 @@ def shade_rows(
         gloss += highlight
         if colors is not None:
             tint += lamps[k][:, None] * (colors[k] - 1)
-            sheen += row[4] * factors.highlight[:, None] * (colors[k] - 1)
+            sheen += highlight[:, None] * (colors[k] - 1)
     strength = reflectance.specular_strength * scale
     whole = strength[:, None] * (gloss[:, None] + sheen)
     return Shading(light, strength * gloss, light[:, None] + tint, whole, lamps)
