@@ -20,8 +20,8 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.optimization import damped_step
 
-_STRENGTHS = 1.0, 6.0
-"""Intensities at which one more lamp is tried; with the last, the environment starts anew."""
+_STRENGTH = 2.0
+"""Intensity at which one more lamp is tried."""
 _SPLIT_RAD, _TURNS = (0.35, 0.7), 4
 """Half the angles between the two lamps that replace one, and along how many lines they part."""
 _DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
@@ -37,8 +37,6 @@ _CAUTION = 0.1
 """Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
 _DESCENTS = 6, 4
 """Evaluations of the two descents around which the scales are estimated."""
-_HOPELESS = 3.0
-"""Log odds against one lamp more at which no further ones are tried."""
 _RADII_DEG = 6.0, 12.0, 20.0, 30.0
 """Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
 _TEMPER, _ALIKE = 0.25, 0.003
@@ -82,7 +80,7 @@ class LightSearch:
             points = self._with_one_more(base)
             best_of[count], base = self._best([*points, *self._variants(points[0])])
             self._record()
-            if lights is None and best_of[count] < max(best_of.values()) - _HOPELESS:
+            if lights is None and best_of[count] < max(best_of.values()):
                 break
         wanted = [p for _, p in self._ranked() if lights is None or p.model.lights == base.model.lights]
         best, size = wanted[0], PlanStep("albedo.lamp_size", False, "the budget ended before it")
@@ -296,12 +294,8 @@ class LightSearch:
         for direction in self.scene.directions:
             if count and (rows[:, :3] @ direction).max() > _SAME_COSINE:
                 continue
-            for strength in _STRENGTHS:
-                at = lattice.nearest(np.array(model.coordinates(direction)))
-                x = np.concatenate([head, at, [math.log(strength)], tail])
-                if strength == _STRENGTHS[-1] and model.environment:
-                    x[model.position_of("environment") :] = 0.0
-                found.append(x)
+            at = lattice.nearest(np.array(model.coordinates(direction)))
+            found.append(np.concatenate([head, at, [math.log(_STRENGTH)], tail]))
         for lamp in range(count):
             px, py, log_strength = head[3 * lamp : 3 * lamp + 3]
             for half in _SPLIT_RAD:
