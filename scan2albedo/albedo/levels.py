@@ -145,12 +145,13 @@ def build_level(
     factor = max(1, -(-max(image.shape) // size))
     across = -(-image.shape[1] // factor)
     row, column = np.nonzero(usable)
-    found, index, count = np.unique(
-        row // factor * across + column // factor, return_inverse=True, return_counts=True
-    )
+    number = row // factor * across + column // factor
+    count = np.bincount(number)
+    found = np.flatnonzero(count)
+    index, count = (np.cumsum(count > 0) - 1)[number], count[found]
 
     def mean(field: NDArray) -> FloatArray:
-        parts = field[usable].reshape(len(index), -1).T
+        parts = field[row, column].reshape(len(index), -1).T
         return np.stack([np.bincount(index, part) for part in parts], 1) / count[:, None]
 
     position, value = mean(image.position), mean(field)[:, 0]
@@ -158,9 +159,10 @@ def build_level(
     toward = np.zeros(image.position.shape)
     toward[image.mask] = image.toward_camera(view)
     # The texel closest to each cell's mean.
-    away = ((image.position[usable] - position[index]) ** 2).sum(1)
-    order = np.lexsort((away, index))
-    anchor = image.position[usable][order[np.searchsorted(index[order], np.arange(len(found)))]]
+    texels = image.position[row, column]
+    farthest_first = np.argsort(-((texels - position[index]) ** 2).sum(1), kind="stable")
+    anchor = np.empty_like(position)
+    anchor[index[farthest_first]] = texels[farthest_first]
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)
@@ -177,7 +179,7 @@ def build_level(
         unit,
         mean(image.texture_linear) / unit,
         np.stack(np.divmod(found, across), 1),
-        mean(np.moveaxis(np.indices(image.shape, np.float64), 0, -1)),
+        np.stack([np.bincount(index, along) for along in (row, column)], 1) / count[:, None],
         int(image.mask.sum()),
         factor,
     )

@@ -79,6 +79,7 @@ class LitImage:
     prior: AlbedoPrior
     _levels: dict[int, Level] = field(default_factory=dict, init=False, repr=False)
     _soft: dict[int, SoftTerms] = field(default_factory=dict, init=False, repr=False)
+    _cell_places: dict[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
     _lattices: dict[int, ShadowLattice] = field(default_factory=dict, init=False, repr=False)
     _horizons: dict[int, Horizon] = field(default_factory=dict, init=False, repr=False)
 
@@ -102,8 +103,11 @@ class LitImage:
         return (np.argwhere(mask) + 0.5) / np.asarray(mask.shape)
 
     def cell_places(self, level: Level) -> FloatArray:
-        """Return (N, 2) where on the prior's chart the cells of a level lie."""
-        return np.stack([cell_means(level, along, self.image.mask) for along in self.places.T], 1)
+        """Return (N, 2) where on the prior's chart the cells of a level lie; known ones are kept."""
+        if level.factor not in self._cell_places:
+            means = [cell_means(level, along, self.image.mask) for along in self.places.T]
+            self._cell_places[level.factor] = np.stack(means, 1)
+        return self._cell_places[level.factor]
 
     @cached_property
     def nodes(self) -> NodeField:

@@ -67,14 +67,16 @@ def channel_noise(
         deviation = additive_deviation(texture[..., lead], light[..., lead], usable)
         leading = (deviation / (light[..., lead] * around[..., lead])) ** 2
         return ChannelNoise(lead, leading, beside, rounding[..., lead])
+    pairs = (0, 1), (0, 2), (1, 2)
+    steps = [relative[..., i] - relative[..., j] for i, j in pairs]
+    *apart, white = white_variance(np.stack([*steps, relative[..., lead]]), usable)
+    eight_bits = [window_mean(rounding[..., c], usable.astype(float), WINDOW) for c in range(3)]
     differences = {}
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        eight_bits = window_mean(rounding[..., i] + rounding[..., j], usable.astype(float), WINDOW)
-        white = white_variance(relative[..., i] - relative[..., j], usable)
-        differences[i, j] = differences[j, i] = np.maximum(white - eight_bits, 0.0)
+    for (i, j), own_white in zip(pairs, apart, strict=True):
+        different = np.maximum(own_white - eight_bits[i] - eight_bits[j], 0.0)
+        differences[i, j] = differences[j, i] = different
     one, two = (c for c in range(3) if c != lead)
     least = np.minimum(np.minimum(differences[lead, one], differences[lead, two]), differences[one, two])
-    white = white_variance(relative[..., lead], usable)
     known, ratio = usable & (least > 0), _SHARED if usual is None else usual.ratio
     if usual is None and known.any():
         ratio = max(ratio, float(np.median(white[known] / least[known])))
@@ -87,8 +89,8 @@ def channel_noise(
     return ChannelNoise(lead, np.maximum(leading, 0.0), beside, rounding[..., lead], ratio)
 
 
-def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return (H, W) the variance of the white part of a field, over a window about each texel; may be < 0.
+def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
+    """Return (C, H, W) the variance of the white part of fields, over a window about each texel; may be < 0.
 
     The structure function g(h) = E (f(x + h) - f(x))^2 / 2 is s^2 at every lag h for white noise, and rises
     at least in proportion to h for edges and spots of two texels and more [1]_: what is left at lag 0 of the
@@ -97,19 +99,22 @@ def white_variance(field: FloatArray, usable: BoolArray) -> FloatArray:
 
     .. [1] N. Cressie, "Statistics for spatial data", 1993, section 2.4.
     """
-    if min(field.shape) <= 3:
-        return np.zeros(field.shape)
-    least = np.full(field.shape, np.inf)
-    for values, known, found in ((field, usable, least), (field.T, usable.T, least.T)):
+    if min(usable.shape) <= 3:
+        return np.zeros(fields.shape)
+    least = np.full(fields.shape, np.inf)
+    turned = fields.swapaxes(1, 2), usable.T, least.swapaxes(1, 2)
+    for values, known, found in ((fields, usable, least), turned):
         variogram = []
         for lag in (1, 2, 3):
-            pairs, squares = np.zeros((2, *values.shape))
+            sums = np.zeros((len(values) + 1, *known.shape))
             middle = slice(lag // 2, lag // 2 - lag)
-            pairs[middle] = known[lag:] & known[:-lag]
-            squares[middle] = 0.5 * (values[lag:] - values[:-lag]) ** 2 * pairs[middle]
-            number, total = (uniform_filter(part, WINDOW, mode="constant") for part in (pairs, squares))
+            pairs = known[lag:] & known[:-lag]
+            sums[-1, middle] = pairs
+            sums[:-1, middle] = 0.5 * (values[:, lag:] - values[:, :-lag]) ** 2 * pairs
+            *totals, number = uniform_filter(sums, (1, WINDOW, WINDOW), mode="constant")
             # Fewer pairs than the window's side tell nothing.
-            variogram.append(np.where(number * WINDOW > 1, total / np.maximum(number, 1 / WINDOW**2), 0.0))
+            share = np.where(number * WINDOW > 1, 1 / np.maximum(number, 1 / WINDOW**2), 0.0)
+            variogram.append(np.stack(totals) * share)
         first, second, third = variogram
         np.minimum(found, np.minimum(2 * first - second, np.minimum(second, third)), out=found)
     return least

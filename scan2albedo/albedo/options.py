@@ -40,7 +40,7 @@ class EstimateOptions:
     sizes: tuple[int, ...] = ()
     """Longer sides, in cells, of three images: where starts are compared, the model is chosen, and the light
     is refined. Cells of the third say what the surface hides of soft light. When empty, the objective's."""
-    start_directions: int = 60
+    start_directions: int = 40
     """Light directions of which one step is tried."""
     maximal_lights: int = 3
     """Most lamps that `lights="auto"` tries; it may find none."""

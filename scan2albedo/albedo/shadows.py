@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, maximum_filter
+from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
@@ -129,8 +129,10 @@ class ShadowLattice:
         self._least_step = _SPACING / self._side
         self._sharp: dict[tuple[int, int, int, float], Visibility] = {}
         self._known: dict[tuple[int, int, int, float, float], Visibility] = {}
-        self._whole: dict[float, Visibility] = {}
+        self._spread: dict[float, list[Visibility]] = {}
         self._cell = tuple(level.cell.T)
+        self._grid, self._there = np.zeros((2, *level.cell.max(0) + 1), np.float32)
+        self._there[self._cell] = 1
 
     def nearest(self, coordinates: FloatArray) -> FloatArray:
         """Return the node's coordinates (..., 2) nearest to those of directions: its rays serve alone."""
@@ -194,13 +196,16 @@ class ShadowLattice:
             nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
             visible[self._normal @ direction <= nearer] = 1
             self._sharp[key] = visible
-        if blur not in self._whole:
-            self._whole[blur] = self._blurred(np.ones(len(self._position), np.float32), blur)
-        self._known[*key, blur] = self._blurred(self._sharp[key], blur) / self._whole[blur]
+        if blur not in self._spread:
+            self._spread[blur] = [_gaussian(side, blur * self._side) for side in self._grid.shape]
+        down, across = self._spread[blur]
+        self._grid[self._cell] = self._sharp[key]
+        blurred = down @ self._grid @ across.T
+        self._known[*key, blur] = blurred[self._cell] / (down @ self._there @ across.T)[self._cell]
         return self._known[*key, blur]
 
-    def _blurred(self, values: Visibility, blur: float) -> Visibility:
-        grid = np.zeros(np.max(self._cell, axis=1) + 1, np.float32)
-        grid[self._cell] = values
-        smooth = gaussian_filter(grid, blur * self._side, mode="constant", truncate=3.0)
-        return np.asarray(smooth[self._cell], np.float32)
+
+def _gaussian(count: int, sigma: float) -> Visibility:
+    """Return (count, count) float32 weights of cells along a side, for a blur of `sigma` cells."""
+    apart = np.subtract.outer(np.arange(count), np.arange(count)) / max(sigma, _ON_NODE)
+    return np.asarray(np.exp(-0.5 * apart**2), np.float32)
