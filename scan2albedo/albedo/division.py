@@ -58,7 +58,7 @@ def divide_light(
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
     quotient = np.where(mask[..., None], channels / light, 0.0)
     known = usable.astype(np.float64)
-    around = np.stack([window_mean(c, known, WINDOW) for c in np.moveaxis(quotient, -1, 0)], -1)
+    around = window_mean(quotient, known, WINDOW)
     around = np.maximum(around, max(1e-6 * float(around.max(initial=0.0)), 1e-12))
     relative = quotient / around
     noise = channel_noise(relative, channels, around, light, usable, usual)

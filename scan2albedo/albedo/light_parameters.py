@@ -222,6 +222,8 @@ PARTS = {
     "environment": "albedo.environment",
 }
 """Stages of the optional parts, by the name of their field of `LightModel`."""
+SOFT_PARTS = "occlusion", "bounce", "environment"
+"""Those that need no lamp."""
 
 
 def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:

@@ -70,10 +70,10 @@ def channel_noise(
     pairs = (0, 1), (0, 2), (1, 2)
     steps = [relative[..., i] - relative[..., j] for i, j in pairs]
     *apart, white = white_variance(np.stack([*steps, relative[..., lead]]), usable)
-    eight_bits = [window_mean(rounding[..., c], usable.astype(float), WINDOW) for c in range(3)]
+    eight_bits = window_mean(rounding, usable.astype(float), WINDOW)
     differences = {}
     for (i, j), own_white in zip(pairs, apart, strict=True):
-        different = np.maximum(own_white - eight_bits[i] - eight_bits[j], 0.0)
+        different = np.maximum(own_white - eight_bits[..., i] - eight_bits[..., j], 0.0)
         differences[i, j] = differences[j, i] = different
     one, two = (c for c in range(3) if c != lead)
     least = np.minimum(np.minimum(differences[lead, one], differences[lead, two]), differences[one, two])
@@ -121,9 +121,12 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
 
 
 def window_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:
-    """Return the weighted mean over a square window; 0 where nothing in it has weight."""
-    mass, total = (uniform_filter(part, window, mode="constant") for part in (weight, field * weight))
-    return np.where(mass > 1e-12, total / np.maximum(mass, 1e-12), 0.0)
+    """Return the weighted means of (H, W) or (H, W, C) over a square window; 0 where nothing has weight."""
+    each = field.reshape(*weight.shape, -1)
+    parts = np.dstack([weight[..., None] * each, weight])
+    *totals, mass = np.moveaxis(uniform_filter(parts, (window, window, 1), mode="constant"), -1, 0)
+    share = np.where(mass > 1e-12, 1 / np.maximum(mass, 1e-12), 0.0)
+    return np.stack([total * share for total in totals], -1).reshape(field.shape)
 
 
 def additive_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray) -> float:

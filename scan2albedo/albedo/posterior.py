@@ -94,13 +94,6 @@ class Posterior:
         level_here = offset + slope * math.log(max(green, DARK) / max(red, DARK))
         self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
 
-    def spread(self, values: FloatArray, places: FloatArray) -> FloatArray:
-        """Return `values` (M,) or (M, C) of the nodes at `places` (P, 2)."""
-        weights = self.field.weights(places)
-        total = np.maximum(np.asarray(weights.sum(1)), 0.05)
-        found = weights @ values
-        return np.asarray(found / (total if found.ndim > 1 else total.ravel()))
-
     def started(self, scales: Scales) -> Start:
         """Return weights of the cells, and their factor, for points far from an optimum."""
         weight = 1 / (self.repeats * self.variance * scales.grain**2)
@@ -271,7 +264,7 @@ class Point:
         free = solve_triangular(self.factor[0], p.field.basis, lower=True, check_finite=False)
         free = own - own**2 * (free**2).sum(0)
         shown = (own * along) ** 2
-        parts = []
+        parts = list[float]()
         for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.field.ratio, _LIGHT_SD):
             dof = scale**2 * float(ratio @ free)
             parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, TINY), dof, sd))
@@ -283,7 +276,7 @@ class Point:
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             soft = _shrunk(float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _SOFT_SD)
         other = copy.copy(self)
-        other.scales = Scales(*parts, _shrunk(rough, len(share) / p.repeats, _MISFIT_SD), soft)
+        other.scales = Scales(parts[0], parts[1], _shrunk(rough, len(share) / p.repeats, _MISFIT_SD), soft)
         other._settle(self.robust, None)
         return other
 

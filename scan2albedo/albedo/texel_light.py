@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
 from scan2albedo.albedo.light_colour import LightColours
-from scan2albedo.albedo.light_parameters import Solution
+from scan2albedo.albedo.light_parameters import SOFT_PARTS, Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
-from scan2albedo.albedo.node_field import deviation_of_light
+from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, Point
 from scan2albedo.albedo.soft_terms import DARKEST
@@ -66,65 +67,53 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     return replace(lit, light=light.mean(-1), light_linear=light, deviation=spread)
 
 
-@dataclass(frozen=True)
-class _Lamps:
-    """The lamps of a solution, strongest first, on N texels: what light they give where they are seen."""
-
-    scene: LitImage
-    rows: FloatArray
-    reflectance: Reflectance
-
-    def shading(self, visible: NDArray, colors: FloatArray | None = None) -> Shading:
-        """Return the shading under lamps of which so much, (L, N), is seen; `colors` (L, 3) are theirs."""
-        image, mask = self.scene.image, self.scene.image.mask
-        scale = np.ones(int(mask.sum()))
-        if image.specular_scale is not None:
-            scale = image.specular_scale[mask].astype(np.float64)
-        surface = image.position[mask], image.normal[mask].astype(np.float64)
-        view = image.toward_camera(self.scene.view)
-        return shade_rows(*surface, visible, self.rows, view, self.reflectance, scale, colors)
-
-
 def _of_solution(
     scene: LitImage, solution: Solution, unit: float, point: Point | None, colours: LightColours | None
 ) -> TexelLight:
     """Return the light of one explanation; without `point` and `colours` it is that of the paper's search."""
-    image, state, model, caster = scene.image, solution.hypothesis, solution.model, scene.shadows[0]
+    image, mask, state, caster = scene.image, scene.image.mask, solution.hypothesis, scene.shadows[0]
     strength = state.reflectance.specular_strength * unit * (colours.gloss if colours else 1)
     reflectance = replace(state.reflectance, specular_strength=strength)
     order = np.argsort(-state.rows[:, 4], kind="stable")
-    lamps = _Lamps(scene, state.rows[order], reflectance)
     lights = list(state.lights())
-    surface = image.position[image.mask], image.normal[image.mask].astype(np.float64), SHADOW_OFFSET_MM
-    hidden, attached = ShadowMap(caster, *surface, scene.open_above()), ShadowMap(None, *surface)
+    surface = image.position[mask], image.normal[mask].astype(np.float64)
+    hidden = ShadowMap(caster, *surface, SHADOW_OFFSET_MM, scene.open_above())
+    attached = ShadowMap(None, *surface, SHADOW_OFFSET_MM)
     visible, facing = np.ones((2, len(lights), len(surface[0])), np.float32)
     for k, lamp in enumerate(lights):
         at = lamp.direction, lamp.distance_mm, lamp.radius_deg
         visible[k], facing[k] = hidden.reached(*at), attached.reached(*at)
-    environment, log_light = None, np.zeros((len(surface[0]), 3))
+    scale = np.ones(len(surface[0]))
+    if image.specular_scale is not None:
+        scale = image.specular_scale[mask].astype(np.float64)
+    view = image.toward_camera(scene.view)
+    white = LightColours.white(len(lights))
+    colors = white if colours is None else colours.in_order(order)
+
+    def shading(seen: NDArray) -> Shading:
+        return shade_rows(*surface, seen, state.rows[order], view, reflectance, scale, colors.lamps)
+
+    shaded = shading(visible)
+    softly = point is not None or any(solution.model.has(part) for part in SOFT_PARTS)
+    environment, soft = (
+        _soft_light(scene, solution, shaded.lamps, colors) if softly else (None, np.zeros((1, 3)))
+    )
+    light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST) if softly else shaded.light_linear
     if point is not None and colours is not None:
-        colors = colours.in_order(order)
+        known = _Expected.at(scene, point)
         if lights and caster is not None:
-            whole = lamps.shading(np.ones_like(visible)).lamps
-            none = np.zeros_like(whole)
-            soft = _with_soft_light(scene, solution, whole * visible, none, colors)[1].mean(-1)
-            visible = _seen_shadows(scene, point, visible, facing, whole, soft)
-        log_light = point.problem.spread(colours.cast, scene.places)
+            whole = shading(np.ones_like(visible)).lamps
+            visible = _seen_shadows(scene, point, known, visible, facing, whole, soft.mean(-1))
+            shaded = shading(visible)
         for k, color in enumerate(colors.lamps):
             # A colour's mean goes into the lamp's intensity.
             mean = float(color.mean())
             red, green, blue = (color / mean).tolist()
             intensity = lights[k].intensity * mean
             lights[k] = replace(lights[k], intensity=intensity, color_linear=(red, green, blue))
-    else:
-        colors = LightColours.white(len(lights))
-    shaded = lamps.shading(visible, colors.lamps)
-    light = shaded.light_linear
-    if point is not None or model.occlusion or model.bounce or model.environment:
-        environment, light = _with_soft_light(scene, solution, shaded.lamps, shaded.lamps, colors)
-    if point is not None:
-        log_light += _unmodelled(scene, point, light[:, point.problem.lead], shaded.specular / unit)[:, None]
-    light = light * np.exp(log_light)
+        light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST)
+        stray = _unmodelled(scene, point, known, light[:, point.problem.lead], shaded.specular / unit)
+        light *= np.exp(known.nodes @ colours.cast + stray[:, None])
     return TexelLight(
         light.mean(-1),
         light,
@@ -137,8 +126,34 @@ def _of_solution(
     )
 
 
+@dataclass(frozen=True)
+class _Expected:
+    """What is known of log albedo on N texels: the faces' `mean` (N,), the `deviation` (N,) of single texels,
+    and the weights `nodes` (N, M) of the field's nodes."""
+
+    mean: FloatArray
+    deviation: FloatArray
+    nodes: sparse.csr_matrix
+
+    @classmethod
+    def at(cls, scene: LitImage, point: Point) -> _Expected:
+        """Return it for the texels of an image."""
+        field, places = point.problem.field, scene.places
+        weights = field.weights(places)
+        # Texels beyond the nodes in use have those that are near.
+        weights = sparse.diags(1 / np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)) @ weights
+        mean, deviation = field.prior.mean_at(places)[:, 0], field.prior.deviation_at(places)[:, 0]
+        return cls(mean, deviation, weights.tocsr())
+
+
 def _seen_shadows(
-    scene: LitImage, point: Point, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
+    scene: LitImage,
+    point: Point,
+    known: _Expected,
+    visible: NDArray,
+    facing: NDArray,
+    lamps: FloatArray,
+    soft: FloatArray,
 ) -> NDArray[np.float32]:
     """Return (L, N) how probably each lamp reaches each texel.
 
@@ -148,8 +163,7 @@ def _seen_shadows(
     """
     usable, mask, side = scene.usable, scene.image.mask, max(scene.image.shape)
     scale, likeness = point.x[-EXTRA:]
-    expected = scale + likeness * point.problem.prior.mean_at(scene.places)[:, 0]
-    expected += point.problem.spread(point.u, scene.places)
+    expected = scale + likeness * known.mean + known.nodes @ point.u
     value = np.log(np.maximum(scene.value[mask] / point.problem.level.unit, 1e-3)) - expected
 
     def blurred(values: FloatArray, sigma: float) -> FloatArray:
@@ -159,7 +173,7 @@ def _seen_shadows(
 
     blur = point.problem.blur
     whole = blurred(np.ones(len(value)), blur)
-    seen, known = visible.astype(np.float64), usable[mask].astype(np.float64)
+    seen, judged = visible.astype(np.float64), usable[mask].astype(np.float64)
     away = facing == 0
     priors = [
         np.clip(blurred(np.where(hid, 1.0, v), blur) / whole, _LEAST, 1 - _LEAST)
@@ -170,14 +184,16 @@ def _seen_shadows(
             others = np.maximum(soft + (seen * lamps).sum(0) - seen[k] * lamps[k], DARKEST)
             without, lit = np.log(others), np.log(others + lamps[k])
             step = lit - without
-            odds = (value - 0.5 * (without + lit)) * step / (_GRAIN**2 + DARKEST / others) * known
+            odds = (value - 0.5 * (without + lit)) * step / (_GRAIN**2 + DARKEST / others) * judged
             odds = np.clip(odds, -6.0, 6.0)
             odds += np.log(prior / (1 - prior))
             seen[k] = np.where(away[k], 1.0, 1 / (1 + np.exp(-odds)))
     return np.where(away, 0.0, seen).astype(np.float32)
 
 
-def _unmodelled(scene: LitImage, point: Point, light: FloatArray, specular: FloatArray) -> FloatArray:
+def _unmodelled(
+    scene: LitImage, point: Point, known: _Expected, light: FloatArray, specular: FloatArray
+) -> FloatArray:
     """Return (N,) the log of light that no part stands for, as the posterior has it at each texel.
 
     Log V is the sum of log light, of what is known of log albedo here, of grain, and of this: it takes the
@@ -187,25 +203,24 @@ def _unmodelled(scene: LitImage, point: Point, light: FloatArray, specular: Floa
     level, nodes = point.albedo_nodes()
     step = _HALF_STEP
     value = np.maximum(scene.value[mask] / p.level.unit - specular, step)
-    expected = level + point.x[-1] * p.prior.mean_at(scene.places)[:, 0] + p.spread(nodes, scene.places)
-    left = np.log(value / light) - expected
-    known = scene.usable[mask]
+    left = np.log(value / light) - level - point.x[-1] * known.mean - known.nodes @ nodes
+    usable = scene.usable[mask]
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
-    measured = float(norm.ppf(0.75) ** -1 * np.median(np.abs(left[known])))
-    grain = np.maximum(p.prior.deviation_at(scene.places)[:, 0], measured) ** 2
+    measured = float(norm.ppf(0.75) ** -1 * np.median(np.abs(left[usable])))
+    grain = np.maximum(known.deviation, measured) ** 2
     # A brow, a mole, hair: Student's t, whose variance grows with what is seen. Little is that bright.
     grain = (FREEDOM * grain + np.minimum(left, 0.0) ** 2) / FREEDOM
-    stray = point.scales.light * deviation_of_light(light, float(np.median(light[known])))
+    stray = point.scales.light * deviation_of_light(light, float(np.median(light[usable])))
     unknown = stray**2 + (step / value) ** 2
     return np.asarray(left * unknown / (grain + unknown))
 
 
-def _with_soft_light(
-    scene: LitImage, solution: Solution, lamps: FloatArray, seen: FloatArray, colours: LightColours
+def _soft_light(
+    scene: LitImage, solution: Solution, lamps: FloatArray, colours: LightColours
 ) -> tuple[EnvironmentLight, FloatArray]:
-    """Return the environment, and all light (N, 3): of the lamps `seen` (L, N), and soft light.
+    """Return the environment, and its light (N, 3) with what the surface throws onto itself.
 
-    The surface throws the light of `lamps` (L, N) onto itself; the colours are in the order of both.
+    `lamps` (L, N) is the light of the lamps, of which it throws too; the colours are in their order.
     """
     model, mask, caster = solution.model, scene.image.mask, scene.shadows[0]
     state = model.soft(solution.x)
@@ -213,9 +228,9 @@ def _with_soft_light(
     environment = EnvironmentLight(
         harmonics, occluded=caster is not None, fill=state.fill, bounce=state.bounce
     )
-    light = seen.T @ colours.lamps + open_transfer(scene.image.normal[mask]) @ harmonics
+    light = open_transfer(scene.image.normal[mask]) @ harmonics
     if caster is None:
-        return environment, np.maximum(light, DARKEST)
+        return environment, light
     # What the surface hides and what it throws back changes slowly along it, and comes from cells.
     level = scene.level(scene.options.sizes[2])
     terms = scene.soft(level)
@@ -225,4 +240,4 @@ def _with_soft_light(
     if terms.bounce is not None and state.bounce:
         direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ state.harmonics
         change += state.bounce * terms.bounce(direct)[:, None] * colours.bounce
-    return environment, np.maximum(light + along_surface(level, change, scene.image), DARKEST)
+    return environment, light + along_surface(level, change, scene.image)
