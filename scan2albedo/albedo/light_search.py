@@ -30,13 +30,13 @@ _SAME_COSINE = 0.9
 """Lamps whose directions have a larger cosine are one at the start."""
 _FOLLOWED, _KEPT = 6, 3
 """Distinct starts that take two steps, and that go on to where the posterior is largest."""
-_COARSE_STEPS = 4
 _FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
 _CAUTION = 0.1
 """Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
-_DESCENTS = 6, 4
-"""Evaluations of the two descents around which the scales are estimated."""
+_STEPS, _ROUNDS, _FLAT = 4, 6, 0.5
+"""Evaluations of a descent between two estimates of the scales, how many of these there are at most, and the
+rise of the log evidence in one after which there are no more."""
 _RADII_DEG = 6.0, 12.0, 20.0, 30.0
 """Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
 _TEMPER, _ALIKE = 0.25, 0.003
@@ -243,8 +243,8 @@ class LightSearch:
             # A lamp in a dark room is far from soft light: its own cost ranks it, not a predicted one.
             away = [(p.cost, p.x) for p in self._in_the_dark(base, model)]
             dark = self._points(coarse, model, _distinct(model, away, _KEPT), _DARK_SCALES)
-            fresh = sorted((descend(p, _COARSE_STEPS, meter) for p in dark), key=lambda p: p.cost)[:1]
-        tried = sorted((descend(p, _COARSE_STEPS, meter) for p in points), key=lambda p: p.cost)
+            fresh = sorted((descend(p, _STEPS, meter) for p in dark), key=lambda p: p.cost)[:1]
+        tried = sorted((descend(p, _STEPS, meter) for p in points), key=lambda p: p.cost)
         full, found = self._model(base.model.lights + 1), list[Point]()
         for start in [*tried[: _KEPT - len(fresh)], *fresh]:
             if found and meter.exhausted:
@@ -267,8 +267,12 @@ class LightSearch:
 
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""
-        for evaluations in _DESCENTS:
-            point = descend(point, evaluations, self.scene.meter).rescaled().rescaled()
+        value = -math.inf
+        for _ in range(_ROUNDS):
+            point = descend(point, _STEPS, self.scene.meter).rescaled()
+            before, value = value, point.log_evidence()
+            if value - before < _FLAT or self.scene.meter.exhausted:
+                break
         return point
 
     def _in_the_dark(self, base: Point, model: LightModel) -> Iterator[Point]:

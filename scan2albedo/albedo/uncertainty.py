@@ -14,9 +14,9 @@ from scan2albedo.albedo.posterior import Point
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 
-_LIGHT = 2.6
+_LIGHT = 2.2
 """Times the light's uncertainty that texels err by: the light is estimated as if its model were right."""
-_NOT_SKIN, _ALWAYS = 0.2, 0.03
+_NOT_SKIN, _ALWAYS = 0.2, 0.02
 """Relative errors of what is not skin, whose shape and reflectance are least known, and of everything. All
 three are fitted to path-traced faces of two people under twelve kinds of light, and raw scans of six, so that
 .68 of their texels err by less."""
