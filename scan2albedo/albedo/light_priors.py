@@ -140,4 +140,10 @@ def light_prior(
     slope, curvature = np.zeros(len(x)), np.full(len(x), _FLAT)
     slope[at] += away / deviation
     curvature[at] += 1 / deviation**2
+    if model.has("specular"):
+        # The highlight's mean and deviation grow with the scale of the albedo.
+        row = int(np.flatnonzero(at == model.position_of("specular"))[0])
+        by_scale = -x[at[row]] / deviation[row]
+        slope[-2] += away[row] * by_scale + 1
+        curvature[-2] += by_scale**2
     return PriorOfLight(cost, slope, curvature, rows)
