@@ -29,7 +29,7 @@ _GRAIN = 0.25
 """Standard deviation of log albedo beside what is known of it, where a texel tells shadow from light."""
 _HALF_STEP = 2 / 255
 """Rounding of 8 bits, as a part of the median V where that is a quarter."""
-_LEAST = 0.01
+_LEAST = 0.001
 """A traced shadow is wrong this often anywhere: what casts it may not be part of the surface."""
 
 
