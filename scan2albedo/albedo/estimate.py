@@ -85,7 +85,7 @@ def estimate_albedo(
         Of simulated annealing and of inpainting; the default search draws nothing.
     options : EstimateOptions
     prior : AlbedoPrior, optional
-        Of the albedo. Before, it is that of faces where the image has a `face_chart`, else a stationary one.
+        Of the albedo, in place of that which `options.prior` names.
     on_progress : callable, optional
         Called with each trace row.
 
@@ -150,8 +150,7 @@ def estimate_albedo(
         )
         plan += [PlanStep.doubt("albedo.view", reason)]
     meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
-    faces = image.face_chart is not None
-    known = prior if prior is not None else AlbedoPrior.faces() if faces else AlbedoPrior.stationary()
+    known = prior or AlbedoPrior.named(options.prior, face=image.face_chart is not None)
     scene = LitImage(image, usable, brdf, view, options, meter, known)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):

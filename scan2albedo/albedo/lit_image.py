@@ -29,6 +29,8 @@ from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
 
 CONE_RAD = 1.92
 """Half angle around the view direction in which lights are sought: a little behind the face."""
+_DIRECTIONS = 40
+"""Directions of a lamp of which one step is tried: 27 degrees lie between neighbours."""
 _ROUNDS = 5
 _LEAST_RESIDUAL = 1e-3
 
@@ -166,7 +168,7 @@ class LitImage:
     @cached_property
     def directions(self) -> FloatArray:
         """The directions that are tried, those nearest to where the shading grows first."""
-        every = cone_directions(self.options.start_directions, self.view, CONE_RAD)
+        every = cone_directions(_DIRECTIONS, self.view, CONE_RAD)
         return nearest_first(every, shading_direction(self._smallest))
 
     @cached_property

@@ -40,8 +40,9 @@ class EstimateOptions:
     sizes: tuple[int, ...] = ()
     """Longer sides, in cells, of three images: where starts are compared, the model is chosen, and the light
     is refined. Cells of the third say what the surface hides of soft light. When empty, the objective's."""
-    start_directions: int = 40
-    """Light directions of which one step is tried."""
+    prior: str = "auto"
+    """Of albedo: "auto" is that of faces where the image has a `face_chart`, else a stationary one;
+    "stationary"; or a file that `AlbedoPrior.save` wrote."""
     maximal_lights: int = 3
     """Most lamps that `lights="auto"` tries; it may find none."""
     skip: tuple[str, ...] = ()
@@ -59,9 +60,8 @@ class EstimateOptions:
             raise ValueError(f"maximal_lights is {self.maximal_lights}, expected 1 to 4")
         if len(self.sizes) != 3:
             raise ValueError(f"sizes is {self.sizes}, expected three numbers of cells")
-        for name, values in (("start_directions", (self.start_directions,)), ("sizes", self.sizes)):
-            if min(values) < 1:
-                raise ValueError(f"{name} is {min(values)}, expected 1 or more")
+        if min(self.sizes) < 1:
+            raise ValueError(f"sizes is {min(self.sizes)}, expected 1 or more")
         for name in (*self.skip, *self.force):
             if name not in OPTIONAL_STEPS:
                 raise ValueError(f"{name!r} is not an optional step; these are {', '.join(OPTIONAL_STEPS)}")

@@ -86,6 +86,13 @@ class AlbedoPrior:
             return AlbedoPrior.load(path)
 
     @classmethod
+    def named(cls, name: str, *, face: bool) -> AlbedoPrior:
+        """Return what `EstimateOptions.prior` names; `face`: whether the image lies on the chart of faces."""
+        if name == "auto" and face:
+            return cls.faces()
+        return cls.stationary() if name in ("auto", "stationary") else cls.load(name)
+
+    @classmethod
     def stationary(
         cls, spread: float = _SPREADS[0], length: float = _LENGTH, deviation: float = _DEVIATIONS[0]
     ) -> Self:

@@ -63,7 +63,7 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
                 anchor_spacing_mm=50.0, kept_starts=60, candidates=4, settling_iterations=10
             ),
             fit=FitOptions(levels=(0, 0, 1), finest_level=0),
-            albedo=EstimateOptions(sizes=(32, 32, 64), start_directions=30, maximal_lights=2),
+            albedo=EstimateOptions(sizes=(32, 32, 64), maximal_lights=2),
         ),
         "standard": Quality("standard"),
         # The steps of standard: finer ones changed no error beyond the spread between scans.
@@ -72,7 +72,7 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
         "paper": Quality(
             "paper",
             registration=RegistrationOptions(force_annealing=True),
-            albedo=EstimateOptions(objective="albedo-deviation", sizes=(32, 64, 128)),
+            albedo=EstimateOptions(objective="albedo-deviation", sizes=(32, 64, 128), prior="stationary"),
         ),
     }
 )

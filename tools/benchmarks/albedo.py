@@ -44,7 +44,6 @@ def _settings(quick: bool) -> list[Setting]:
         small = EstimateOptions(sizes=(16, 16, 32))
         return [
             Setting("default", "", small),
-            Setting("start_directions", "8", replace(small, start_directions=8)),
         ]
     sizes = (
         (16, 32, 128),
@@ -60,7 +59,6 @@ def _settings(quick: bool) -> list[Setting]:
         default,
         *preset_settings("albedo"),
         *varied("sizes", options, sizes, "{0[0]}, {0[1]} and {0[2]}".format),
-        *varied("start_directions", options, (10, 20, 30, 120)),
         *varied("maximal_lights", options, (1, 2)),
         *within(options, (1, 25, 50, 100, 200, 400)),
         paper,

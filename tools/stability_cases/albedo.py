@@ -468,7 +468,7 @@ for _brdf in ("oren-nayar", "lambert", "minnaert", "spherical-harmonics"):
 for _wrong in (
     {"sizes": (0, 64, 128)},
     {"sizes": (32, 64)},
-    {"start_directions": 0},
+    {"prior": ""},
     {"maximal_lights": 6},
 ):
 
