@@ -8,17 +8,14 @@ import pytest
 from benchmarks.traced_set import calibration, load_image
 
 from scan2albedo.albedo import EstimateOptions, estimate_albedo
-from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.lit_image import LitImage
-from scan2albedo.albedo.posterior import Posterior
-from scan2albedo.albedo.prior import AlbedoPrior
+from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.uncertainty import (
     Alternative,
     LightUncertainty,
     expected_error,
     light_uncertainty,
 )
-from scan2albedo.core import Budget, Meter
+from scan2albedo.core import Budget
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.synthetic import face, light_at
@@ -222,20 +219,12 @@ def test_deviations_stand_in_the_order_of_the_lights(scenes):
 
 def test_the_order_in_which_the_search_holds_the_lights_does_not_matter(scenes):
     image = scenes.scene("hemisphere", "skin", [(-50, 0, 0.6, FAR), (50, 0, 3.0, FAR)], size=64).image
-    usable, prior, meter = usable_texels(image), AlbedoPrior.stationary(), Meter("albedo", "")
-    scene = LitImage(image, usable, "lambert", (0.0, 0.0, 1.0), EstimateOptions(), meter, prior)
-    level, model = scene.level(32), scene.model(2)
-    problem = Posterior(
-        level,
-        (level.center + 0.5) / np.asarray(image.shape),
-        scene.lattice(level),
-        scene.soft(level),
-        prior,
-        meter,
-    )
+    scene = scenes.lit_image(image, brdf="lambert")
+    model, problem = scene.model(2), scene.posterior(32)
+    known = problem.started(Scales())
     x = model.from_lights(np.array([scenes.direction(-50), scenes.direction(50)]), np.array([0.6, 3.0]))
     weak_first, strong_first = (
-        light_uncertainty(problem.start(model, y)) for y in (x, x[[3, 4, 5, 0, 1, 2]])
+        light_uncertainty(problem.start(model, y, known)) for y in (x, x[[3, 4, 5, 0, 1, 2]])
     )
     assert weak_first.direction_rad == pytest.approx(strong_first.direction_rad, rel=1e-3)
     assert weak_first.intensity == pytest.approx(strong_first.intensity, rel=1e-3)
