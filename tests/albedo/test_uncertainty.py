@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from benchmarks.traced_set import calibration, load_image
 
-from scan2albedo.albedo import EstimateOptions, estimate_albedo
+from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.uncertainty import (
     Alternative,
@@ -56,38 +56,44 @@ def _away_rad(estimate, direction):
 
 @pytest.mark.parametrize("noise", [0.0, 0.03])
 @pytest.mark.parametrize("azimuth_deg", [20, 60])
-@pytest.mark.parametrize(
-    "shape",
-    [
-        "hemisphere",
-        pytest.param(
-            "bumps",
-            marks=pytest.mark.xfail(
-                strict=False, reason="bumps smaller than a cell: an environment explains them nearly as well"
-            ),
-        ),
-    ],
-)
-def test_the_true_direction_lies_within_five_deviations(scenes, shape, azimuth_deg, noise):
-    scene = scenes.scene(shape, "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
+def test_the_true_direction_lies_within_five_deviations(scenes, azimuth_deg, noise):
+    scene = scenes.scene("hemisphere", "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
     estimate = estimate_albedo(scene.image, 1)
     away = _away_rad(estimate, scene.light_directions[0])
     assert away < 5 * _direction_rad(estimate)
     # A deviation of any size would do otherwise.
-    assert math.degrees(_direction_rad(estimate)) < 4
+    assert math.degrees(_direction_rad(estimate)) < 3.3
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize("azimuth_deg", [20, 60])
+def test_where_soft_light_explains_bumps_as_well_the_lamp_is_less_sure_and_the_albedo_as_right(
+    scenes, azimuth_deg, noise
+):
+    """Bumps smaller than a cell: which part of the light is the lamp's is hardly told."""
+    scene = scenes.scene("bumps", "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
+    estimate = estimate_albedo(scene.image, 1)
+    assert math.degrees(_direction_rad(estimate)) > 3.5
+    mask = scene.image.mask
+    error, unlit = (
+        albedo_error(colors, scene.albedo, mask).mse_percent
+        for colors in (estimate.albedo_linear, scene.image.texture_linear)
+    )
+    assert error < (0.3 if noise else 0.14)
+    assert error < (0.4 if noise else 0.15) * unlit
 
 
 def test_the_true_direction_lies_within_five_deviations_under_noise(noisy, scenes):
     for estimate in noisy:
         assert _away_rad(estimate, scenes.direction(*LIGHT[:2])) < 5 * _direction_rad(estimate)
-        assert math.degrees(_direction_rad(estimate)) < 2
+        assert math.degrees(_direction_rad(estimate)) < 1.8
 
 
 def test_the_true_direction_lies_within_five_deviations_on_a_face():
     light = light_at(40, 10, intensity=2.0)
     estimate = estimate_albedo(face(0, size=96, lights=(light,)).image, 1)
     assert _away_rad(estimate, light.direction) < 5 * _direction_rad(estimate)
-    assert math.degrees(_direction_rad(estimate)) < 2
+    assert math.degrees(_direction_rad(estimate)) < 0.5
 
 
 @pytest.mark.parametrize("source", ["noisy", "contrasts"])
@@ -113,7 +119,7 @@ def test_albedo_deviation_is_an_image_of_the_surface(contrasts):
     assert np.all(deviation >= 0)
     assert deviation[mask].max() > 0
     rms = math.sqrt(float(np.mean(deviation[mask] ** 2)))
-    assert rms == pytest.approx(estimate.uncertainty.albedo, rel=0.3)
+    assert rms == pytest.approx(estimate.uncertainty.albedo, rel=0.15)
 
 
 def test_albedo_deviation_tells_how_far_the_albedo_is_off(contrasts, scenes):
