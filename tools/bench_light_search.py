@@ -21,8 +21,8 @@ from scan2albedo.albedo import EstimateOptions, albedo_error
 from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.lit_image import LitImage
+from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.paper_search import DeviationProblem
-from scan2albedo.albedo.posterior import Posterior
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.core import Budget, Meter
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
@@ -184,13 +184,11 @@ def print_speed() -> None:
     meter, usable = Meter("m", "u"), usable_texels(scene.image)
     prior = AlbedoPrior.faces()
     lit = LitImage(scene.image, usable, "oren-nayar", view, options, meter, prior)
-    level = lit.level(128)
-    paper = DeviationProblem(lit, level)
-    problem = Posterior(level, scene.image.shape, lit.lattice(level), lit.soft(level), prior, meter)
+    paper, problem = DeviationProblem(lit, lit.level(128)), lit.posterior(128)
     model = LightModel(1, "oren-nayar", view, 100.0, rough=True, specular=True)
     x = model.from_lights(np.array([[0.6, 0.2, 0.77]]), np.array([2.0]))
     tabled = per_second(lambda: paper.cost(model, x, rays=False))
-    start = problem.start(model, x)
+    start = problem.start(model, x, problem.started(Scales()))
     still = np.zeros(len(start.x))
     posterior = per_second(lambda: start.moved(still))
     sloped = per_second(lambda: start.moved(still).quadratic())

@@ -8,6 +8,11 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from scan2albedo.albedo import EstimateOptions
+from scan2albedo.albedo.levels import usable_texels
+from scan2albedo.albedo.lit_image import LitImage
+from scan2albedo.albedo.prior import AlbedoPrior
+from scan2albedo.core import Budget, Meter
 from scan2albedo.core.geometry_image import GeometryImage
 
 
@@ -170,11 +175,19 @@ def scene(shape, kind, lights, *, size=128, seed=0, **settings):
     return Scene(image, albedo, np.array([direction(a, e) for a, e, _, _ in lights]))
 
 
+def lit_image(image, *, brdf="oren-nayar", prior=None, budget=Budget(), **options):
+    """Return an image as a search holds it; `LitImage.posterior` makes its posteriors."""
+    prior, view = AlbedoPrior.stationary() if prior is None else prior, (0.0, 0.0, 1.0)
+    chosen, meter = EstimateOptions(**options), Meter("albedo", "", budget)
+    return LitImage(image, usable_texels(image), brdf, view, chosen, meter, prior)
+
+
 @pytest.fixture(scope="session")
 def scenes():
     """The functions of this file that make scenes."""
     return SimpleNamespace(
         scene=scene,
+        lit_image=lit_image,
         hemisphere_geometry=hemisphere_geometry,
         bumps_geometry=bumps_geometry,
         texture=texture,

@@ -31,23 +31,18 @@ def frontal_estimate(frontal):
     return estimate_albedo(frontal.image, 1)
 
 
-BUMPS = pytest.mark.xfail(
-    strict=False, reason="bumps smaller than a cell: an environment explains them nearly as well as a lamp"
-)
-
-
 @pytest.mark.parametrize("azimuth_deg", [0, 30, 60])
 @pytest.mark.parametrize(
-    ("shape", "kind"),
-    [("hemisphere", "wood"), ("hemisphere", "skin"), pytest.param("bumps", "skin", marks=BUMPS)],
+    ("shape", "kind", "percent", "off_deg"),
+    [("hemisphere", "wood", 0.01, 4), ("hemisphere", "skin", 0.03, 4), ("bumps", "skin", 0.05, 6)],
 )
-def test_one_light(scenes, shape, kind, azimuth_deg):
+def test_one_light(scenes, shape, kind, percent, off_deg, azimuth_deg):
     scene = scenes.scene(shape, kind, [(azimuth_deg, 0, 2.0, FAR)])
     estimate = estimate_albedo(scene.image, 1)
     error = _error(estimate, scene)
-    assert error.mse_percent <= 0.03
-    assert error.relative_rmse <= 0.04
-    assert _angle_deg(estimate.lights[0], scene.light_directions[0]) <= 7
+    assert error.mse_percent <= percent
+    assert error.relative_rmse <= (0.04 if shape == "hemisphere" else 0.055)
+    assert _angle_deg(estimate.lights[0], scene.light_directions[0]) <= off_deg
     assert estimate.converged
     assert estimate.plan.ran("albedo.shadows") == (shape == "bumps")
 
@@ -67,7 +62,7 @@ def test_shading_follows_the_cosine_of_the_true_light(scenes):
     estimate = estimate_albedo(scene.image, 1, "lambert")
     cosine = np.maximum(scene.image.normal @ scene.light_directions[0], 0)
     mask = scene.image.mask
-    assert np.corrcoef(estimate.shading[mask, 0], cosine[mask])[0, 1] > 0.998
+    assert np.corrcoef(estimate.shading[mask, 0], cosine[mask])[0, 1] > 0.996
 
 
 def test_near_lamp_gets_its_distance(scenes):

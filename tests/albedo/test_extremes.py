@@ -25,7 +25,12 @@ def _with(image, **fields):
 def test_exposure_only_scales_the_albedo(plain):
     dark = _with(plain.image, texture_linear=plain.image.texture_linear * np.float32(1 / 64))
     bright, dim = (estimate_albedo(image, 1) for image in (plain.image, dark))
-    assert dim.albedo_linear * 64 == pytest.approx(bright.albedo_linear, rel=1e-3, abs=1e-4)
+    assert dim.lights == bright.lights
+    assert np.array_equal(dim.shading, bright.shading)
+    # What 8 bits round is more of a dim picture, so a little less of it is taken for noise.
+    near = np.isclose(dim.albedo_linear * 64, bright.albedo_linear, rtol=1e-3, atol=1e-4)
+    assert near.mean() > 0.995
+    assert dim.albedo_linear * 64 == pytest.approx(bright.albedo_linear, rel=6e-3, abs=1e-4)
 
 
 def test_specular_scale_of_the_annotation_multiplies_the_highlight(plain):
@@ -70,8 +75,8 @@ def test_a_symmetric_surface_lit_symmetrically(scenes):
     estimate = estimate_albedo(frontal.image)
     albedo = estimate.albedo_linear
     assert np.isfinite(albedo).all()
-    assert albedo_error(albedo, frontal.albedo, frontal.image.mask).mse_percent < 0.15
-    assert albedo[..., 0] == pytest.approx(albedo[:, ::-1, 0], rel=0.1)
+    assert albedo_error(albedo, frontal.albedo, frontal.image.mask).mse_percent < 0.002
+    assert albedo[..., 0] == pytest.approx(albedo[:, ::-1, 0], rel=0.01)
 
 
 @pytest.mark.slow
@@ -81,7 +86,7 @@ def test_a_pair_of_lights_that_looks_like_one_costs_the_albedo_little(make):
     pair = [light_at(-12, 0, intensity=1.5), light_at(12, 0, intensity=1.5)]
     scene = make(texture="skin", lights=pair, seed=1)
     estimate = estimate_albedo(scene.image)
-    assert albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask).mse_percent < 0.3
+    assert albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask).mse_percent < 0.025
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
@@ -89,7 +94,7 @@ def test_cast_shadows_in_another_unit(scenes, scale):
     scene = scenes.scene("bumps", "skin", [(45, 0, 2.0, FAR)], size=96)
     estimate = estimate_albedo(_with(scene.image, position=scene.image.position * scale), 1)
     assert estimate.plan.ran("albedo.shadows")
-    assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < 0.15
+    assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < 0.02
 
 
 @pytest.mark.slow
@@ -103,4 +108,4 @@ def test_a_few_texels_of_another_colour_do_not_take_the_highlight_away(corner):
     estimate = estimate_albedo(_with(scene.image, texture_linear=colors))
     assert estimate.plan.ran("albedo.specular")
     error = albedo_error(estimate.albedo_linear[..., 0], scene.albedo_linear[..., 0], scene.image.mask)
-    assert error.mse_percent < 0.02
+    assert error.mse_percent < 0.003

@@ -6,14 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scan2albedo.albedo import EstimateOptions
-from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.light_colour import light_colours
-from scan2albedo.albedo.lit_image import LitImage
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import descend
 from scan2albedo.albedo.prior import MEANS, AlbedoPrior
-from scan2albedo.core import Meter
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
 
 LAMP, INTENSITY, VIEW = (50, 10), 2.0, (0.0, 0.0, 1.0)
@@ -39,15 +35,14 @@ def lit(ball, scenes):
         texture = 0.3 * albedo * (1 + INTENSITY * cosine * color)
         if gloss is not None:
             surface = image.position[mask], image.normal[mask].astype(float), np.ones(mask.sum())
-            lobe = lamp_factors(*surface, toward, 0.0, np.array([VIEW]), GLOSS).highlight[:, None]
+            lobe = lamp_factors(*surface, toward, 0.0, np.array([VIEW]), GLOSS)[1][:, None]
             texture[mask] += 0.3 * GLOSS.specular_strength * INTENSITY * lobe * color
         image = replace(image, texture_linear=(texture * tint * mask[..., None]).astype(np.float32))
-        meter, usable = Meter("albedo", ""), usable_texels(image)
-        scene = LitImage(image, usable, "lambert", VIEW, EstimateOptions(), meter, prior)
+        scene = scenes.lit_image(image, brdf="lambert", prior=prior)
         model, problem = scene.model(1), scene.posterior(40)
         x, known = model.from_lights(toward[None], np.array([INTENSITY])), problem.started(Scales())
         if gloss is None:
-            return descend(problem.start(model, x, known), 10, meter)
+            return descend(problem.start(model, x, known), 10, problem.meter)
         strength = gloss * 0.3 * GLOSS.specular_strength / problem.level.unit
         x = np.append(x, [strength, math.log(GLOSS.exponent)])
         point = problem.start(model.with_part("specular"), x, known)

@@ -161,6 +161,50 @@ def test_visibility_has_the_derivatives_by_direction(lattice):
     assert np.abs(slopes).max() > 1
 
 
+def test_at_a_node_the_rays_of_one_node_serve(make_image, monkeypatch):
+    image, traced = make_image("bumps"), []
+    lattice = ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()), 0.2)
+    reached = ShadowMap.reached
+
+    def counted(self, direction, *arguments):
+        traced.append(direction)
+        return reached(self, direction, *arguments)
+
+    monkeypatch.setattr(ShadowMap, "reached", counted)
+    asked = np.array([[0.71, 0.13], [-0.73, 0.12]])
+    nodes = lattice.nearest(asked)
+    # Nodes are two of 32 cells apart.
+    assert 0 < np.abs(nodes - asked).max() <= 0.5 * 2 / 32
+    assert lattice.nearest(nodes) == pytest.approx(nodes, abs=1e-12)
+    for number, node in enumerate(nodes, 1):
+        seen, slopes = lattice.visibility(MODEL, np.array([*node, 0.0, 0.0]))
+        assert len(traced) == number
+        assert traced[-1] == pytest.approx(MODEL.direction(*node))
+        assert set(np.unique(seen)) == {0, 1}
+        assert not slopes.any()
+    lattice.visibility(MODEL, np.array([*nodes[0], 0.0, 0.0]), 0.05)
+    assert len(traced) == 2, "another blur traced again"
+    lattice.visibility(MODEL, np.array([*asked[0], 0.0, 0.0]))
+    assert len(traced) == 5
+
+
+def test_blurred_outlines_are_means_over_the_cells_that_are_there(make_image):
+    """Weights are normalised: the rim, beyond which nothing is known, is no darker."""
+    image, blur = make_image("bumps"), 0.05
+    level = build_level(image, image.mask & (np.hypot(*np.indices((64, 64)) - 31.5) < 28), 32)
+    lattice = ShadowLattice(level, RayCaster(*image.occluder_mesh()), 0.2)
+    at = np.array([*lattice.nearest(np.array([0.71, 0.13])), 0.0, 0.0])
+    sharp, blurred = (lattice.visibility(MODEL, at, width)[0][0] for width in (0.0, blur))
+    apart = np.linalg.norm(level.cell[:, None] - level.cell[None], axis=2)
+    weight = np.exp(-0.5 * (apart / (blur * (level.cell.max() + 1))) ** 2)
+    assert blurred == pytest.approx(weight @ sharp / weight.sum(1), abs=1e-4)
+    assert ((blurred > 0.2) & (blurred < 0.8)).sum() > 10
+    ball = make_image("hemisphere")
+    convex = ShadowLattice(build_level(ball, ball.mask, 32), RayCaster(*ball.occluder_mesh()), 0.2)
+    open_light = convex.visibility(MODEL, np.zeros(4), blur)[0]
+    assert open_light == pytest.approx(np.ones_like(open_light), abs=1e-5)
+
+
 def test_nothing_is_hidden_where_nothing_casts_shadows(make_image):
     image = make_image("hemisphere")
     open_sky = ShadowLattice(build_level(image, image.mask, 32), None, 0.2)

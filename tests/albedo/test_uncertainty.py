@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 from benchmarks.traced_set import calibration, load_image
 
-from scan2albedo.albedo import EstimateOptions, estimate_albedo
-from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.lit_image import LitImage
-from scan2albedo.albedo.posterior import Posterior
-from scan2albedo.albedo.prior import AlbedoPrior
+from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
+from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.uncertainty import (
     Alternative,
     LightUncertainty,
     expected_error,
     light_uncertainty,
 )
-from scan2albedo.core import Budget, Meter
+from scan2albedo.core import Budget
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.synthetic import face, light_at
@@ -59,38 +56,44 @@ def _away_rad(estimate, direction):
 
 @pytest.mark.parametrize("noise", [0.0, 0.03])
 @pytest.mark.parametrize("azimuth_deg", [20, 60])
-@pytest.mark.parametrize(
-    "shape",
-    [
-        "hemisphere",
-        pytest.param(
-            "bumps",
-            marks=pytest.mark.xfail(
-                strict=False, reason="bumps smaller than a cell: an environment explains them nearly as well"
-            ),
-        ),
-    ],
-)
-def test_the_true_direction_lies_within_five_deviations(scenes, shape, azimuth_deg, noise):
-    scene = scenes.scene(shape, "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
+def test_the_true_direction_lies_within_five_deviations(scenes, azimuth_deg, noise):
+    scene = scenes.scene("hemisphere", "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
     estimate = estimate_albedo(scene.image, 1)
     away = _away_rad(estimate, scene.light_directions[0])
     assert away < 5 * _direction_rad(estimate)
     # A deviation of any size would do otherwise.
-    assert math.degrees(_direction_rad(estimate)) < 4
+    assert math.degrees(_direction_rad(estimate)) < 3.3
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize("azimuth_deg", [20, 60])
+def test_where_soft_light_explains_bumps_as_well_the_lamp_is_less_sure_and_the_albedo_as_right(
+    scenes, azimuth_deg, noise
+):
+    """Bumps smaller than a cell: which part of the light is the lamp's is hardly told."""
+    scene = scenes.scene("bumps", "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
+    estimate = estimate_albedo(scene.image, 1)
+    assert math.degrees(_direction_rad(estimate)) > 3.5
+    mask = scene.image.mask
+    error, unlit = (
+        albedo_error(colors, scene.albedo, mask).mse_percent
+        for colors in (estimate.albedo_linear, scene.image.texture_linear)
+    )
+    assert error < (0.3 if noise else 0.14)
+    assert error < (0.4 if noise else 0.15) * unlit
 
 
 def test_the_true_direction_lies_within_five_deviations_under_noise(noisy, scenes):
     for estimate in noisy:
         assert _away_rad(estimate, scenes.direction(*LIGHT[:2])) < 5 * _direction_rad(estimate)
-        assert math.degrees(_direction_rad(estimate)) < 2
+        assert math.degrees(_direction_rad(estimate)) < 1.8
 
 
 def test_the_true_direction_lies_within_five_deviations_on_a_face():
     light = light_at(40, 10, intensity=2.0)
     estimate = estimate_albedo(face(0, size=96, lights=(light,)).image, 1)
     assert _away_rad(estimate, light.direction) < 5 * _direction_rad(estimate)
-    assert math.degrees(_direction_rad(estimate)) < 2
+    assert math.degrees(_direction_rad(estimate)) < 0.5
 
 
 @pytest.mark.parametrize("source", ["noisy", "contrasts"])
@@ -116,7 +119,7 @@ def test_albedo_deviation_is_an_image_of_the_surface(contrasts):
     assert np.all(deviation >= 0)
     assert deviation[mask].max() > 0
     rms = math.sqrt(float(np.mean(deviation[mask] ** 2)))
-    assert rms == pytest.approx(estimate.uncertainty.albedo, rel=0.3)
+    assert rms == pytest.approx(estimate.uncertainty.albedo, rel=0.15)
 
 
 def test_albedo_deviation_tells_how_far_the_albedo_is_off(contrasts, scenes):
@@ -222,20 +225,12 @@ def test_deviations_stand_in_the_order_of_the_lights(scenes):
 
 def test_the_order_in_which_the_search_holds_the_lights_does_not_matter(scenes):
     image = scenes.scene("hemisphere", "skin", [(-50, 0, 0.6, FAR), (50, 0, 3.0, FAR)], size=64).image
-    usable, prior, meter = usable_texels(image), AlbedoPrior.stationary(), Meter("albedo", "")
-    scene = LitImage(image, usable, "lambert", (0.0, 0.0, 1.0), EstimateOptions(), meter, prior)
-    level, model = scene.level(32), scene.model(2)
-    problem = Posterior(
-        level,
-        (level.center + 0.5) / np.asarray(image.shape),
-        scene.lattice(level),
-        scene.soft(level),
-        prior,
-        meter,
-    )
+    scene = scenes.lit_image(image, brdf="lambert")
+    model, problem = scene.model(2), scene.posterior(32)
+    known = problem.started(Scales())
     x = model.from_lights(np.array([scenes.direction(-50), scenes.direction(50)]), np.array([0.6, 3.0]))
     weak_first, strong_first = (
-        light_uncertainty(problem.start(model, y)) for y in (x, x[[3, 4, 5, 0, 1, 2]])
+        light_uncertainty(problem.start(model, y, known)) for y in (x, x[[3, 4, 5, 0, 1, 2]])
     )
     assert weak_first.direction_rad == pytest.approx(strong_first.direction_rad, rel=1e-3)
     assert weak_first.intensity == pytest.approx(strong_first.intensity, rel=1e-3)

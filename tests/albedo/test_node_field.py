@@ -1,0 +1,89 @@
+"""What is known at the nodes: precision and determinant for any scales, and what cells and factors give."""
+
+import numpy as np
+import pytest
+from scipy.linalg import cho_factor
+
+from scan2albedo.albedo.node_field import Scales, cell_variances, inverse, posterior_factor, solved
+from scan2albedo.albedo.prior import AlbedoPrior
+
+ALL_SCALES = [Scales(), Scales(0.3, 2.0), Scales(1.7, 0.2, grain=3.0), Scales(0.8, 1e-3)]
+
+
+@pytest.fixture(scope="module", params=["stationary", "faces"])
+def posterior(request, scenes):
+    image = scenes.scene("hemisphere", "skin", [(60, 0, 8.0, np.inf)], size=64).image
+    return scenes.lit_image(image, prior=getattr(AlbedoPrior, request.param)()).posterior(24)
+
+
+@pytest.fixture(scope="module")
+def field(posterior):
+    return posterior.field
+
+
+def _covariance(field, scales):
+    return scales.albedo**2 * field.albedo_covariance + scales.light**2 * field.light_covariance
+
+
+@pytest.mark.parametrize("scales", ALL_SCALES)
+def test_precision_is_the_inverse_of_both_covariances_in_their_scales(field, scales):
+    one = _covariance(field, scales) @ field.precision(scales)
+    assert one == pytest.approx(np.eye(len(one)), abs=1e-5)
+
+
+@pytest.mark.parametrize("scales", ALL_SCALES)
+def test_the_determinant_is_that_of_the_covariance(field, scales):
+    assert field.log_determinant(scales) == pytest.approx(np.linalg.slogdet(_covariance(field, scales))[1])
+
+
+def test_the_precision_that_is_kept_is_that_of_the_scales_asked_for(field):
+    first = field.precision(Scales(0.5)).copy()
+    other = field.precision(Scales(0.5, 2.0))
+    assert np.abs(other - first).max() > 0.01 * np.abs(first).max()
+    assert np.array_equal(field.precision(Scales(0.5, grain=2.0, soft=3.0)), first)
+
+
+def test_light_that_no_part_stands_for_is_less_known_where_it_is_dark(posterior, scenes):
+    """It is a part of the median light, whatever lies on it."""
+    deviation = np.sqrt(cell_variances(posterior.nodes, posterior.field.light_covariance))
+    cosine = posterior.level.normal @ scenes.direction(60)
+    assert deviation[cosine < -0.1].mean() > 2.5 * deviation[cosine > 0.3].mean()
+    # Of the median light it is 6 %, and some neighbours of a node are darker.
+    assert 0.015 < deviation[cosine > 0.3].mean() < 0.06
+
+
+def test_variances_of_cells_are_those_of_the_dense_product(posterior):
+    field, dense = posterior.field, posterior.nodes.toarray()
+    covariance = field.albedo_covariance
+    expected = np.einsum("nm,mk,nk->n", dense, covariance, dense)
+    assert cell_variances(posterior.nodes, covariance) == pytest.approx(expected)
+
+
+def test_a_factor_is_that_of_the_precision_with_the_cells(posterior):
+    rng, dense = np.random.default_rng(0), posterior.nodes.toarray()
+    weight, precision = rng.uniform(0.1, 5, len(dense)), posterior.field.precision(Scales())
+    before = precision.copy()
+    factor = posterior_factor(posterior.nodes, weight, precision)
+    assert np.array_equal(precision, before)
+    whole = precision + dense.T @ (weight[:, None] * dense)
+    values = rng.normal(size=(len(whole), 2))
+    assert whole @ solved(factor, values) == pytest.approx(values, abs=1e-6)
+
+
+def test_inverse_is_symmetric_and_that_of_the_matrix_with_this_factor():
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(30, 30))
+    matrix = root @ root.T + np.eye(30)
+    found = inverse(cho_factor(matrix, lower=True))
+    assert np.array_equal(found, found.T)
+    assert found @ matrix == pytest.approx(np.eye(30), abs=1e-9)
+
+
+def test_weights_leave_out_nodes_that_no_cell_of_the_level_touches(posterior):
+    """A hemisphere fills a disc of the chart."""
+    field = posterior.field
+    assert len(field.used) < posterior.prior.node_weights(posterior.places).shape[1]
+    assert (np.diff(field.used) > 0).all()
+    assert np.asarray(posterior.nodes.sum(1)).ravel() == pytest.approx(
+        np.asarray(posterior.prior.node_weights(posterior.places).sum(1)).ravel(), abs=0.02
+    )
