@@ -145,7 +145,7 @@ def _unlit() -> str:
     dark = scene.image.mask & scene.shadow[..., 0]
     assert estimate.expected_error is not None
     sure = _error(estimate, scene, estimate.expected_error < 0.1)
-    assert sure < 0.2
+    assert sure < 0.06
     assert not estimate.confidence[dark].any()
     return f"off by {sure:.3f} % where it is sure, confidence 0 in the dark"
 
