@@ -29,7 +29,7 @@ _DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
 _SAME_COSINE = 0.9
 """Lamps whose directions have a larger cosine are one at the start."""
 _FOLLOWED, _KEPT = 6, 3
-"""Distinct starts that take two steps, and that go on to where the posterior is largest."""
+"""Distinct starts that take a few steps, and that go on to where the posterior is largest."""
 _FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
 _CAUTION = 0.1
@@ -150,12 +150,9 @@ class LightSearch:
                     tints.append(light_colours(point, choice).ratio)
         weights = np.exp(_TEMPER * (np.array(values) - max(values)))
         weights /= weights.sum()
-        beside_first, tinted = (
-            np.array(fields) - fields[0],
-            weights[: len(tints)] / weights[: len(tints)].sum(),
-        )
+        beside_first, first_few = np.array(fields) - fields[0], weights[: len(tints)]
         shift = weights @ beside_first
-        colour = sum(weight * (tint - tints[0]) for weight, tint in zip(tinted, tints, strict=True))
+        colour = np.average(np.array(tints) - tints[0], axis=0, weights=first_few)
         return shift[:, None] + colour, np.sqrt(weights @ (beside_first - shift) ** 2)
 
     def _lamps_step(self, best_of: dict[int, float], count: int, asked: int | None) -> PlanStep:
@@ -175,12 +172,11 @@ class LightSearch:
             return point, PlanStep(stage, False, "left out by the caller")
         if not point.model.lights or self.scene.shadows[0] is None:
             return point, PlanStep(stage, False, "no lamp that casts shadows", "not judged")
-        best, costs = point, [point.cost]
+        best = point
         for radius in _RADII_DEG:
             model = replace(point.model, radius_deg=radius)
             start = Point(point.problem, model, point.x, point.robust, point.scales)
             tried = descend(start, 4, self.scene.meter)
-            costs.append(tried.cost)
             if tried.cost > best.cost:
                 break
             best = tried
@@ -250,9 +246,9 @@ class LightSearch:
             if found and meter.exhausted:
                 break
             x = np.append(model.extend(start.light_x, full), start.x[-EXTRA:])
-            point = Point(problem, full, x, None, _FIRST_SCALES)
+            point = Point(problem, full, x, None, start.scales)
             found.append(point if meter.exhausted else self._settled(point))
-        return found
+        return sorted(found, key=lambda point: -point.log_evidence())
 
     def _points(
         self, problem: Posterior, model: LightModel, starts: list[FloatArray], scales: Scales
