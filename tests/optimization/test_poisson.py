@@ -59,7 +59,7 @@ def test_gradients_of_several_channels_integrate_as_each_alone(field, region):
 
 
 def test_the_anchor_keeps_gradients_that_contradict_one_another_from_drifting():
-    """A long strip with one known end: steps that are a little off add up, unless the old values hold them."""
+    """Steps that are a little off add up along a strip with one known end, unless old values hold them."""
     region, known, old = np.ones((1, 400), bool), np.zeros((1, 400), bool), np.ones((1, 400))
     region[0, 0], known[0, 0] = False, True
     across, down = np.full((1, 399), 0.01), np.zeros((0, 400))
