@@ -10,6 +10,8 @@ from scan2albedo.optimization.poisson import integrate_gradients
 
 _NEIGHBOURS = 14
 _PROBES = 12
+_HOLD = 1e-4
+"""Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
 RADIUS = 40 / 512
 FLOOR = np.float32(1e-4)
 """Albedo below this counts as this in logarithms."""
@@ -82,7 +84,7 @@ def resynthesize(
         rng,
     )
     across, down = (copied_steps(filled, field, came_from, around, axis) for axis in (1, 0))
-    filled = integrate_gradients(filled, inside, around, across, down)
+    filled = integrate_gradients(filled, inside, around, across, down, _HOLD)
     result = albedo.copy()
     new = np.exp(filled[inside], dtype=np.float64)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _ANCHOR = 1e-9
-"""Weight of the old value: it decides only where a region touches nothing known."""
+"""It decides only where a region touches nothing known."""
 
 
 def forward_differences(field: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -18,14 +18,19 @@ def forward_differences(field: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def integrate_gradients(
-    field: FloatArray, region: BoolArray, known: BoolArray, across: FloatArray, down: FloatArray
+    field: FloatArray,
+    region: BoolArray,
+    known: BoolArray,
+    across: FloatArray,
+    down: FloatArray,
+    anchor: float = _ANCHOR,
 ) -> FloatArray:
     """Return `field` (H, W) with `region` replaced by the least-squares integral of a gradient [1]_.
 
     Minimises sum (u_j - u_i - g_ij)^2 over neighbours i, j of which one at least lies in `region` and the
     other in `region` or `known`; u = field on `known`. The system is L u = div g, one row a texel. `across`
     (H, W - 1) and `down` (H - 1, W) are the wanted forward differences; with channels (..., C), all share one
-    factorisation.
+    factorisation. `anchor` is the weight of the old value.
 
     .. [1] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
     """
@@ -35,7 +40,7 @@ def integrate_gradients(
     index = np.full(field.shape[:2], -1, np.int64)
     index[region] = np.arange(count)
     usable = region | known
-    diagonal, right = np.full(count, _ANCHOR), _ANCHOR * field[region].reshape(count, -1)
+    diagonal, right = np.full(count, anchor), anchor * field[region].reshape(count, -1)
     links = []
     for axis, wanted in ((1, across), (0, down)):
         # The first and the second texels of the pairs along the axis.

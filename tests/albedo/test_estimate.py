@@ -84,7 +84,7 @@ def test_two_lamps_are_two_and_one_is_one(scenes):
     assert estimate.lights[0].intensity >= estimate.lights[1].intensity
     for direction in scene.light_directions:
         assert min(_angle_deg(light, direction) for light in estimate.lights) < 6
-    assert _error(estimate, scene).mse_percent < 0.03
+    assert _error(estimate, scene).mse_percent < 0.05
     single = scenes.scene("hemisphere", "skin", lamps[:1], size=96)
     assert len(estimate_albedo(single.image).lights) == 1
 

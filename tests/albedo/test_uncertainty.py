@@ -65,22 +65,33 @@ def test_the_true_direction_lies_within_five_deviations(scenes, azimuth_deg, noi
     assert math.degrees(_direction_rad(estimate)) < 3.3
 
 
+MISSED = pytest.mark.xfail(
+    strict=True,
+    reason="the search misses the lamp, whose evidence is larger by 17 (it follows 6 starts only)",
+)
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.03])
-@pytest.mark.parametrize("azimuth_deg", [20, 60])
-def test_where_soft_light_explains_bumps_as_well_the_lamp_is_less_sure_and_the_albedo_as_right(
-    scenes, azimuth_deg, noise
-):
-    """Bumps smaller than a cell: which part of the light is the lamp's is hardly told."""
+@pytest.mark.parametrize(
+    ("azimuth_deg", "largest_deg"),
+    # From the front, soft light explains bumps smaller than a cell nearly as well.
+    [(20, 18), pytest.param(60, 2, marks=MISSED)],
+)
+def test_the_true_direction_lies_within_five_deviations_on_bumps(scenes, azimuth_deg, largest_deg, noise):
     scene = scenes.scene("bumps", "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
     estimate = estimate_albedo(scene.image, 1)
-    assert math.degrees(_direction_rad(estimate)) > 3.5
-    mask = scene.image.mask
-    error, unlit = (
-        albedo_error(colors, scene.albedo, mask).mse_percent
-        for colors in (estimate.albedo_linear, scene.image.texture_linear)
-    )
-    assert error < (0.3 if noise else 0.14)
-    assert error < (0.4 if noise else 0.15) * unlit
+    assert _away_rad(estimate, scene.light_directions[0]) < 5 * _direction_rad(estimate)
+    assert math.degrees(_direction_rad(estimate)) < largest_deg
+
+
+@pytest.mark.parametrize(("azimuth_deg", "percent", "noisy_percent"), [(20, 0.03, 0.15), (60, 0.14, 0.3)])
+def test_on_bumps_the_albedo_is_right_whichever_part_has_the_light(
+    scenes, azimuth_deg, percent, noisy_percent
+):
+    for noise, ceiling in ((0.0, percent), (0.03, noisy_percent)):
+        scene = scenes.scene("bumps", "skin", [(azimuth_deg, 10, 2.0, FAR)], size=64, noise=noise)
+        estimate = estimate_albedo(scene.image, 1)
+        assert albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent < ceiling
 
 
 def test_the_true_direction_lies_within_five_deviations_under_noise(noisy, scenes):

@@ -56,3 +56,15 @@ def test_gradients_of_several_channels_integrate_as_each_alone(field, region):
         for c in range(3)
     ]
     assert together == pytest.approx(np.stack(alone, -1), abs=1e-9)
+
+
+def test_the_anchor_keeps_gradients_that_contradict_one_another_from_drifting():
+    """Steps that are a little off add up along a strip with one known end, unless old values hold them."""
+    region, known, old = np.ones((1, 400), bool), np.zeros((1, 400), bool), np.ones((1, 400))
+    region[0, 0], known[0, 0] = False, True
+    across, down = np.full((1, 399), 0.01), np.zeros((0, 400))
+    free, held = (
+        integrate_gradients(old, region, known, across, down, anchor)[0, -1] for anchor in (1e-9, 1e-3)
+    )
+    assert free == pytest.approx(1 + 3.99, abs=0.01)
+    assert held < 1.6
