@@ -29,8 +29,8 @@ from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
 
 CONE_RAD = 1.92
 """Half angle around the view direction in which lights are sought: a little behind the face."""
-_DIRECTIONS = 40
-"""Directions of a lamp of which one step is tried: 27 degrees lie between neighbours."""
+_DIRECTIONS = 60
+"""Directions of a lamp of which one step is tried: 22 degrees lie between neighbours."""
 _ROUNDS = 5
 _LEAST_RESIDUAL = 1e-3
 

@@ -43,6 +43,8 @@ _ALBEDOS = 0.1, 0.8
 """Of skin, dark and pale, in red."""
 NOISE = 0.02
 """Relative noise of a cell: that of pictures of 8 bits."""
+_LEAST_GRAIN = 0.1
+"""Scale of grain at which cells are as noisy as rounding to 8 bits makes texels."""
 DARK = 0.02
 """Parts of the median below which brightness says nothing."""
 _MISFIT_SD = 0.7
@@ -276,7 +278,8 @@ class Point:
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             soft = _shrunk(float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _SOFT_SD)
         other = copy.copy(self)
-        other.scales = Scales(parts[0], parts[1], _shrunk(rough, len(share) / p.repeats, _MISFIT_SD), soft)
+        grain = max(_shrunk(rough, len(share) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
+        other.scales = Scales(parts[0], parts[1], grain, soft)
         other._settle(self.robust, None)
         return other
 
