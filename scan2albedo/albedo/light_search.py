@@ -37,6 +37,8 @@ _CAUTION = 0.1
 _STEPS, _ROUNDS, _FLAT = 4, 6, 0.5
 """Evaluations of a descent between two estimates of the scales, how many of these there are at most, and the
 rise of the log evidence in one after which there are no more."""
+_HOPELESS = 8.0
+"""Log odds against one lamp more at which no further ones are tried."""
 _RADII_DEG = 6.0, 12.0, 20.0, 30.0
 """Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
 _TEMPER, _ALIKE = 0.25, 0.003
@@ -80,7 +82,7 @@ class LightSearch:
             points = self._with_one_more(base)
             best_of[count], base = self._best([*points, *self._variants(points[0])])
             self._record()
-            if lights is None and best_of[count] < max(best_of.values()):
+            if lights is None and best_of[count] < max(best_of.values()) - _HOPELESS:
                 break
         wanted = [p for _, p in self._ranked() if lights is None or p.model.lights == base.model.lights]
         best, size = wanted[0], PlanStep("albedo.lamp_size", False, "the budget ended before it")
