@@ -28,7 +28,7 @@ _DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
 """The same of the first lamps in a room that is dark otherwise; what such a lamp shades is no outlier yet."""
 _SAME_COSINE = 0.9
 """Lamps whose directions have a larger cosine are one at the start."""
-_FOLLOWED, _KEPT = 10, 3
+_FOLLOWED, _KEPT = 10, 4
 """Distinct starts that take a few steps, and that go on to where the posterior is largest."""
 _FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
