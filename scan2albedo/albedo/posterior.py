@@ -48,17 +48,17 @@ _LEAST_GRAIN = 0.1
 DARK = 0.02
 """Parts of the median below which brightness says nothing."""
 _MISFIT_SD = 0.7
-"""Standard deviation of the log of both scales that the image itself tells: how far this person is from the
+"""Standard deviation of the log of two scales that the image itself tells: how far this person is from the
 prior, and how rough."""
-_LIGHT_SD = 0.25
-_SOFT_SD = 0.4
-"""The same of the harmonics of the environment: a studio has none."""
+_LIGHT_SD, _SOFT_SD = 0.25, 0.4
+"""The same of light that no part stands for, whose usual size is known best, and of the harmonics of the
+environment: a studio has none."""
 _DAMPING = Damping(first=1e-2, increase=8.0, least=1e-4, after_failure=1e-3, largest=1e4)
 _SETTLED = 1e-4
 _LONGEST = 3.0
 """Longest step as a multiple of the model's first steps."""
-REMAINS = 0.1
-"""Part of V, and of a channel, that a highlight leaves: it takes none below what albedo remains."""
+_REMAINS = 0.1
+"""Least part of V that a highlight leaves to the albedo."""
 EXTRA = 2
 """Parameters beside the light's: log scale, and how much of the faces' mean albedo this one has."""
 
@@ -221,7 +221,7 @@ class Point:
     def left_of_highlight(self) -> FloatArray:
         """Return (N,) V without the highlight, which leaves some of it."""
         value = np.exp(self.problem.value)
-        return np.asarray(np.maximum(value - self.specular, REMAINS * value))
+        return np.asarray(np.maximum(value - self.specular, _REMAINS * value))
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""

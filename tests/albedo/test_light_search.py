@@ -48,7 +48,8 @@ def skin(scenes):
 
 
 CONSTANT = pytest.mark.xfail(
-    strict=True, reason="a constant picture: grain shrinks without end, and the last explanation's the most"
+    strict=True,
+    reason="a constant picture: the explanations without a lamp end before their scales have settled",
 )
 
 

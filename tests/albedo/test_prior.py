@@ -145,3 +145,13 @@ def test_two_heads_give_a_prior_that_knows_them(shared_data: Path):
     assert prior.mean == pytest.approx(prior.mean[:, ::-1])
     inside = np.s_[10:54, 16:48]
     assert np.corrcoef(prior.mean[inside][..., 0].ravel(), shipped.mean[inside][..., 0].ravel())[0, 1] > 0.7
+
+
+def test_an_option_names_the_prior(tmp_path):
+    assert AlbedoPrior.named("auto", face=True) is AlbedoPrior.faces()
+    assert not AlbedoPrior.named("auto", face=False).face
+    assert not AlbedoPrior.named("stationary", face=True).face
+    AlbedoPrior.stationary(spread=0.5).save(tmp_path / "mine.npz")
+    assert AlbedoPrior.named(str(tmp_path / "mine.npz"), face=True).spread[0, 0, 0] == 0.5
+    with pytest.raises(LightingError, match="nowhere"):
+        AlbedoPrior.named(str(tmp_path / "nowhere.npz"), face=True)
