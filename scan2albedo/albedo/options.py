@@ -55,7 +55,7 @@ class EstimateOptions:
             raise ValueError(f"objective is {self.objective!r}, expected one of {', '.join(OBJECTIVES)}")
         if not self.sizes:
             paper = self.objective == "albedo-deviation"
-            object.__setattr__(self, "sizes", (32, 64, 128) if paper else (24, 40, 96))
+            object.__setattr__(self, "sizes", (32, 64, 128) if paper else (22, 32, 86))
         if not 1 <= self.maximal_lights <= 4:
             raise ValueError(f"maximal_lights is {self.maximal_lights}, expected 1 to 4")
         if len(self.sizes) != 3:
