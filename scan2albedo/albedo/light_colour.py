@@ -72,9 +72,10 @@ def light_colours(point: Point, choice: bool | None) -> LightColours:
 
     with the prior of log ratios m, u on the nodes and o of a person; lamps of any colour near the ambient
     light's, I_c / I_0 being 1 on average; bounced light of the colour of the surface; the highlights' ratio g
-    to the rest of the brightest channel, known as well as the search knows it, in the colours k of the lamps;
-    and the tint t of all light. Light of one colour is told from pigment by what is known of both, and by the
-    highlights. `choice` False leaves colour out.
+    to the rest of the brightest channel, in the colours k of the lamps; and the tint t of all light. The
+    search knows g for skin as dark as the picture's colour says; where o speaks for paler skin, g is smaller.
+    Light of one colour is told from pigment by what is known of both, and by the highlights. `choice` False
+    leaves colour out.
     """
     count, nodes = point.model.lights, len(point.problem.field.used)
     color = point.problem.level.color
@@ -109,11 +110,16 @@ class _Colours:
         if self.gloss.any():
             at = point.model.position_of("specular")
             strength_sd = min(math.sqrt(point.covariance()[at, at]) / point.x[at], 1.0)
-        self.known = block_diag(np.diag(np.tile(deviation**-2.0, 2)), *both, strength_sd**-2)
-        self.expected = np.zeros(len(self.known))
+        # Log strength follows the level of the pigment's colour, not that of the picture's.
+        tie = np.eye(2 * len(deviation) + 5)
+        tie[-1, -5:-3] = p.prior.level[1] * np.linalg.inv(change)[0] * self.gloss.any()
+        self.known = tie.T @ block_diag(np.diag(np.tile(deviation**-2.0, 2)), *both, strength_sd**-2) @ tie
+        self.expected = np.zeros(len(tie))
         self.expected[-5:-3] = change @ p.prior.chroma[0]
+        seen = np.array([np.median(ratio.log - ratio.mean) for ratio in self.ratios])
+        self.expected[-1] = tie[-1, -5:-3] @ (seen - self.expected[-5:-3])
         self.x, self.precision = self.expected.copy(), self.known
-        self.x[-5:-3] = [np.median(ratio.log - ratio.mean) for ratio in self.ratios]
+        self.x[-5:-3], self.x[-1] = seen, 0.0
 
     def at(self, number: int) -> IntArray:
         """Return the places in x of one of the two channels: parts, o, t and the highlights' strength."""
