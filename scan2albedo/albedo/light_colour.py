@@ -16,10 +16,10 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.plan import PlanStep
 
 STAGE = "albedo.light_colour"
-_COLOUR_SD = 0.3, 0.1, 0.05
+_COLOUR_SD = 0.5, 0.1, 0.05
 """Standard deviations of the log of a lamp's colour beside that of the ambient light, one channel to the
 next, and of colour in the harmonics of orders 1 and 2: the log ratio of blue and red in daylight (6500 K) and
-in a bulb's light (2700 K) differs by 1.2, four standard deviations."""
+in a bulb's light (2700 K) differs by 1.2, and by 0.5 (root mean square) in two lights evenly in between."""
 _TINT_SD = (0.045, 0.089), (-0.027, 0.013)
 """Standard deviations of log green / red and log blue / red of the mean light, along the locus of black
 bodies and daylight and across: white balance errs by two degrees [1]_.
