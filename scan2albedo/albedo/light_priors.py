@@ -29,8 +29,8 @@ ROUGHNESS = 0.1, 0.1
 MINNAERT = 1.0, 0.2
 GLOSS = 0.057, 0.47
 """Phong's strength on skin of albedo 1: Beckmann's lobe of roughness .35 and index 1.4 (Fresnel .028) seen
-along the normal, .028 / (4 .35^2) [2]_; and what its logarithm errs by beside the prior's level of skin: that
-is 0.52 off for heads of groups that were left out, 0.22 for those that it knows.
+along the normal, .028 / (4 .35^2) [2]_; and what its log errs by beside the prior's level of skin, which is
+0.52 off for heads whose group is left out, 0.22 for others.
 
 .. [2] T. Weyrich et al., "Analysis of human faces using a measurement-based skin reflectance model", SIGGRAPH
    2006.
@@ -119,8 +119,8 @@ def parts_steps(
         prior = -0.5 * float((((plain - mean) / deviation) ** 2).sum()) - float(np.log(deviation).sum())
         own = own + np.diag(1e-9 * deviation**2)
         posterior = -0.5 * float(away @ np.linalg.solve(own, away)) - 0.5 * float(np.linalg.slogdet(own)[1])
-        reason, evidence = "in the model, as its prior allows", f"log odds {prior - posterior:.1f}"
-        steps.append(PlanStep(stage, True, reason, evidence))
+        evidence = f"log odds {prior - posterior:.1f}"
+        steps.append(PlanStep(stage, True, "in the model, as its prior allows", evidence))
     return steps
 
 
