@@ -21,7 +21,9 @@ summed (3,400 cells a head):
 
 Some heads share much of their texture: deviations of Asian_M_1 and Asian_M_3 correlate by 0.93, those of
 Black_F_2 and Black_M_2 by 0.90. With all heads of a group left out at once, shrinkages of 0, 0.2, 0.3 and 0.5
-give 3.81, 3.82, 3.81 and 3.76 at a length of 0.10: of the two that are best above the lesser is taken.
+give 3.81, 3.82, 3.81 and 3.76 at a length of 0.10: of the two that are best above the lesser is taken. The
+level that a head's chroma speaks for is off by 0.23 (root mean square) with that head left out, and by 0.52
+with its group.
 """
 
 from __future__ import annotations

@@ -16,10 +16,10 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.plan import PlanStep
 
 STAGE = "albedo.light_colour"
-_COLOUR_SD = 0.3, 0.1, 0.05
+_COLOUR_SD = 0.5, 0.1, 0.05
 """Standard deviations of the log of a lamp's colour beside that of the ambient light, one channel to the
-next, and of colour in the harmonics of orders 1 and 2: the log ratio of blue and red in daylight (6500 K) and
-in a bulb's light (2700 K) differs by 1.2, four standard deviations."""
+next, and of colour in the harmonics of orders 1 and 2: log blue / red differs by 1.2 from daylight (6500 K)
+to a bulb's light (2700 K), and by 0.5 (root mean square) in two lights evenly in between."""
 _TINT_SD = (0.045, 0.089), (-0.027, 0.013)
 """Standard deviations of log green / red and log blue / red of the mean light, along the locus of black
 bodies and daylight and across: white balance errs by two degrees [1]_.
@@ -54,9 +54,7 @@ class LightColours:
     ratio: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
 
     @classmethod
-    def white(
-        cls, lamps: int, reason: str = "white by the model", evidence: str = "", nodes: int = 1
-    ) -> LightColours:
+    def white(cls, lamps: int, reason: str = "white", evidence: str = "", nodes: int = 1) -> LightColours:
         """Return white light of so many lamps, and why it is white."""
         return cls(np.ones((lamps, 3)), PlanStep(STAGE, False, reason, evidence), cast=np.zeros((nodes, 3)))
 
@@ -72,9 +70,9 @@ def light_colours(point: Point, choice: bool | None) -> LightColours:
 
     with the prior of log ratios m, u on the nodes and o of a person; lamps of any colour near the ambient
     light's, I_c / I_0 being 1 on average; bounced light of the colour of the surface; the highlights' ratio g
-    to the rest of the brightest channel, known as well as the search knows it, in the colours k of the lamps;
-    and the tint t of all light. Light of one colour is told from pigment by what is known of both, and by the
-    highlights. `choice` False leaves colour out.
+    to the rest of the brightest channel, in the colours k of the lamps, as strong as the search has it for
+    skin of the picture's colour, weaker where o is that of paler skin; and the tint t of all light. Light of
+    one colour is told from pigment by what is known of both, and by highlights. `choice` False leaves it out.
     """
     count, nodes = point.model.lights, len(point.problem.field.used)
     color = point.problem.level.color
@@ -99,8 +97,7 @@ class _Colours:
         # Log ratios to red, which the prior knows, become those to the leading channel.
         change = (np.eye(3)[self.channels] - np.eye(3)[p.lead])[:, 1:]
         self.ratios = [_Ratio(point, c, row) for c, row in zip(self.channels, change, strict=True)]
-        lamp, first, second = _COLOUR_SD
-        deviation = np.array([lamp] * self.lamps + [first] * 3 + [second] * (HARMONICS - 3))
+        deviation = np.repeat(_COLOUR_SD, [self.lamps, 3, HARMONICS - 3])
         tint = np.transpose(_TINT_SD) @ np.array(_TINT_SD)
         both = [np.linalg.inv(change @ part @ change.T) for part in (p.prior.chroma[1:], tint)]
         scale, likeness = point.x[-EXTRA:]
@@ -109,11 +106,14 @@ class _Colours:
         if self.gloss.any():
             at = point.model.position_of("specular")
             strength_sd = min(math.sqrt(point.covariance()[at, at]) / point.x[at], 1.0)
-        self.known = block_diag(np.diag(np.tile(deviation**-2.0, 2)), *both, strength_sd**-2)
-        self.expected = np.zeros(len(self.known))
-        self.expected[-5:-3] = change @ p.prior.chroma[0]
-        self.x, self.precision = self.expected.copy(), self.known
-        self.x[-5:-3] = [np.median(ratio.log - ratio.mean) for ratio in self.ratios]
+        # Log strength follows the level of the pigment's colour, not that of the picture's.
+        tie = np.eye(2 * len(deviation) + 5)
+        tie[-1, -5:-3] = p.prior.level[1] * np.linalg.inv(change)[0] * self.gloss.any()
+        self.known = tie.T @ block_diag(np.diag(np.tile(deviation**-2.0, 2)), *both, strength_sd**-2) @ tie
+        seen, usual = [np.median(ratio.log - ratio.mean) for ratio in self.ratios], change @ p.prior.chroma[0]
+        none = np.zeros(2 * len(deviation))
+        self.expected = np.r_[none, usual, 0.0, 0.0, tie[-1, -5:-3] @ (seen - usual)]
+        self.x, self.precision = np.r_[none, seen, np.zeros(3)], self.known
 
     def at(self, number: int) -> IntArray:
         """Return the places in x of one of the two channels: parts, o, t and the highlights' strength."""
@@ -171,8 +171,7 @@ class _Colours:
         x, own = self.x[at], np.linalg.inv(np.linalg.inv(self.precision)[np.ix_(at, at)])
         before = np.linalg.slogdet(self.known[np.ix_(at, at)])[1]
         odds = 0.5 * float(x @ own @ x - np.linalg.slogdet(own)[1] + before)
-        reason = "the parts of the light have their own colours"
-        step = PlanStep(STAGE, True, reason, f"log odds {odds:.1f}")
+        step = PlanStep(STAGE, True, "the parts of the light have their own colours", f"log odds {odds:.1f}")
         return replace(found, step=step, gloss=math.exp(self.x[-1]), ratio=log_ratio)
 
 

@@ -143,3 +143,15 @@ def test_the_tint_of_all_light_is_told_by_what_is_known_of_the_albedo(lit, ball)
 def test_the_channels_tell_how_strong_highlights_are(lit, strength):
     found = light_colours(lit(np.ones(3), gloss=strength), None)
     assert abs(math.log(found.gloss * strength)) < 0.8 * abs(math.log(strength))
+
+
+def test_highlights_are_weaker_where_skin_is_paler_than_the_picture(lit, ball):
+    skin = ball.albedo[ball.image.mask]
+    own = np.median(np.log(skin[:, 1:] / skin[:, :1]), axis=0)
+    strengths = []
+    for slope in (0.0, 3.0):
+        level = STATIONARY.level[0], slope, STATIONARY.level[2]
+        prior = replace(STATIONARY, chroma=np.vstack([own, 1e-4 * np.eye(2)]), level=level)
+        point = lit(np.ones(3), prior=prior, tint=TINT**3, gloss=1.4)
+        strengths.append(light_colours(point, None).gloss)
+    assert strengths[1] < 0.85 * strengths[0]
