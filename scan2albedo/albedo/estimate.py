@@ -11,26 +11,22 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
-from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
-from scan2albedo.albedo.levels import (
-    cell_field,
-    usable_texels,
-    with_every_normal,
-)
+from scan2albedo.albedo.harmonic_light import harmonic_light
+from scan2albedo.albedo.levels import cell_field, usable_texels, with_every_normal
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
+from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
-from scan2albedo.albedo.texel_light import light_on_texels
+from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
 from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
-from scan2albedo.lighting.environment_light import environment_of_shading
+from scan2albedo.lighting.environment_light import open_shading
 from scan2albedo.lighting.shading import Reflectance
 
 _LEAST_FACING = 0.1
@@ -155,50 +151,55 @@ def estimate_albedo(
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):
         if brdf == "spherical-harmonics":
-            estimate = _divide_harmonics(scene)
-        else:
-            count = None if lights == "auto" else int(lights)
-            found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
-            estimate = _divide(scene, found, seed)
-    return replace(estimate, plan=plan + estimate.plan)
+            return _divide(scene, harmonic_light(scene), None, plan, seed)
+        count = None if lights == "auto" else int(lights)
+        found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
+        return _divide(scene, light_on_texels(scene, found), found, plan, seed)
 
 
-def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
-    """Remove the light found from the full-size image."""
+def _divide(
+    scene: LitImage, lit: TexelLight, found: LightFound | None, plan: Plan, seed: int
+) -> AlbedoEstimate:
+    """Remove the light from the full-size image; `found` is None for spherical harmonics."""
     image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
-    mask, deviation = image.mask, None
-    lit = light_on_texels(scene, found)
+    mask, deviation, reflectance = image.mask, None, lit.reflectance
     shadow = np.zeros(mask.shape)
     specular, shading = np.zeros((2, *mask.shape, 3))
     specular[mask], shadow[mask], shading[mask] = lit.specular, lit.visible, lit.light_linear
-    if found.explanation is not None:
+    if found is not None and found.explanation is not None:
         best = found.explanation.best
         cells = best.light_deviation()[:, None]
         deviation = np.zeros(mask.shape)
         deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
     # What makes a good albedo better is left out once the seconds have ended.
-    late = meter.out_of_time
+    late = meter.out_of_time and found is not None
     division = divide_light(image.texture_linear, shading, specular, mask, usable, shrink=not late)
     color, stage = division.albedo.astype(np.float32), "albedo.inpainting"
-    choice = options.choice(stage)
-    if choice is False:
-        inpainting = PlanStep(stage, False, "left out by the caller")
-    elif late and choice is None:
-        inpainting = PlanStep(stage, False, "the budget ended before it")
+    parameters: dict[str, object]
+    if found is None:
+        plan += [PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")]
+        assert lit.environment is not None
+        coefficients = open_shading(lit.environment)
+        parameters = {"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()}
     else:
-        color, inpainting = inpainted(color, image, usable, options, seed)
-    cameras = _cameras_step(scene, lit.reflectance)
-    rough = "minnaert_exponent" if lit.reflectance.brdf == "minnaert" else "sigma_rad"
-    distance = lit.lights[0].distance_mm if lit.lights else math.inf
-    parameters: dict[str, object] = {
-        "ambient": 1.0,
-        "brdf": lit.reflectance.brdf,
-        rough: lit.reflectance.roughness,
-        "specular_strength": lit.reflectance.specular_strength,
-        "specular_exponent": lit.reflectance.exponent,
-        "light_distance_mm": distance if math.isfinite(distance) else None,
-    }
+        if options.choice(stage) is False:
+            inpainting = PlanStep(stage, False, "left out by the caller")
+        elif late and options.choice(stage) is None:
+            inpainting = PlanStep(stage, False, "the budget ended before it")
+        else:
+            color, inpainting = inpainted(color, image, usable, options, seed)
+        plan += [*found.steps, _cameras_step(scene, reflectance), inpainting]
+        rough = "minnaert_exponent" if reflectance.brdf == "minnaert" else "sigma_rad"
+        distance = lit.lights[0].distance_mm if lit.lights else math.inf
+        parameters = {
+            "ambient": 1.0,
+            "brdf": reflectance.brdf,
+            rough: reflectance.roughness,
+            "specular_strength": reflectance.specular_strength,
+            "specular_exponent": reflectance.exponent,
+            "light_distance_mm": distance if math.isfinite(distance) else None,
+        }
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lit.lights,
@@ -207,20 +208,19 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         specular=specular.mean(-1).astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, cameras, inpainting)),
+        plan=plan,
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
         residual=meter.rows[-1].error,
         image=image,
         view_direction=scene.view,
-        reflectance=lit.reflectance,
-        casts_shadows=found.caster is not None,
-        shadow_offset_mm=SHADOW_OFFSET_MM,
-        uncertainty=found.uncertainty,
+        reflectance=reflectance,
+        casts_shadows=found is None or scene.shadows[0] is not None,
+        uncertainty=None if found is None else found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
-        expected_error=expected_error(division.deviation, deviation, mask, image.skin),
         environment=lit.environment,
+        expected_error=expected_error(division.deviation, deviation, mask, image.skin),
     )
 
 
@@ -241,34 +241,3 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     if reflectance.specular_strength == 0 and reflectance.roughness == plain:
         return PlanStep(_CAMERAS, False, "what is found of the light looks alike from everywhere", evidence)
     return PlanStep(_CAMERAS, True, "each texel is seen from its camera", evidence)
-
-
-def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
-    """Fit spherical harmonics to each channel and divide by them."""
-    image, options, meter = scene.image, scene.options, scene.meter
-    assert image.texture_linear is not None
-    coefficients = fit_harmonic_light(image, scene.usable, options, meter)
-    shading, none = harmonic_shading(image, coefficients), np.zeros(image.shape)
-    division = divide_light(image.texture_linear, shading, none, image.mask, scene.usable)
-    step = PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")
-    return AlbedoEstimate(
-        albedo_linear=division.albedo.astype(np.float32),
-        lights=(),
-        parameters={"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()},
-        shading=np.where(image.mask[..., None], shading, 0).astype(np.float32),
-        specular=none.astype(np.float32),
-        shadow=image.mask.astype(np.float32),
-        confidence=division.confidence.astype(np.float32),
-        plan=Plan((step,)),
-        trace=meter.trace,
-        converged=not meter.exhausted,
-        iterations=meter.evaluations,
-        residual=meter.trace.rows[-1].error if len(meter.trace) else float("nan"),
-        image=image,
-        view_direction=scene.view,
-        reflectance=Reflectance("lambert"),
-        casts_shadows=True,
-        shadow_offset_mm=SHADOW_OFFSET_MM,
-        environment=environment_of_shading(coefficients),
-        expected_error=expected_error(division.deviation, None, image.mask, image.skin),
-    )

@@ -66,22 +66,22 @@ class LightSearch:
     def run(self, lights: int | None) -> LightFound:
         """Return the light; `lights` None compares numbers of lamps by their evidence."""
         meter, options = self.scene.meter, self.scene.options
-        if meter.exhausted:
-            return self._at_once(lights or 0)
-        counts = range(1, (options.maximal_lights if lights is None else lights) + 1)
-        model, problem = self._model(0), self._posterior(1, OUTLINE_BLURS[0])
-        first = self._settled(
-            problem.start(model, model.from_lights(np.zeros((0, 3)), np.zeros(0)), problem.started(Scales()))
+        # Without any time a few steps lead from lamps where the shading grows.
+        late = meter.exhausted
+        model = self._model((lights or 0) if late else 0)
+        problem = self._posterior(0 if late else 1, OUTLINE_BLURS[0])
+        toward = self.scene.directions[: model.lights]
+        start = problem.start(
+            model, model.from_lights(toward, np.ones(len(toward))), problem.started(Scales())
         )
+        first = descend(start, _LEAST_EVALUATIONS, None) if late else self._settled(start)
         value, base = self._best([first, *self._variants(first)])
-        best_of = {0: value}
-        self._record()
-        for count in counts:
+        best_of = {model.lights: value}
+        for count in range(model.lights + 1, (options.maximal_lights if lights is None else lights) + 1):
             if meter.exhausted and (lights is None or count > 1):
                 break
             points = self._with_one_more(base)
             best_of[count], base = self._best([*points, *self._variants(points[0])])
-            self._record()
             if lights is None and best_of[count] < max(best_of.values()) - _HOPELESS:
                 break
         wanted = [p for _, p in self._ranked() if lights is None or p.model.lights == base.model.lights]
@@ -90,17 +90,6 @@ class LightSearch:
             best, size = self._sized(best)
         lamps = self._lamps_step(best_of, best.model.lights, lights)
         return self._explained(best, wanted, [self.scene.shadows[1], lamps, size])
-
-    def _at_once(self, lights: int) -> LightFound:
-        """Return where a few steps lead from lamps where the shading grows, whatever the budget."""
-        model, problem = self._model(lights), self._posterior(0, OUTLINE_BLURS[0])
-        toward = self.scene.directions[:lights]
-        start = problem.start(
-            model, model.from_lights(toward, np.ones(len(toward))), problem.started(Scales())
-        )
-        value, best = self._best([descend(start, _LEAST_EVALUATIONS, None)])
-        steps = [self.scene.shadows[1], self._lamps_step({lights: value}, lights, lights or None)]
-        return self._explained(best, [best], steps)
 
     def _ranked(self) -> list[tuple[float, Point]]:
         return sorted(self.found, key=lambda pair: -pair[0])
@@ -126,9 +115,7 @@ class LightSearch:
         rows = parts_steps(best.model, best.x, best.covariance(), best.prior.rows, options)
         return LightFound(
             best.solution(),
-            best.problem.level.unit,
             [*steps, *rows, colours.step],
-            self.scene.shadows[0],
             light_uncertainty(best, others),
             Explanation(best, colours, level, shift, spread),
         )
@@ -189,6 +176,7 @@ class LightSearch:
         """Keep points, and return the most evident one with its log evidence."""
         pairs = [(point.log_evidence(), point) for point in points]
         self.found.extend(pairs)
+        self._record()
         return max(pairs, key=lambda pair: pair[0])
 
     def _record(self) -> None:
@@ -220,48 +208,67 @@ class LightSearch:
 
     def _with_one_more(self, base: Point) -> list[Point]:
         """Return local optima with one lamp more, the most evident first."""
-        meter, problem = self.scene.meter, base.problem
-        coarse = self._posterior(0, problem.blur)
-        model = replace(self._model(base.model.lights + 1), bounce=False)
-        known = coarse.started(_FIRST_SCALES)
-        ahead = list[tuple[float, FloatArray]]()
-        for x in self._starts(base, model):
-            if meter.exhausted and ahead:
-                break
-            point = Point(
-                coarse, model, np.append(x, base.x[-EXTRA:]), known.weight, known.scales, known.factor
-            )
-            equations = point.normal_equations()
-            step = damped_step(equations, _CAUTION)
-            fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
-            ahead.append((point.cost + min(fall, 0.0), point.x + step))
-        points = self._points(coarse, model, _distinct(model, ahead, _FOLLOWED), _FIRST_SCALES)
-        fresh = list[Point]()
+        meter, full = self.scene.meter, self._model(base.model.lights + 1)
+        model = replace(full, bounce=False)
+        tried, fresh = self._followed(base, model, False, _FOLLOWED, _FIRST_SCALES), list[Point]()
         if model.lights <= _FRESH_LAMPS and not meter.exhausted:
-            # A lamp in a dark room is far from soft light: its own cost ranks it, not a predicted one.
-            away = [(p.cost, p.x) for p in self._in_the_dark(base, model)]
-            dark = self._points(coarse, model, _distinct(model, away, _KEPT), _DARK_SCALES)
-            fresh = sorted((descend(p, _STEPS, meter) for p in dark), key=lambda p: p.cost)[:1]
-        tried = sorted((descend(p, _STEPS, meter) for p in points), key=lambda p: p.cost)
-        full, found = self._model(base.model.lights + 1), list[Point]()
+            fresh = self._followed(base, model, True, _KEPT, _DARK_SCALES)[:1]
+        found = list[Point]()
         for start in [*tried[: _KEPT - len(fresh)], *fresh]:
             if found and meter.exhausted:
                 break
             x = np.append(model.extend(start.light_x, full), start.x[-EXTRA:])
-            point = Point(problem, full, x, None, start.scales)
+            point = Point(base.problem, full, x, None, start.scales)
             found.append(point if meter.exhausted else self._settled(point))
         return sorted(found, key=lambda point: -point.log_evidence())
 
-    def _points(
-        self, problem: Posterior, model: LightModel, starts: list[FloatArray], scales: Scales
+    def _followed(
+        self, base: Point, model: LightModel, dark: bool, count: int, scales: Scales
     ) -> list[Point]:
-        """Return the points of starts x, at least one, as long as the budget lasts."""
-        found = list[Point]()
-        for x in starts:
-            if found and self.scene.meter.exhausted:
+        """Return where a few steps lead from the best distinct starts, the best first."""
+        meter, ranked, found = self.scene.meter, list[tuple[float, FloatArray]](), list[Point]()
+        for point in self._starts(base, model, dark, scales):
+            cost, x = point.cost, point.x
+            # A lamp in a dark room is far from soft light: its own cost ranks it, not a predicted one.
+            if not dark:
+                equations = point.normal_equations()
+                step = damped_step(equations, _CAUTION)
+                fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
+                cost, x = cost + min(fall, 0.0), x + step
+            ranked.append((cost, x))
+            if meter.exhausted:
                 break
-            found.append(Point(problem, model, x, None, scales))
-        return found
+        for x in _distinct(model, ranked, count):
+            if found and meter.exhausted:
+                break
+            found.append(descend(Point(point.problem, model, x, None, scales), _STEPS, meter))
+        return sorted(found, key=lambda point: point.cost)
+
+    def _starts(self, base: Point, model: LightModel, dark: bool, scales: Scales) -> Iterator[Point]:
+        """Yield starts of one lamp more: everywhere, or in place of one; or a strong one in a dark room."""
+        count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
+        head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
+        plain = self.scene.model(count)
+        tail = (plain.extend(head, model) if dark else base.model.extend(base.light_x, model))[3 * count :]
+        strength, lamps = math.log(_DARK_STRENGTH if dark else _STRENGTH), list[FloatArray]()
+        for direction in self.scene.directions:
+            if not count or (rows @ direction).max() <= _SAME_COSINE:
+                at = coarse.lattice.nearest(np.array(model.coordinates(direction)))
+                lamps.append(np.array([*head, *at, strength]))
+        for lamp in [] if dark else range(count):
+            px, py, log_strength = head[3 * lamp : 3 * lamp + 3]
+            rest, each = np.delete(head, range(3 * lamp, 3 * lamp + 3)), log_strength - math.log(2)
+            for half in _SPLIT_RAD:
+                for turn in np.arange(_TURNS) * math.pi / _TURNS:
+                    dx, dy = half * math.cos(turn), half * math.sin(turn)
+                    lamps.append(np.array([*rest, px + dx, py + dy, each, px - dx, py - dy, each]))
+        known = coarse.started(scales)
+        for lamp_x in lamps:
+            x = np.concatenate([lamp_x, tail])
+            if dark:
+                yield coarse.start(model, x, known)
+            else:
+                yield Point(coarse, model, np.append(x, base.x[-EXTRA:]), known.weight, scales, known.factor)
 
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""
@@ -272,41 +279,6 @@ class LightSearch:
             if value - before < _FLAT or self.scene.meter.exhausted:
                 break
         return point
-
-    def _in_the_dark(self, base: Point, model: LightModel) -> Iterator[Point]:
-        """Yield the starts of one strong lamp more in a room without other light."""
-        count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
-        rows, known = base.solution().hypothesis.rows[:, :3], coarse.started(_DARK_SCALES)
-        for direction in self.scene.directions:
-            if self.scene.meter.exhausted:
-                return
-            if count and (rows @ direction).max() > _SAME_COSINE:
-                continue
-            plain = model.from_lights(np.vstack([rows, direction]), np.full(count + 1, _DARK_STRENGTH))
-            plain[: 3 * count] = base.x[: 3 * count]
-            at = slice(3 * count, 3 * count + 2)
-            plain[at] = coarse.lattice.nearest(plain[at])
-            yield coarse.start(model, plain, known)
-
-    def _starts(self, base: Point, model: LightModel) -> list[FloatArray]:
-        """Return the starts x of one lamp more: everywhere, or in place of one that is there."""
-        count, found, lattice = base.model.lights, [], self._posterior(0, base.problem.blur).lattice
-        head, rows = base.x[: 3 * count], base.solution().hypothesis.rows
-        tail = base.model.extend(base.x[:-EXTRA], model)[3 * count :]
-        for direction in self.scene.directions:
-            if count and (rows[:, :3] @ direction).max() > _SAME_COSINE:
-                continue
-            at = lattice.nearest(np.array(model.coordinates(direction)))
-            found.append(np.concatenate([head, at, [math.log(_STRENGTH)], tail]))
-        for lamp in range(count):
-            px, py, log_strength = head[3 * lamp : 3 * lamp + 3]
-            for half in _SPLIT_RAD:
-                for turn in np.arange(_TURNS) * math.pi / _TURNS:
-                    dx, dy, each = half * math.cos(turn), half * math.sin(turn), log_strength - math.log(2)
-                    one, other = [px + dx, py + dy, each], [px - dx, py - dy, each]
-                    rest = np.delete(head, range(3 * lamp, 3 * lamp + 3))
-                    found.append(np.concatenate([rest, one, other, tail]))
-        return found
 
     def _posterior(self, size: int, blur: float) -> Posterior:
         """Return the posterior at one of the sizes; known ones are kept."""

@@ -23,9 +23,9 @@ to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient
 off the surface, an environment in spherical harmonics, colours of the light's parts, repair of saturated
 texels. Parts of the light that are not skipped are always in the model, as far as their priors allow."""
 
-MINIMAL_TEXELS, SATURATION_LINEAR, SHADOW_OFFSET_MM = 64, 0.995, 0.2
+MINIMAL_TEXELS, SATURATION_LINEAR = 64, 0.995
 """Fewer usable texels are an error; texels at or above this value are clipped: no weight, and candidates for
-inpainting; shadow rays start this far along the normal."""
+inpainting."""
 OBJECTIVES = ("residual", "albedo-deviation")
 
 

@@ -12,7 +12,6 @@ from scipy.optimize import minimize
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution, allowed_parts
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.shading import shade_rows
@@ -60,8 +59,7 @@ class DeviationProblem:
     def __init__(self, scene: LitImage, level: Level) -> None:
         self._level, self._view, self.meter = level, np.asarray(scene.view), scene.meter
         self._blocks, self._count = level.blocks()
-        surface = scene.shadows[0], level.anchor, level.normal
-        self._shadows = ShadowMap(*surface, SHADOW_OFFSET_MM)
+        self._shadows = ShadowMap(scene.shadows[0], level.anchor, level.normal)
 
     @cached_property
     def _table(self) -> VisibilityTable:
@@ -82,7 +80,7 @@ class DeviationProblem:
 def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     """Anneal the paper's objective, all parts of the model free; `lights` None adds lights while they pay."""
     meter, options = scene.meter, scene.options
-    middle, largest = (DeviationProblem(scene, scene.level(size)) for size in options.sizes[1:])
+    middle, largest = (DeviationProblem(scene, scene.at(size).level) for size in options.sizes[1:])
     model = scene.model(1)
     for name in set(allowed_parts(scene.brdf, options)) & {"near", "rough", "specular"}:
         model = model.with_part(name)
@@ -112,7 +110,7 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
         left_out = options.choice(stage) is False
         steps.append(PlanStep(stage, model.has(name), "left out by the caller" if left_out else why))
     meter.record(best.cost)
-    return LightFound(best, scene.level(options.sizes[2]).unit, steps, scene.shadows[0])
+    return LightFound(best, steps)
 
 
 def _annealed(problem: DeviationProblem, model: LightModel, x: FloatArray, seed: int) -> Solution:

@@ -57,7 +57,7 @@ class AlbedoEstimate:
     """How the surface reflects."""
     casts_shadows: bool
     """Whether shadow rays were used."""
-    shadow_offset_mm: float
+    shadow_offset_mm: float = ShadowMap.offset_mm
     """Of the shadow rays."""
     uncertainty: LightUncertainty | None = None
     """How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended."""

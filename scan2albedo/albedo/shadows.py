@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
+from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
@@ -72,7 +72,7 @@ def shadow_caster(
     caster = RayCaster(vertices, faces)
     if choice is None and meter.exhausted:
         return caster, PlanStep(stage, True, "the budget ended before it was judged", "not judged")
-    shadows, largest = ShadowMap(caster, level.anchor, level.normal, SHADOW_OFFSET_MM), 0.0
+    shadows, largest = ShadowMap(caster, level.anchor, level.normal), 0.0
     for direction in directions:
         # At the terminator facets shade texels whose smooth normal still faces the light.
         facing = shadows.normal @ direction > 0.2

@@ -15,7 +15,6 @@ from scan2albedo.albedo.light_colour import LightColours
 from scan2albedo.albedo.light_parameters import SOFT_PARTS, Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, Point
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
@@ -37,8 +36,6 @@ _LEAST = 0.001
 class TexelLight:
     """The light on the N masked texels, and what it comes from."""
 
-    light: FloatArray
-    """(N,) mean over the channels."""
     light_linear: FloatArray
     """(N, 3)."""
     specular: FloatArray
@@ -59,26 +56,29 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     """Return the light found on the image at its full size, with the mean of what explains it as well."""
     told = found.explanation
     if told is None:
-        return _of_solution(scene, found.solution, found.unit, None, None)
-    lit = _of_solution(scene, found.solution, found.unit, told.best, told.colours)
+        return _of_solution(scene, found.solution, None, None)
+    lit = _of_solution(scene, found.solution, told.best, told.colours)
     cells = np.column_stack([told.shift, told.spread])
     *shift, spread = cell_field(told.level, cells, scene.image.mask).T
     light = lit.light_linear * np.exp(np.stack(shift, 1))
-    return replace(lit, light=light.mean(-1), light_linear=light, deviation=spread)
+    return replace(lit, light_linear=light, deviation=spread)
 
 
 def _of_solution(
-    scene: LitImage, solution: Solution, unit: float, point: Point | None, colours: LightColours | None
+    scene: LitImage, solution: Solution, point: Point | None, colours: LightColours | None
 ) -> TexelLight:
     """Return the light of one explanation; without `point` and `colours` it is that of the paper's search."""
     image, mask, state, caster = scene.image, scene.image.mask, solution.hypothesis, scene.shadows[0]
+    unit = scene.at(scene.options.sizes[0]).level.unit
     strength = state.reflectance.specular_strength * unit * (colours.gloss if colours else 1)
     reflectance = replace(state.reflectance, specular_strength=strength)
     order = np.argsort(-state.rows[:, 4], kind="stable")
     lights = list(state.lights())
     surface = image.position[mask], image.normal[mask].astype(np.float64)
-    hidden = ShadowMap(caster, *surface, SHADOW_OFFSET_MM, scene.open_above())
-    attached = ShadowMap(None, *surface, SHADOW_OFFSET_MM)
+    above = None
+    if point is not None and caster is not None:
+        above = scene.at(scene.options.sizes[2]).horizon.at(np.argwhere(mask))
+    hidden, attached = ShadowMap(caster, *surface, open_above=above), ShadowMap(None, *surface)
     visible, facing = np.ones((2, len(lights), len(surface[0])), np.float32)
     for k, lamp in enumerate(lights):
         at = lamp.direction, lamp.distance_mm, lamp.radius_deg
@@ -115,7 +115,6 @@ def _of_solution(
         stray = _unmodelled(scene, point, known, light[:, point.problem.lead], shaded.specular / unit)
         light *= np.exp(known.nodes @ colours.cast + stray[:, None])
     return TexelLight(
-        light.mean(-1),
         light,
         shaded.specular_linear,
         visible.min(0, initial=1).astype(np.float64),
@@ -232,8 +231,8 @@ def _soft_light(
     if caster is None:
         return environment, light
     # What the surface hides and what it throws back changes slowly along it, and comes from cells.
-    level = scene.level(scene.options.sizes[2])
-    terms = scene.soft(level)
+    finest = scene.at(scene.options.sizes[2])
+    level, terms = finest.level, finest.soft
     hidden = open_transfer(level.normal) - terms.transfer
     hidden[:, 0] *= 1 - state.fill
     change = -hidden @ harmonics
