@@ -100,7 +100,8 @@ def usable_texels(image: GeometryImage) -> BoolArray:
     if not image.mask.any():
         raise LightingError("the mask of the geometry image is empty: there is no surface to light")
     image.check_normals()
-    value, seen = image.texture_linear.max(-1), image.seen
+    seen, (red, green, blue) = image.seen, np.moveaxis(image.texture_linear, -1, 0)
+    value = np.maximum(np.maximum(red, green), blue)
     black, clipped = value <= 0, value >= SATURATION_LINEAR
     with_normal = seen & (lengths(image.normal) > 0.5)
     usable = with_normal & ~black & ~clipped

@@ -9,7 +9,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, binary_propagation
 
-from scan2albedo.albedo.inpainting import FLOOR, RADIUS, resynthesize, surroundings
+from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
+from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
@@ -30,10 +31,9 @@ def inpainted(
 ) -> tuple[NDArray[np.float32], PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
-    The texels that the input clipped are rebuilt, not those that the light model expects. Where a channel
-    survived, the others follow from it (`restore_channels`): in highlights and under over-exposure alike.
-    Where none did, texture is resynthesised from beside it (`resynthesize`), unless so much is lost that it
-    was no highlight. Nothing is filled, or copied from, where the annotation forbids it.
+    Of the texels that the input clipped, those with a channel left follow from it (`restore_channels`); the
+    others are resynthesised from beside them (`resynthesize`), unless so much is lost that it was no
+    highlight. Nothing is filled, or copied from, where the annotation forbids it.
     """
     assert image.texture_linear is not None
     stage = "albedo.inpainting"
@@ -75,23 +75,17 @@ def missed_highlight(
     """Return (H, W) texels of highlights that the light model left in the albedo, grown from clipped texels.
 
     White light lifts the darkest channel most, and that channel clips last. A clipped texel in which it lies
-    more than four (robust) standard deviations above the sources' median is such a highlight, with all
-    connected to it that lies two above: what survived there is not the albedo's. `albedo_linear` is (H, W, 3)
-    as divided; `clipped`, `source`, `allowed` (H, W) are texels with a clipped channel, trustworthy texels,
-    and texels that may belong to the result.
+    more than four (robust) standard deviations above the median of `source` is such a highlight, with all
+    `allowed` connected to it that lies two above: what survived there is not the albedo's.
     """
-    nothing = np.zeros_like(clipped)
     if int(source.sum()) < MINIMAL_TEXELS:
-        return nothing
+        return np.zeros_like(clipped)
     darkest = np.minimum(np.minimum(albedo_linear[..., 0], albedo_linear[..., 1]), albedo_linear[..., 2])
-    level = np.log(np.maximum(darkest, FLOOR))
+    level = np.log(np.maximum(darkest, FAINT))
     middle = float(np.median(level[source]))
     deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), math.sqrt(_RIDGE))
     excess = (level - middle) / deviation
-    seeds = binary_opening(clipped & (excess > 4))
-    if not seeds.any():
-        return nothing
-    return binary_propagation(seeds, mask=allowed & (excess > 2))
+    return binary_propagation(binary_opening(clipped & (excess > 4)), mask=allowed & (excess > 2))
 
 
 def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> FloatArray:
@@ -103,13 +97,9 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     log A_c = m_c + sum_s b_s (log A_s - m_s), b = (C_ss + r)^-1 (C_sc + r / |s|),
 
     with means m, covariances C, in which all sources together count as 64 more, and a small ridge r that
-    draws towards constant ratios. Few pigments colour a face, so one channel predicts much of the others, as
-    in a guided filter [1]_. The clipped value itself, divided by the light, is the least a lost channel can
-    be.
-
-    `lost` (H, W, 3) marks channels without a trustworthy value; texels that lost all three, and everything
-    when there are too few texels of `source` (H, W), are left as they are. Sums over windows come from tables
-    of running sums: the cost is linear in the texels of the bounding box.
+    draws towards constant ratios: a guided filter [1]_. The clipped value, divided by the light, is the least
+    a lost channel can be. `lost` (H, W, 3) marks channels without a trustworthy value; texels that lost all
+    three, and everything when there are too few texels of `source` (H, W), are left as they are.
 
     .. [1] K. He, J. Sun, X. Tang, "Guided image filtering", ECCV 2010.
     """
@@ -123,16 +113,9 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
         window = (slice(None), slice(None))
     result = albedo.copy()
     inside = target[window]
-    field = np.log(np.maximum(albedo[window], FLOOR))
-    predicted = _predict(
-        field,
-        np.argwhere(inside),
-        lost[window],
-        origin[window],
-        radius,
-        float(MINIMAL_TEXELS),
-        _RIDGE,
-    )
+    field = np.log(np.maximum(albedo[window], FAINT))
+    pooled, texels = float(MINIMAL_TEXELS), np.argwhere(inside)
+    predicted = _predict(field, texels, lost[window], origin[window], radius, pooled, _RIDGE)
     old = albedo[window][inside]
     result[window][inside] = np.where(lost[window][inside], np.maximum(np.exp(predicted), old), old)
     return result
