@@ -197,7 +197,7 @@ def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:
 def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> FloatArray:
     """Return (P, C) `values` (N, C) of the cells on the P masked texels, from four cells near each.
 
-    Of the cells beside it in the chart, they are the closest by place and normal, as in `SurfaceLookup`: no
+    Of the cells beside it in the chart, they are the closest by place and normal, as in `surface_weights`: no
     value leaks over a fold, or a cut of the chart.
     """
     mask, found = image.mask, np.empty((int(image.mask.sum()), values.shape[1]))
