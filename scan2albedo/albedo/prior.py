@@ -93,21 +93,18 @@ class AlbedoPrior:
         return cls.stationary() if name in ("auto", "stationary") else cls.load(name)
 
     @classmethod
-    def stationary(
-        cls, spread: float = _SPREADS[0], length: float = _LENGTH, deviation: float = _DEVIATIONS[0]
-    ) -> Self:
+    def stationary(cls) -> Self:
         """Return a prior of surfaces of which nothing is known: alike at all places, of any colour.
 
-        `spread` and `deviation` are those of log(red); colours vary less than brightness on most surfaces.
+        Colours vary less than brightness on most surfaces.
         """
-        chroma = _SPREADS[1:]
         return cls(
             mean=np.zeros((MEANS, MEANS, 3)),
-            deviation=np.tile([deviation, *_DEVIATIONS[1:]], (MEANS, MEANS, 1)),
+            deviation=np.tile(_DEVIATIONS, (MEANS, MEANS, 1)),
             modes=np.zeros((3, 0, NODES, NODES)),
-            spread=np.array([spread, *chroma])[:, None, None] * np.ones((NODES, NODES)),
+            spread=np.array(_SPREADS)[:, None, None] * np.ones((NODES, NODES)),
             shrinkage=0.0,
-            length=length,
+            length=_LENGTH,
             level=(float(np.log(_LEVEL[0])), 0.0, _LEVEL[1]),
             # Nothing is known of these.
             chroma=np.vstack([np.zeros(2), 100 * np.eye(2)]),

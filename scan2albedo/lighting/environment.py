@@ -51,44 +51,22 @@ class DistantLights:
     ) -> DistantLights:
         """Return `count` lights that together shine like an environment map (H, W, 3).
 
-        Parameters
-        ----------
-        environment_linear : (H, W, 3) array_like of float
-            Equirectangular.
-        count : int
-        spread : {"even", "important"}
-            "even" is `distant_directions`, the same for all maps, so that the light of two maps adds up;
-            "important" is `important_directions`, which give fewer errors for the count, in that map alone.
-
-        Raises
-        ------
-        ValueError
-            When `spread` is neither.
+        `spread` "even" is `distant_directions`, the same for all maps, so that the light of two maps adds up;
+        "important" is `important_directions`, which give fewer errors for the count, in that map alone.
+        ValueError when it is neither.
         """
         if spread not in get_args(LightSpread):
             raise ValueError(f"spread is {spread!r}, expected one of {get_args(LightSpread)}")
-        if spread == "even":
-            directions = distant_directions(count)
-        else:
-            directions = important_directions(environment_linear, count)
-        return cls(directions, environment_weights(environment_linear, directions))
+        even = spread == "even"
+        toward = distant_directions(count) if even else important_directions(environment_linear, count)
+        return cls(toward, environment_weights(environment_linear, toward))
 
 
 def distant_directions(count: int) -> FloatArray:
     """Return (K, 3) unit vectors spread evenly over the sphere, a Fibonacci spiral from +y down.
 
-    Parameters
-    ----------
-    count : int
-        K, 1 or more.
+    ValueError when `count` K is below 1.
 
-    Raises
-    ------
-    ValueError
-        When `count` is below 1.
-
-    Examples
-    --------
     >>> directions = distant_directions(100)
     >>> bool(abs(directions.mean(0)).max() < 0.01)
     True
@@ -119,7 +97,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     >>> int((toward @ texel_directions(sun.shape[:2])[2, 4] > 0.9).sum()) > 35
     True
     """
-    image = _checked_map(environment_linear)
+    image = checked_map(environment_linear)
     even = distant_directions(count)
     brightness = np.abs(image).mean(2)
     rows, columns = brightness.shape
@@ -181,40 +159,24 @@ def texel_solid_angles(rows: int, columns: int) -> FloatArray:
 
 
 def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) -> FloatArray:
-    """Return (K, 3) integrals of an environment map over each direction's cell of the sphere.
+    """Return (K, 3) integrals of an environment map over each direction's cell of the sphere [1]_.
 
         w_k = integral of L over the directions that are nearer to k than to all others.
 
     The cells part the sphere, texels being constant, so the weights sum to the map's integral and are linear
-    in it.
+    in it. Cost: one nearest-neighbour search a texel.
 
-    Parameters
-    ----------
-    environment_linear : (H, W, 3) array_like of float
-        Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
-    directions : (K, 3) array_like of float
-        Of any length but zero.
+    `environment_linear` (H, W, 3) is radiance; rows from +y down to -y, columns by azimuth from -pi to pi,
+    from +z toward +x. `directions` (K, 3) are of any length but zero. ValueError when an array has the wrong
+    shape, is empty or not finite.
 
-    Raises
-    ------
-    ValueError
-        When an array has the wrong shape, is empty or not finite.
-
-    Notes
-    -----
-    Cost: one nearest-neighbour search a texel.
-
-    References
-    ----------
     .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, section 6.3.
 
-    Examples
-    --------
     >>> weights = environment_weights(np.ones((8, 16, 3)), [[0, 1, 0], [0, -1, 0]])
     >>> weights.round(4).tolist() == [[6.2832] * 3] * 2
     True
     """
-    image = _checked_map(environment_linear)
+    image = checked_map(environment_linear)
     tree, (height, width) = cKDTree(_checked_directions(directions)), image.shape[:2]
     repeat = max(1, -(-_FINEST_ROWS // height))
     rows, columns = height * repeat, width * repeat
@@ -233,10 +195,12 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     return np.asarray(shares @ image.reshape(-1, 3))
 
 
-def _checked_map(environment_linear: ArrayLike) -> FloatArray:
+def checked_map(environment_linear: ArrayLike, *, several: bool = False) -> FloatArray:
+    """Return a map (H, W, 3), or `several` (..., H, W, 3), as an array; ValueError where it is none."""
     image = np.asarray(environment_linear, np.float64)
-    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise ValueError(f"environment_linear must have shape (H, W, 3), got {image.shape}")
+    if image.ndim < 3 or (image.ndim > 3 and not several) or image.shape[-1] != 3 or image.size == 0:
+        expected = "(..., H, W, 3)" if several else "(H, W, 3)"
+        raise ValueError(f"environment_linear must have shape {expected}, got {image.shape}")
     if not np.isfinite(image).all():
         raise ValueError("environment_linear must be finite")
     return image

@@ -50,9 +50,8 @@ def sky_table(shadows: ShadowMap, directions: int = _DIRECTIONS) -> VisibilityTa
 def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) -> FloatArray:
     """Return (N, 9) the same for points that the surface partly hides; the first is ambient occlusion.
 
-    `sky` is their `sky_table`, where it is known already.
-
-    Sums over rays err; only what is hidden is therefore taken from them, and the rest from `open_transfer`.
+    `sky` is their `sky_table`, where it is known already. Sums over rays err; only what is hidden is
+    therefore taken from them, and the rest from `open_transfer`.
 
     .. [1] P.-P. Sloan, J. Kautz, J. Snyder, "Precomputed radiance transfer for real-time rendering in
        dynamic, low-frequency lighting environments", SIGGRAPH 2002.

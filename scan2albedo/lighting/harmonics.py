@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.lighting.environment import DistantLights, map_directions
+from scan2albedo.lighting.environment import DistantLights, checked_map, map_directions
 
 _NODES = 160
 """Least number of quadrature nodes from pole to pole: degree 8 is then integrated to 1e-7."""
@@ -29,11 +29,9 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
 
         Y_lm = N_l|m|(z) * (sqrt(2) Re, 1, sqrt(2) Im) (x + i y)^|m|   for m > 0, = 0, < 0,
 
-    so that nothing is divided by sin and the poles are points like all others.
-
-    They are orthonormal over the sphere. Y_lm stands at l (l + 1) + m; Y_1 = (y, z, x), no Condon-Shortley
-    phase. ValueError for another shape, or values that are not finite. Cost: about six operations a harmonic.
-    Agrees with `scipy.special.sph_harm_y` to 1e-14, at the poles too.
+    so that nothing is divided by sin and the poles are points like all others. They are orthonormal over the
+    sphere. Y_lm stands at l (l + 1) + m; Y_1 = (y, z, x), no Condon-Shortley phase. ValueError for another
+    shape, or values that are not finite.
 
     .. [1] P.-P. Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2(2), 2013.
 
@@ -44,15 +42,12 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
     values = np.empty((_count(order), *x.shape))
     cosine, sine = np.ones_like(x), np.zeros_like(x)
     for m in range(order + 1):
-        column = _legendre_column(z, m, order)
-        if m == 0:
-            for degree, legendre in enumerate(column):
-                values[degree * (degree + 1)] = legendre
-        else:
+        if m > 0:
             cosine, sine = x * cosine - y * sine, x * sine + y * cosine
-            for degree, legendre in enumerate(column, start=m):
-                values[degree * (degree + 1) + m] = legendre * cosine
-                values[degree * (degree + 1) - m] = legendre * sine
+        # With m = 0 both are the same place, and the cosine, which is 1, comes last.
+        for degree, legendre in enumerate(_legendre_column(z, m, order), start=m):
+            values[degree * (degree + 1) - m] = legendre * sine
+            values[degree * (degree + 1) + m] = legendre * cosine
     return np.ascontiguousarray(np.moveaxis(values, 0, -1))
 
 
@@ -132,11 +127,7 @@ def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatA
     >>> abs(project_environment(np.ones((2, 4, 3)), order=1)[:, 0]).round(6).tolist()
     [3.544908, 0.0, 0.0, 0.0]
     """
-    image = np.asarray(environment_linear, np.float64)
-    if image.ndim < 3 or image.shape[-1] != 3 or image.size == 0:
-        raise ValueError(f"environment_linear must have shape (..., H, W, 3), got {image.shape}")
-    if not np.isfinite(image).all():
-        raise ValueError("environment_linear must be finite")
+    image = checked_map(environment_linear, several=True)
     height, width = image.shape[-3:-1]
     coefficients = np.zeros((*image.shape[:-3], (order + 1) ** 2, 3))
     for row in range(height):

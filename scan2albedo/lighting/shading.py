@@ -61,14 +61,6 @@ class Shading:
     lamps: FloatArray
 
 
-def light_rows(lights: Sequence[PointLight]) -> FloatArray:
-    """Return (L, 5) float64: direction, 1/distance, intensity."""
-    rows = np.zeros((len(lights), 5))
-    for row, light in zip(rows, lights, strict=True):
-        row[:3], row[3], row[4] = light.direction, 1.0 / light.distance_mm, light.intensity
-    return rows
-
-
 def light_from_direction(direction: ArrayLike, distance_mm: float, intensity: float) -> PointLight:
     """Return the `PointLight` in `direction` (3,), of unit length or not.
 
@@ -123,7 +115,8 @@ def shade_points(
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")
     colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
     toward = view / np.linalg.norm(view, axis=-1, keepdims=True)
-    return shade_rows(xyz, unit, seen, light_rows(lights), toward, reflectance, scale, colors)
+    rows = [(*lamp.direction, 1 / lamp.distance_mm, lamp.intensity) for lamp in lights]
+    return shade_rows(xyz, unit, seen, np.reshape(rows, (-1, 5)), toward, reflectance, scale, colors)
 
 
 def shade_rows(
@@ -136,9 +129,9 @@ def shade_rows(
     scale: FloatArray,
     colors: FloatArray | None = None,
 ) -> Shading:
-    """Do as `shade_points` for `rows` of `light_rows` and unit `view`, (3,) or (N, 3), unchecked.
+    """Do as `shade_points` for `rows` (L, 5) of lamps: direction, 1/distance, intensity; nothing is checked.
 
-    `colors` (L, 3) are the lamps', all white when None.
+    `view`, (3,) or (N, 3), is unit; `colors` (L, 3) are the lamps', all white when None.
     """
     light, gloss = np.ones(len(position)), np.zeros(len(position))
     tint, sheen = np.zeros((2, len(position), 3))
