@@ -103,14 +103,10 @@ def estimate_albedo(
     -----
     The plan names each part of the model, and the log odds for it. `albedo.view` is a doubt where less than a
     tenth of the texels faces `view_direction`. The trace's error is the perplexity of a cell: one over the
-    geometric mean of its probability density.
-
-    Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface is
-    told from pigment only by what is known of skin, and by highlights: the mean light is nearly white. Texels
-    that are not skin weigh a quarter in the search. White noise is filtered.
-
-    The paper's objective knows lamps under constant white ambient light alone: one lamp at least, no
-    occlusion, environment, bounce, colours or spread outlines.
+    geometric mean of its probability density. Light of one colour over the whole surface is told from pigment
+    only by what is known of skin, and by highlights: the mean light is nearly white. Texels that are not skin
+    weigh a quarter in the search. White noise is filtered. The paper's objective knows lamps under constant
+    white ambient light alone.
 
     References
     ----------

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from scan2albedo.albedo.light_colour import light_colours
-from scan2albedo.albedo.light_parameters import LightModel, allowed_parts
+from scan2albedo.albedo.light_parameters import PARTS, LightModel
 from scan2albedo.albedo.light_priors import parts_steps
 from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import Scales
@@ -186,11 +186,8 @@ class LightSearch:
         self.scene.meter.record(math.exp(-value / cells))
 
     def _model(self, lights: int) -> LightModel:
-        model = self.scene.model(lights)
-        for part in allowed_parts(self.scene.brdf, self.scene.options):
-            if part not in ("occlusion", "bounce") or self.scene.shadows[0] is not None:
-                model = model.with_part(part)
-        return model
+        hidden = {"occlusion", "bounce"} if self.scene.shadows[0] is None else set[str]()
+        return self.scene.model(lights, set(PARTS) - hidden)
 
     def _variants(self, point: Point) -> list[Point]:
         """Return the optima near a point: even ambient light, and a surface that errs otherwise."""

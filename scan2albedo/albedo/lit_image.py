@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from scan2albedo.albedo.levels import Level, brightest_around, build_level, cell_means
 from scan2albedo.albedo.light_colour import LightColours
-from scan2albedo.albedo.light_parameters import LightModel, Solution
+from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
 from scan2albedo.albedo.node_field import NodeField
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.posterior import Point, Posterior
@@ -76,10 +77,14 @@ class LitImage:
     prior: AlbedoPrior
     _sized: dict[int, SizedImage] = field(default_factory=dict, init=False, repr=False)
 
-    def model(self, lights: int) -> LightModel:
-        """Return the plain model of so many lights."""
+    def model(self, lights: int, parts: Iterable[str] = ()) -> LightModel:
+        """Return the model of so many lights, with `parts` but for those that caller or surface leave out."""
+        left_out = {part for part in parts if self.options.choice(PARTS[part]) is False}
+        if self.brdf == "lambert":
+            left_out.add("rough")
         radius = float(lengths(self.image.position)[self.image.mask].max()) or 1.0
-        return LightModel(lights, self.brdf, self.view, radius)
+        free = dict.fromkeys(set(parts) - left_out, True)
+        return LightModel(lights, self.brdf, self.view, radius, **free)
 
     def at(self, size: int) -> SizedImage:
         """Return the image with `size` cells along its longer side; known ones are kept."""

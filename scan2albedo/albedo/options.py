@@ -58,10 +58,8 @@ class EstimateOptions:
             object.__setattr__(self, "sizes", (32, 64, 128) if paper else (24, 40, 96))
         if not 1 <= self.maximal_lights <= 4:
             raise ValueError(f"maximal_lights is {self.maximal_lights}, expected 1 to 4")
-        if len(self.sizes) != 3:
-            raise ValueError(f"sizes is {self.sizes}, expected three numbers of cells")
-        if min(self.sizes) < 1:
-            raise ValueError(f"sizes is {min(self.sizes)}, expected 1 or more")
+        if len(self.sizes) != 3 or min(self.sizes) < 1:
+            raise ValueError(f"sizes is {self.sizes}, expected three numbers of cells, 1 or more each")
         for name in (*self.skip, *self.force):
             if name not in OPTIONAL_STEPS:
                 raise ValueError(f"{name!r} is not an optional step; these are {', '.join(OPTIONAL_STEPS)}")

@@ -10,7 +10,7 @@ from numba import njit
 from scipy.optimize import minimize
 
 from scan2albedo.albedo.levels import Level
-from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution, allowed_parts
+from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
@@ -81,9 +81,7 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     """Anneal the paper's objective, all parts of the model free; `lights` None adds lights while they pay."""
     meter, options = scene.meter, scene.options
     middle, largest = (DeviationProblem(scene, scene.at(size).level) for size in options.sizes[1:])
-    model = scene.model(1)
-    for name in set(allowed_parts(scene.brdf, options)) & {"near", "rough", "specular"}:
-        model = model.with_part(name)
+    model = scene.model(1, ("near", "rough", "specular"))
     best = _annealed(middle, model, model.from_lights(scene.directions[:1], np.ones(1)), seed)
     meter.record(largest.cost(best.model, best.x, rays=True))
     reason, evidence = "one light", "no second one tried"
@@ -105,10 +103,9 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     best = _polished(largest, best, 2 * _POLISH)
     asked = reason if lights is None else f"{lights} asked for"
     steps = [scene.shadows[1], PlanStep("albedo.lights", True, asked, evidence)]
-    why = "part of the paper's model"
     for name, stage in PARTS.items():
-        left_out = options.choice(stage) is False
-        steps.append(PlanStep(stage, model.has(name), "left out by the caller" if left_out else why))
+        why = "left out by the caller" if options.choice(stage) is False else "part of the paper's model"
+        steps.append(PlanStep(stage, model.has(name), why))
     meter.record(best.cost)
     return LightFound(best, steps)
 
