@@ -95,7 +95,10 @@ class LitImage:
     def posterior(self, size: int, blur: float = 0.0) -> Posterior:
         """Return the posterior of `size` cells, with outlines blurred by a part of the chart's side."""
         cells = self.at(size)
-        return Posterior(cells.level, cells.places, cells.lattice, cells.soft, self.nodes, self.meter, blur)
+        if blur not in cells.posteriors:
+            parts = cells.level, cells.places, cells.lattice, cells.soft
+            cells.posteriors[blur] = Posterior(*parts, self.nodes, self.meter, blur)
+        return cells.posteriors[blur]
 
     @cached_property
     def places(self) -> FloatArray:
@@ -144,7 +147,7 @@ class SizedImage:
     """The N cells of an image at one size, and what a search needs to know of them, made when asked for."""
 
     def __init__(self, scene: LitImage, size: int) -> None:
-        self.scene = scene
+        self.scene, self.posteriors = scene, dict[float, Posterior]()
         self.level = build_level(scene.image, scene.usable, size, scene.value, scene.view)
 
     @cached_property

@@ -191,8 +191,7 @@ def test_explanations_of_equal_evidence_give_the_mean_log_albedo_of_both(explana
     search, (one, other, again) = explanations(skip=("albedo.light_colour",))
     both = 0.5 * (_log_albedo(one) + _log_albedo(other))
     for wanted in ([one, other], [one, other, again], [one, again, other]):
-        search.found[:] = [(7.0, point) for point in wanted]
-        shift, spread = search._averaged(wanted)
+        shift, spread = search._averaged([(7.0, point) for point in wanted])
         assert shift == pytest.approx((_log_albedo(one) - both)[:, None] * np.ones(3))
         assert spread == pytest.approx(0.5 * np.abs(_log_albedo(one) - _log_albedo(other)))
 
@@ -201,8 +200,7 @@ def test_explanations_of_less_evidence_count_less(explanations):
     search, (one, other, _) = explanations(skip=("albedo.light_colour",))
     sizes = []
     for less in (0.0, 4.0, 400.0):
-        search.found[:] = [(0.0, one), (-less, other)]
-        sizes.append(np.abs(search._averaged([one, other])[0]).mean())
+        sizes.append(np.abs(search._averaged([(0.0, one), (-less, other)])[0]).mean())
     assert sizes[0] > 0.05
     # Odds are to the power of a quarter.
     assert sizes[1] / sizes[0] == pytest.approx(2 / (1 + math.e))
@@ -211,8 +209,7 @@ def test_explanations_of_less_evidence_count_less(explanations):
 
 def test_colours_of_explanations_are_averaged_as_well(explanations):
     search, (one, other, _) = explanations()
-    search.found[:] = [(0.0, one), (0.0, other)]
-    shift, _ = search._averaged([one, other])
+    shift, _ = search._averaged([(0.0, one), (0.0, other)])
     ratios = [light_colours(point, None).ratio for point in (one, other)]
     beside = 0.5 * (ratios[1] - ratios[0])
     lead = one.problem.lead
