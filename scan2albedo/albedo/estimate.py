@@ -65,18 +65,16 @@ def estimate_albedo(
     ----------
     image : GeometryImage
         With `texture_linear`. Texels not seen, black, saturated or without a normal (0) do not count, but get
-        an albedo; the nearest normal then serves.
+        an albedo.
     lights : "auto" or int
         Number of lamps; "auto" compares numbers of them by their evidence, and may find none.
     brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
-        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor point lights nor
-        highlights: `lights`, the parts and the repairs in `options` do not touch them, and their albedo has a
-        light of mean 1, not an ambient light of 1.
+        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor lamps nor highlights:
+        neither `lights` nor `options` touch them, and their light has a mean of 1, not an ambient part of 1.
     view_direction : (3,) sequence of float
         Toward the viewer, for roughness and highlights. Texels whose camera the image knows have their own.
     budget : Budget or float, optional
-        Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``. An
-        evaluation or two are needed for any answer; spherical harmonics ask for none.
+        Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``.
     seed : int
         Of simulated annealing and of inpainting; the default search draws nothing.
     options : EstimateOptions
@@ -222,8 +220,8 @@ def _divide(
 
 def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     """Return the plan's row of the view direction that each texel has from its camera."""
-    image, choice = scene.image, scene.options.choice(_CAMERAS)
-    if choice is False:
+    image = scene.image
+    if scene.options.choice(_CAMERAS) is False:
         return PlanStep(_CAMERAS, False, "left out by the caller")
     if image.camera is None or image.camera_positions is None:
         return PlanStep(_CAMERAS, False, "no camera is known: one view direction serves", "no camera")

@@ -26,20 +26,13 @@ def harmonic_light(scene: LitImage) -> TexelLight:
     """
     image, size = scene.image, scene.options.sizes[2]
     assert image.texture_linear is not None
-    levels = [
-        build_level(image, scene.usable, size, image.texture_linear[..., channel]) for channel in range(3)
-    ]
+    channels = np.moveaxis(image.texture_linear, -1, 0)
+    levels = [build_level(image, scene.usable, size, channel) for channel in channels]
     coefficients = np.stack([_fit_channel(level, scene.meter) for level in levels], 1)
     light = np.maximum(harmonics(image.normal[image.mask], 2) @ coefficients, DARKEST)
-    return TexelLight(
-        light,
-        np.zeros_like(light),
-        np.ones(len(light)),
-        np.zeros(len(light)),
-        (),
-        environment_of_shading(coefficients),
-        Reflectance("lambert"),
-    )
+    nothing, environment = np.zeros_like(light), environment_of_shading(coefficients)
+    seen, deviation = np.ones(len(light)), np.zeros(len(light))
+    return TexelLight(light, nothing, seen, deviation, (), environment, Reflectance("lambert"))
 
 
 def _fit_channel(level: Level, meter: Meter) -> FloatArray:

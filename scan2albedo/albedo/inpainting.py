@@ -120,7 +120,15 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, rng)
     near, own = np.empty((jumps.shape[1], 2), np.int64), np.empty((jumps.shape[1], 3), np.float32)
     for t in range(order.shape[0]):
         row, column = order[t, 0], order[t, 1]
-        found = _nearest_known(result, known, row, column, offsets, near, own)
+        # The nearest known texels, and their values.
+        found = 0
+        for k in range(len(offsets)):
+            i, j = row + offsets[k, 0], column + offsets[k, 1]
+            if known[i, j]:
+                near[found], own[found] = offsets[k], result[i, j]
+                found += 1
+                if found == len(near):
+                    break
         best, best_row, best_column = np.float32(np.inf), -1, -1
         attempt, probes, reach = 0, jumps.shape[1], 2
         while attempt < found + probes or best_row < 0:
@@ -143,47 +151,23 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, rng)
                 j = column + int(rng.integers(-reach, reach + 1))
             if not (0 <= i < height and 0 <= j < width and origin[i, j]):
                 continue
-            distance = _distance(field, context, i, j, near[:found], own, precision, best)
+            # How much the surroundings differ; the sum ends when it reaches the best one.
+            distance = np.float32(0)
+            for k in range(found):
+                a, b, apart = i + near[k, 0], j + near[k, 1], np.float32(1)
+                if context[a, b]:
+                    red, green = own[k, 0] - field[a, b, 0], own[k, 1] - field[a, b, 1]
+                    blue = own[k, 2] - field[a, b, 2]
+                    apart = min(apart, precision * (red * red + green * green + blue * blue))
+                distance += apart
+                if distance >= best:
+                    break
             if distance < best:
                 best, best_row, best_column = distance, i, j
-        for c in range(3):
-            result[row, column, c] = field[best_row, best_column, c]
-        came_from[row, column, 0], came_from[row, column, 1] = best_row, best_column
+        result[row, column] = field[best_row, best_column]
+        came_from[row, column] = best_row, best_column
         known[row, column] = True
     return result, came_from
-
-
-@njit(cache=True, nogil=True)
-def _nearest_known(field, known, row, column, offsets, near, own):  # type: ignore[no-untyped-def]
-    """Put offsets `near` (N, 2) and values `own` (N, 3) of the nearest known texels; return their number."""
-    found = 0
-    for k in range(offsets.shape[0]):
-        i, j = row + offsets[k, 0], column + offsets[k, 1]
-        if known[i, j]:
-            near[found, 0], near[found, 1] = offsets[k, 0], offsets[k, 1]
-            for c in range(3):
-                own[found, c] = field[i, j, c]
-            found += 1
-            if found == len(near):
-                break
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _distance(field, context, i, j, near, own, precision, enough):  # type: ignore[no-untyped-def]
-    """Return how much the surroundings of (i, j) differ from `own`; the sum ends when it reaches `enough`."""
-    distance = np.float32(0)
-    for k in range(len(near)):
-        a, b = i + near[k, 0], j + near[k, 1]
-        apart = np.float32(1)
-        if context[a, b]:
-            red, green = own[k, 0] - field[a, b, 0], own[k, 1] - field[a, b, 1]
-            blue = own[k, 2] - field[a, b, 2]
-            apart = min(apart, precision * (red * red + green * green + blue * blue))
-        distance += apart
-        if distance >= enough:
-            break
-    return distance
 
 
 def copied_steps(

@@ -26,16 +26,15 @@ _NOT_SKIN = 0.25
 
 @dataclass(frozen=True)
 class Level:
-    """N cells of the image at one size; `weight` (N,) is the usable part of a cell's texels times their
-    mean skin.
+    """N cells of the image at one size.
 
-    `position`, `normal` and `toward`, the direction to the camera, (N, 3) are weighted means, directions of
-    unit length again. `anchor` (N, 3) is one texel's position, where shadow rays start: it lies on the
-    surface, as the mean need not. `value` (N,) and `color` (N, 3) are the mean V and colour of the linear
-    texture divided by `unit`, the median V of the usable texels, also the unit of the highlight's strength.
-    `scale` (N,) is the annotated strength of highlights. `cell` (N, 2) is row and column among the cells,
-    `center` (N, 2) their mean among the texels. `texels` counts those of the whole chart; `factor` is the
-    side of a cell in texels.
+    `position`, `normal` and `toward`, the direction to the camera, (N, 3) are means, directions of unit
+    length again. `anchor` (N, 3) is a texel's position, where shadow rays start: it lies on the surface, as
+    the mean need not. `value` (N,) and `color` (N, 3) are the mean V and colour of the linear texture divided
+    by `unit`, the median V of the usable texels, also the unit of the highlight's strength. `weight` (N,) is
+    the usable part of a cell's texels times their mean skin, `scale` (N,) the annotated strength of
+    highlights. `cell` (N, 2) is row and column among the cells, `center` (N, 2) their mean among the texels.
+    `texels` counts those of the whole chart; `factor` is the side of a cell in texels.
     """
 
     position: FloatArray
@@ -70,11 +69,9 @@ class Level:
 def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> FloatArray:
     """Return (H, W) the channel that is the brightest on average around each texel.
 
-    V itself is the largest of three noisy channels, and so brighter than the surface, most where the channels
-    are alike and the light is poor. Choosing by averages avoids that.
+    V itself, the largest of three noisy channels, is brighter than the surface, most in poor light.
     """
-    known = usable[..., None] * texture_linear
-    chosen = uniform_filter(known, (WINDOW, WINDOW, 1)).argmax(-1)
+    chosen = uniform_filter(usable[..., None] * texture_linear, (WINDOW, WINDOW, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 
 
@@ -197,8 +194,8 @@ def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:
 def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> FloatArray:
     """Return (P, C) `values` (N, C) of the cells on the P masked texels, from four cells near each.
 
-    Of the cells beside it in the chart, they are the closest by place and normal, as in `surface_weights`: no
-    value leaks over a fold, or a cut of the chart.
+    Of the cells beside it in the chart, they are the closest by `surface_keys`: no value leaks over a fold,
+    or a cut of the chart.
     """
     mask, found = image.mask, np.empty((int(image.mask.sum()), values.shape[1]))
     texels = surface_keys(image.position[mask], image.normal[mask])

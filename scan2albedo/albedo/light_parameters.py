@@ -19,13 +19,11 @@ HARMONICS = 8
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One state of the light: what `shade` needs, in its units."""
+    """One state of the light: `rows` (L, 5) of direction, 1/distance, intensity; all lamps have one radius."""
 
     rows: FloatArray
-    """(L, 5) direction, 1/distance, intensity."""
     reflectance: Reflectance
     radius_deg: float = 0.0
-    """Angular radius of each light."""
 
     def lights(self) -> tuple[PointLight, ...]:
         """Return the lights, strongest first."""

@@ -24,8 +24,7 @@ off the surface, an environment in spherical harmonics, colours of the light's p
 texels. Parts of the light that are not skipped are always in the model, as far as their priors allow."""
 
 MINIMAL_TEXELS, SATURATION_LINEAR = 64, 0.995
-"""Fewer usable texels are an error; texels at or above this value are clipped: no weight, and candidates for
-inpainting."""
+"""Fewer usable texels are an error; texels at or above this value are clipped."""
 OBJECTIVES = ("residual", "albedo-deviation")
 
 

@@ -113,7 +113,7 @@ class AlbedoPrior:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a prior that `save` wrote; raises `LightingError`, naming the file, for anything else."""
+        """Read a prior that `save` wrote; `LightingError` for anything else."""
         what, advice = "albedo prior", "give a file that tools/fit_albedo_prior.py wrote"
         found: dict[str, Any] = read_npz(path, tuple(_SHAPES), what=what, advice=advice, error=LightingError)
         for name, shape in _SHAPES.items():
