@@ -19,7 +19,7 @@ HARMONICS = 8
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One state of the light: `rows` (L, 5) of direction, 1/distance, intensity; all lamps have one radius."""
+    """One state of the light: `rows` (L, 5) of direction, 1/distance, intensity; one radius for all lamps."""
 
     rows: FloatArray
     reflectance: Reflectance

@@ -20,8 +20,6 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.optimization import damped_step
 
-_SPLIT_RAD, _TURNS = (0.35, 0.7), 4
-"""Half the angles between the two lamps that replace one, and along how many lines they part."""
 _DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
 """Intensity and scales at which the first lamps are tried in a room that is dark otherwise: what such a lamp
 shades is no outlier yet."""
@@ -33,9 +31,9 @@ _FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
 _CAUTION = 0.1
 """Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
-_STEPS, _ROUNDS, _FLAT = 4, 6, 0.5
-"""Evaluations of a descent between two estimates of the scales, how many of these there are at most, and the
-rise of the log evidence in one after which there are no more."""
+_STEPS, _FLAT = 4, 0.5
+"""Evaluations of a descent between two estimates of the scales, and the rise of the log evidence in one after
+which there are no more."""
 _HOPELESS = 8.0
 """Log odds against one lamp more at which no further ones are tried."""
 _RADII_DEG = 6.0, 12.0, 20.0, 30.0
@@ -230,26 +228,17 @@ class LightSearch:
         return sorted(found, key=lambda point: point.cost)
 
     def _starts(self, base: Point, model: LightModel, dark: bool, scales: Scales) -> Iterator[Point]:
-        """Yield starts of one lamp more: everywhere, or in place of one; or a strong one in a dark room."""
+        """Yield starts of one lamp more beside the light that is there, or a strong one in a dark room."""
         count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
-        plain = self.scene.model(count)
+        plain, known = self.scene.model(count), coarse.started(scales)
         tail = (plain.extend(head, model) if dark else base.model.extend(base.light_x, model))[3 * count :]
-        strength, lamps = math.log(_DARK_STRENGTH) if dark else INTENSITY[0], list[FloatArray]()
+        strength = math.log(_DARK_STRENGTH) if dark else INTENSITY[0]
         for direction in self.scene.directions:
-            if not count or (rows @ direction).max() <= _SAME_COSINE:
-                at = coarse.lattice.nearest(np.array(model.coordinates(direction)))
-                lamps.append(np.array([*head, *at, strength]))
-        for lamp in [] if dark else range(count):
-            px, py, log_strength = head[3 * lamp : 3 * lamp + 3]
-            rest, each = np.delete(head, range(3 * lamp, 3 * lamp + 3)), log_strength - math.log(2)
-            for half in _SPLIT_RAD:
-                for turn in np.arange(_TURNS) * math.pi / _TURNS:
-                    dx, dy = half * math.cos(turn), half * math.sin(turn)
-                    lamps.append(np.array([*rest, px + dx, py + dy, each, px - dx, py - dy, each]))
-        known = coarse.started(scales)
-        for lamp_x in lamps:
-            x = np.concatenate([lamp_x, tail])
+            if count and (rows @ direction).max() > _SAME_COSINE:
+                continue
+            at = coarse.lattice.nearest(np.array(model.coordinates(direction)))
+            x = np.array([*head, *at, strength, *tail])
             if dark:
                 yield coarse.start(model, x, known)
             else:
@@ -258,12 +247,11 @@ class LightSearch:
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""
         value = -math.inf
-        for _ in range(_ROUNDS):
+        while True:
             point = descend(point, _STEPS, self.meter).rescaled()
             before, value = value, point.log_evidence()
             if value - before < _FLAT or self.meter.exhausted:
-                break
-        return point
+                return point
 
     def _posterior(self, size: int, blur: float) -> Posterior:
         """Return the posterior at one of the sizes."""
