@@ -177,10 +177,6 @@ class LightModel:
         """Return whether a part is free: of lamps only where there is one."""
         return part in self._tail
 
-    def with_part(self, part: str, free: bool = True) -> LightModel:
-        """Return the model with a part free, or fixed at its plain value."""
-        return replace(self, **{part: free})  # type: ignore[arg-type]
-
     def extend(self, x: FloatArray, other: LightModel) -> FloatArray:
         """Return x of `other`, which has the same lights and more or fewer free parts, at the same state."""
         mine = self._values(x)

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.albedo.light_colour import light_colours
-from scan2albedo.albedo.light_parameters import PARTS, LightModel
+from scan2albedo.albedo.light_parameters import PARTS, Hypothesis, LightModel
 from scan2albedo.albedo.light_priors import INTENSITY, parts_steps
 from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import EXTRA, NOISE, Point, Posterior, descend
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
-from scan2albedo.albedo.uncertainty import Alternative, apart, light_uncertainty
+from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.optimization import damped_step
@@ -59,7 +59,7 @@ class LightSearch:
         meter, most = self.meter, self.options.maximal_lights if lights is None else lights
         # Without any time a few steps lead from lamps where the shading grows.
         late = meter.exhausted
-        model = self._model((lights or 0) if late else 0)
+        model = self.scene.model((lights or 0) if late else 0, PARTS)
         problem = self._posterior(0 if late else 1, OUTLINE_BLURS[0])
         toward = self.scene.directions[: model.lights]
         x = model.from_lights(toward, np.ones(len(toward)))
@@ -91,7 +91,7 @@ class LightSearch:
             for value, point in wanted
             if point.model.lights == best.model.lights > 0
             and _TEMPER * (first - value) < 1
-            and len(apart([best.solution(), point.solution()], 2)) > 1
+            and not _alike(point.solution().hypothesis, best.solution().hypothesis, math.cos(0.25))
         ]
         if not self.meter.exhausted:
             largest = self._posterior(2, best.problem.blur)
@@ -171,13 +171,9 @@ class LightSearch:
         cells = len(point.error) / point.problem.repeats
         self.meter.record(math.exp(-value / cells))
 
-    def _model(self, lights: int) -> LightModel:
-        hidden = {"occlusion", "bounce"} if self.scene.shadows[0] is None else set[str]()
-        return self.scene.model(lights, set(PARTS) - hidden)
-
     def _variants(self, point: Point) -> list[Point]:
         """Return the optima near a point: even ambient light, and a surface that errs otherwise."""
-        even, problem, found = point.model.with_part("environment", False), point.problem, list[Point]()
+        even, problem, found = replace(point.model, environment=False), point.problem, list[Point]()
         others = [(even, problem)] if even != point.model else []
         if self.scene.shadows[0] is not None and point.model.lights:
             blurs = [blur for blur in OUTLINE_BLURS if blur != problem.blur]
@@ -191,7 +187,7 @@ class LightSearch:
 
     def _with_one_more(self, base: Point) -> list[Point]:
         """Return local optima with one lamp more, the most evident first."""
-        meter, full = self.meter, self._model(base.model.lights + 1)
+        meter, full = self.meter, self.scene.model(base.model.lights + 1, PARTS)
         model = replace(full, bounce=False)
         tried, fresh = self._followed(base, model, False, _FOLLOWED, _FIRST_SCALES), list[Point]()
         if model.lights <= _FRESH_LAMPS and not meter.exhausted:
@@ -260,12 +256,14 @@ class LightSearch:
 
 def _distinct(model: LightModel, ahead: list[tuple[float, FloatArray]], count: int) -> list[FloatArray]:
     """Return the x of least cost of which no two have all their lamps in like directions."""
-    kept, lamps = list[FloatArray](), list[FloatArray]()
+    kept = list[tuple[FloatArray, Hypothesis]]()
     for _, x in sorted(ahead, key=lambda pair: pair[0]):
-        rows = model.decode(x[:-EXTRA]).rows[:, :3]
-        if not any((rows @ other.T > _SAME_COSINE).any(1).all() for other in lamps):
-            kept.append(x)
-            lamps.append(rows)
-        if len(kept) == count:
-            break
-    return kept
+        found = model.decode(x[:-EXTRA])
+        if not any(_alike(found, other, _SAME_COSINE) for _, other in kept):
+            kept.append((x, found))
+    return [x for x, _ in kept[:count]]
+
+
+def _alike(one: Hypothesis, other: Hypothesis, cosine: float) -> bool:
+    """Return whether each lamp of one has a lamp of the other in a direction of such a cosine to it."""
+    return bool((one.rows[:, :3] @ other.rows[:, :3].T > cosine).any(1).all())

@@ -82,6 +82,8 @@ class LitImage:
         left_out = {part for part in parts if self.options.choice(PARTS[part]) is False}
         if self.brdf == "lambert":
             left_out.add("rough")
+        if parts and self.shadows[0] is None:
+            left_out |= {"occlusion", "bounce"}
         radius = float(lengths(self.image.position)[self.image.mask].max()) or 1.0
         free = dict.fromkeys(set(parts) - left_out, True)
         return LightModel(lights, self.brdf, self.view, radius, **free)

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.posterior import Point
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
@@ -92,19 +91,6 @@ def expected_error(
         squares += (_NOT_SKIN * (1 - skin)) ** 2
     said = np.where(noise >= 1, 1.0, np.minimum(np.sqrt(squares), 1.0))
     return np.where(mask, said, 0.0).astype(np.float32)
-
-
-def apart(solutions: list[Solution], count: int, separation_rad: float = 0.25) -> list[Solution]:
-    """Return the first `count` of which no two have all their lights within `separation_rad`."""
-    kept: list[Solution] = []
-    cosine = math.cos(separation_rad)
-    for solution in solutions:
-        rows = solution.hypothesis.rows[:, :3]
-        if not any((rows @ other.hypothesis.rows[:, :3].T > cosine).any(1).all() for other in kept):
-            kept.append(solution)
-        if len(kept) == count:
-            break
-    return kept
 
 
 def light_uncertainty(point: Point, others: Sequence[Alternative] = ()) -> LightUncertainty:

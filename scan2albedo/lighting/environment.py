@@ -13,8 +13,6 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
 
-SKY = 96
-"""Rays from a point to all sides: the occlusion of a face is off by 1 to 2 % with them."""
 LightSpread = Literal["important", "even"]
 
 _EVEN_SHARE = 0.1

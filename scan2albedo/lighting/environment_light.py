@@ -6,13 +6,15 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
-from scan2albedo.lighting.environment import SKY, distant_directions
+from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.interreflection import Patches
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
 _COSINE_LOBE = np.array([1.0, *[2 / 3] * 3, *[1 / 4] * 5])
 """Of the clamped cosine over pi, for each harmonic."""
+_DIRECTIONS = 96
+"""Rays a point: the occlusion of a face is off by 1 to 2 % with them."""
 
 
 def open_transfer(normal: FloatArray) -> FloatArray:
@@ -40,7 +42,7 @@ def environment_of_shading(coefficients: FloatArray) -> EnvironmentLight:
     )
 
 
-def sky_table(shadows: ShadowMap, directions: int = SKY) -> VisibilityTable:
+def sky_table(shadows: ShadowMap, directions: int = _DIRECTIONS) -> VisibilityTable:
     """Return which of so many directions, spread evenly, each point sees."""
     return shadows.table(distant_directions(directions))
 

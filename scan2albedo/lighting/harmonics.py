@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.lighting.environment import DistantLights, checked_map, map_directions
+from scan2albedo.lighting.environment import checked_map, map_directions
 
 _NODES = 160
 """Least number of quadrature nodes from pole to pole: degree 8 is then integrated to 1e-7."""
@@ -145,16 +145,6 @@ def row_projection(row: int, shape: tuple[int, int], order: int = 8) -> FloatArr
     values = harmonics(map_directions(polar[:, None, None], azimuth), order)
     share = down_weight * np.sin(polar) * np.pi / height
     return np.einsum("a,c,awcb->wb", share, across_weight * 2 * np.pi / width, values, optimize=True)
-
-
-def project_distant_lights(lights: DistantLights, order: int = 8) -> FloatArray:
-    """Return ((order + 1)^2, 3) coefficients of distant lights: sum of irradiance times Y(direction).
-
-    >>> project_distant_lights(DistantLights([[0, 1, 0]], [[1, 0, 0]]), order=1)[:, 0].round(3).tolist()
-    [0.282, 0.489, 0.0, 0.0]
-    """
-    directions = np.asarray(lights.directions, np.float64)
-    return harmonics(directions, order).T @ np.asarray(lights.irradiance_linear, np.float64)
 
 
 def _nodes(count: int) -> tuple[FloatArray, FloatArray]:

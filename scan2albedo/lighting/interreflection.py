@@ -11,9 +11,11 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.environment import SKY, distant_directions
+from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 
+_DIRECTIONS = 128
+"""Rays from each patch."""
 _NORMAL_MM = 20.0
 """Distance that counts as much as a turn of the normal by 1 rad when points are looked up."""
 _CELLS = 24
@@ -86,7 +88,7 @@ class Patches:
         """Return the patches around points (M, 3): a ray counts for the patch nearest to where it hits."""
         origin = position + shadow_offset_mm(caster.size, offset_mm) * normal
         nearest, factors = cKDTree(position), np.zeros((len(position), len(position)))
-        for direction in distant_directions(SKY):
+        for direction in distant_directions(_DIRECTIONS):
             cosine = normal @ direction
             rows = np.flatnonzero(cosine > 0)
             hits = caster.first_hit(origin[rows], direction)
@@ -95,7 +97,7 @@ class Patches:
             column = nearest.query(at)[1]
             # Light leaves the outer side alone: a ray that meets the inner side passed a hole.
             outer = normal[column] @ direction < 0
-            np.add.at(factors, (rows[outer], column[outer]), cosine[rows[outer]] * 4 / SKY)
+            np.add.at(factors, (rows[outer], column[outer]), cosine[rows[outer]] * 4 / _DIRECTIONS)
         return cls(surface_keys(position, normal), factors.astype(np.float32))
 
     def seen_from(self, position: FloatArray, normal: FloatArray) -> Bounce:

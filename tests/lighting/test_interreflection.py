@@ -40,7 +40,7 @@ def test_inside_a_sphere_every_patch_sees_all_others_alike(sphere):
     patches = Patches.of(*sphere, OFFSET_MM)
     count = len(patches.factors)
     assert patches.factors.sum(1) == pytest.approx(np.ones(count), abs=0.01)
-    # The same 96 directions from everywhere: only sums over many patches are smooth.
+    # The same 128 directions from everywhere: only sums over many patches are smooth.
     half = sphere[1][:, 0] > 0
     assert patches.factors[:, half].sum(1) == pytest.approx(np.full(count, half.mean()), abs=0.08)
     assert patches.factors[:, half].sum(1).mean() == pytest.approx(half.mean(), abs=0.01)
