@@ -20,6 +20,7 @@ from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
+from scan2albedo.albedo.shadows import FEWEST
 from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
 from scan2albedo.core import Budget, Meter, ProgressCallback
@@ -29,8 +30,6 @@ from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.lighting.environment_light import open_shading
 from scan2albedo.lighting.shading import Reflectance
 
-_LEAST_FACING = 0.1
-"""Part of the texels that has to face the viewer."""
 _CAMERAS = "albedo.cameras"
 BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
 
@@ -99,8 +98,8 @@ def estimate_albedo(
 
     Notes
     -----
-    The plan names each part of the model, and the log odds for it. `albedo.view` is a doubt where less than a
-    tenth of the texels faces `view_direction`. The trace's error is the perplexity of a cell: one over the
+    The plan names each part of the model, and the log odds for it. `albedo.view` is a doubt where less than
+    5 % of the texels face `view_direction`. The trace's error is the perplexity of a cell: one over the
     geometric mean of its probability density. Light of one colour over the whole surface is told from pigment
     only by what is known of skin, and by highlights: the mean light is nearly white. Texels that are not skin
     weigh a quarter in the search. White noise is filtered. The paper's objective knows lamps under constant
@@ -132,7 +131,7 @@ def estimate_albedo(
     if paper or options.choice(_CAMERAS) is False:
         image = replace(image, camera=None, camera_positions=None)
     facing, plan = float(np.mean((image.normal @ np.asarray(view))[usable] > 0)), Plan()
-    if facing < _LEAST_FACING:
+    if facing < FEWEST:
         reason = (
             f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
             "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "

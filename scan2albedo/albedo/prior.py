@@ -23,7 +23,7 @@ NODES, MEANS = 16, 64
 at the cells' centres, row 0 at v = 1. Finer nodes explain heads left out better (32: by 0.6 nats a cell), but
 their factorisations cost NODES^6."""
 
-_SPREADS, _LENGTH, _DEVIATIONS, _LEVEL = (0.25, 0.1, 0.1), 0.1, (0.03, 0.02, 0.02), (0.4, 0.3)
+SPREADS, _LENGTH, _DEVIATIONS, _LEVEL = (0.25, 0.1, 0.1), 0.1, (0.03, 0.02, 0.02), (0.4, 0.3)
 """Of a surface that may be anything, by channel: standard deviations of log colour over it, their correlation
 length in sides of the chart, those of single texels, and the mean albedo with its relative deviation."""
 
@@ -102,7 +102,7 @@ class AlbedoPrior:
             mean=np.zeros((MEANS, MEANS, 3)),
             deviation=np.tile(_DEVIATIONS, (MEANS, MEANS, 1)),
             modes=np.zeros((3, 0, NODES, NODES)),
-            spread=np.array(_SPREADS)[:, None, None] * np.ones((NODES, NODES)),
+            spread=np.array(SPREADS)[:, None, None] * np.ones((NODES, NODES)),
             shrinkage=0.0,
             length=_LENGTH,
             level=(float(np.log(_LEVEL[0])), 0.0, _LEVEL[1]),

@@ -12,14 +12,13 @@ from scipy.ndimage import binary_opening, binary_propagation
 from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
+from scan2albedo.albedo.texel_light import HALF_STEP
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are not highlights but over-exposure."""
-_RIDGE = 2e-5
-"""Variance of log albedo below which channels are taken to keep their ratio: what 8 bits leave unsure."""
 
 
 def inpainted(
@@ -83,7 +82,7 @@ def missed_highlight(
     darkest = np.minimum(np.minimum(albedo_linear[..., 0], albedo_linear[..., 1]), albedo_linear[..., 2])
     level = np.log(np.maximum(darkest, FAINT))
     middle = float(np.median(level[source]))
-    deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), math.sqrt(_RIDGE))
+    deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), HALF_STEP / math.sqrt(3))
     excess = (level - middle) / deviation
     return binary_propagation(binary_opening(clipped & (excess > 4)), mask=allowed & (excess > 2))
 
@@ -96,10 +95,11 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
 
     log A_c = m_c + sum_s b_s (log A_s - m_s), b = (C_ss + r)^-1 (C_sc + r / |s|),
 
-    with means m, covariances C, in which all sources together count as 64 more, and a small ridge r that
-    draws towards constant ratios: a guided filter [1]_. The clipped value, divided by the light, is the least
-    a lost channel can be. `lost` (H, W, 3) marks channels without a trustworthy value; texels that lost all
-    three, and everything when there are too few texels of `source` (H, W), are left as they are.
+    with means m, covariances C, in which all sources together count as 64 more, and a ridge r, the variance
+    of rounding to 8 bits, that draws towards constant ratios: a guided filter [1]_. The clipped value,
+    divided by the light, is the least a lost channel can be. `lost` (H, W, 3) marks channels without a
+    trustworthy value; texels that lost all three, and everything when there are too few texels of `source`
+    (H, W), are left as they are.
 
     .. [1] K. He, J. Sun, X. Tang, "Guided image filtering", ECCV 2010.
     """
@@ -115,7 +115,7 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     inside = target[window]
     field = np.log(np.maximum(albedo[window], FAINT))
     pooled, texels = float(MINIMAL_TEXELS), np.argwhere(inside)
-    predicted = _predict(field, texels, lost[window], origin[window], radius, pooled, _RIDGE)
+    predicted = _predict(field, texels, lost[window], origin[window], radius, pooled, HALF_STEP**2 / 3)
     old = albedo[window][inside]
     result[window][inside] = np.where(lost[window][inside], np.maximum(np.exp(predicted), old), old)
     return result

@@ -28,7 +28,7 @@ moves a shadow by several; and of one that is exact."""
 
 LEAST_SHADOW = 0.01
 """Part of the cells facing some light that has to lie in cast shadow for shadow rays to be used."""
-_FEWEST = 0.05
+FEWEST = 0.05
 """Part of the cells that has to face a direction for its figure to mean something."""
 _COARSE = 160
 """Longer side, in texels, of a chart that shows whether there are shadows."""
@@ -76,7 +76,7 @@ def shadow_caster(
     for direction in directions:
         # At the terminator facets shade texels whose smooth normal still faces the light.
         facing = shadows.normal @ direction > 0.2
-        if facing.mean() >= _FEWEST:
+        if facing.mean() >= FEWEST:
             largest = max(largest, float(np.mean(shadows.visible(direction)[facing] == 0)))
     evidence = f"at most {100 * largest:.1f} % of the texels facing a light lie in cast shadow"
     if choice is None and largest < LEAST_SHADOW:

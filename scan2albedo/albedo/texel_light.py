@@ -16,6 +16,7 @@ from scan2albedo.albedo.light_parameters import SOFT_PARTS, Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, Point
+from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
@@ -24,9 +25,7 @@ from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 
-_GRAIN = 0.25
-"""Standard deviation of log albedo beside what is known of it, where a texel tells shadow from light."""
-_HALF_STEP = 2 / 255
+HALF_STEP = 2 / 255
 """Rounding of 8 bits, as a part of the median V where that is a quarter."""
 _LEAST = 0.001
 """A traced shadow is wrong this often anywhere: what casts it may not be part of the surface."""
@@ -183,7 +182,7 @@ def _seen_shadows(
             others = np.maximum(soft + (seen * lamps).sum(0) - seen[k] * lamps[k], DARKEST)
             without, lit = np.log(others), np.log(others + lamps[k])
             step = lit - without
-            odds = (value - 0.5 * (without + lit)) * step / (_GRAIN**2 + DARKEST / others) * judged
+            odds = (value - 0.5 * (without + lit)) * step / (SPREADS[0] ** 2 + DARKEST / others) * judged
             odds = np.clip(odds, -6.0, 6.0)
             odds += np.log(prior / (1 - prior))
             seen[k] = np.where(away[k], 1.0, 1 / (1 + np.exp(-odds)))
@@ -200,7 +199,7 @@ def _unmodelled(
     """
     p, mask = point.problem, scene.image.mask
     level, nodes = point.albedo_nodes()
-    step = _HALF_STEP
+    step = HALF_STEP
     value = np.maximum(scene.value[mask] / p.level.unit - specular, step)
     left = np.log(value / light) - level - point.x[-1] * known.mean - known.nodes @ nodes
     usable = scene.usable[mask]

@@ -136,13 +136,16 @@ def test_a_budget_ends_it_with_an_answer(skin, evaluations):
     assert {step.stage for step in estimate.plan} == {f"albedo.{name}" for name in ROWS}
 
 
-def test_more_evaluations_leave_less_of_the_light(skin):
-    errors = []
-    for evaluations in (3, None):
-        estimate = estimate_albedo(skin.image, 1, budget=Budget(evaluations=evaluations))
-        errors.append(albedo_error(estimate.albedo_linear, skin.albedo, skin.image.mask).mse_percent)
-    assert errors[1] < 0.9 * errors[0]
-    assert errors[1] < 0.03
+def test_more_evaluations_leave_less_of_the_light(scenes):
+    """A lamp that lies at a start by chance takes few: it is the mean of several."""
+    errors = {3: [], None: []}
+    for angles in ((20, 10), (-40, 10), (55, 0)):
+        scene = scenes.scene("hemisphere", "skin", [(*angles, 2.0, FAR)], size=64)
+        for evaluations, found in errors.items():
+            estimate = estimate_albedo(scene.image, 1, budget=Budget(evaluations=evaluations))
+            found.append(albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent)
+    assert np.mean(errors[None]) < 0.5 * np.mean(errors[3])
+    assert max(errors[None]) < 0.03
 
 
 def test_seeds_do_not_change_a_bit(skin):
