@@ -16,9 +16,9 @@ from scan2albedo.core.point_light import PointLight
 _LIGHT = 2.2
 """Times the light's uncertainty that texels err by: the light is estimated as if its model were right."""
 _NOT_SKIN = 0.2
-"""Relative error of what is not skin, whose shape and reflectance are least known. Both are fitted, beside the
-`NOISE` of everything, to path-traced faces of two people under twelve kinds of light, and raw scans of six, so
-that .68 of their texels err by less."""
+"""Relative error of what is not skin, whose shape and reflectance are least known. Both are fitted, beside
+the `NOISE` of everything, to path-traced faces of two people under twelve kinds of light, and raw scans of
+six, so that .68 of their texels err by less."""
 
 
 @dataclass(frozen=True)
