@@ -82,10 +82,6 @@ def estimate_albedo(
     on_progress : callable, optional
         Called with each trace row.
 
-    Returns
-    -------
-    AlbedoEstimate
-
     Raises
     ------
     LightingError
@@ -120,27 +116,26 @@ def estimate_albedo(
         raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
     toward = np.asarray(view_direction, np.float64)
     length = float(np.linalg.norm(toward)) if toward.shape == (3,) else 0.0
-    if not (np.isfinite(length) and length > 0):
+    if not 0 < length < math.inf:
         raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
     x, y, z = (toward / length).tolist()
-    view = x, y, z
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image)
     image, paper = with_every_normal(image), options.objective == "albedo-deviation"
     if paper or options.choice(_CAMERAS) is False:
         image = replace(image, camera=None, camera_positions=None)
-    facing, plan = float(np.mean((image.normal @ np.asarray(view))[usable] > 0)), Plan()
+    facing, plan = float(np.mean((image.normal @ [x, y, z])[usable] > 0)), Plan()
     if facing < FEWEST:
         reason = (
-            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
+            f"only {100 * facing:.1f} % of the texels face view_direction {np.round([x, y, z], 3).tolist()}, "
             "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
             "normals outward"
         )
         plan += [PlanStep.doubt("albedo.view", reason)]
     meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
     known = prior or AlbedoPrior.named(options.prior, face=image.face_chart is not None)
-    scene = LitImage(image, usable, brdf, view, options, meter, known)
+    scene = LitImage(image, usable, brdf, (x, y, z), options, meter, known)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):
         if brdf == "spherical-harmonics":
@@ -157,13 +152,11 @@ def _divide(
     image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
     mask, deviation, reflectance = image.mask, None, lit.reflectance
-    shadow = np.zeros(mask.shape)
-    specular, shading = np.zeros((2, *mask.shape, 3))
+    shadow, (specular, shading) = np.zeros(mask.shape), np.zeros((2, *mask.shape, 3))
     specular[mask], shadow[mask], shading[mask] = lit.specular, lit.visible, lit.light_linear
     if found is not None and found.explanation is not None:
-        best = found.explanation.best
+        best, deviation = found.explanation.best, np.zeros(mask.shape)
         cells = best.light_deviation()[:, None]
-        deviation = np.zeros(mask.shape)
         deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
     # What makes a good albedo better is left out once the seconds have ended.
     late = meter.out_of_time and found is not None

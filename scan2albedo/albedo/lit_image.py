@@ -38,10 +38,9 @@ _LEAST_RESIDUAL = 1e-3
 
 @dataclass(frozen=True)
 class Explanation:
-    """The best explanation, its colours, and what all of them together say.
+    """The best explanation, its colours, and, on the N cells of `level`, what all of them together say.
 
-    `shift` (N, 3) is what their mean log light adds to the best one's on the cells of `level`, `spread` (N,)
-    their standard deviation.
+    `shift` (N, 3) is what their mean log light adds to the best one's, `spread` (N,) their deviation.
     """
 
     best: Point
@@ -63,10 +62,7 @@ class LightFound:
 
 @dataclass(frozen=True)
 class LitImage:
-    """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer.
-
-    Texels whose camera is known have a view direction of their own.
-    """
+    """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer."""
 
     image: GeometryImage
     usable: BoolArray

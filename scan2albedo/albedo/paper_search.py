@@ -30,7 +30,7 @@ _LIGHT_GAIN, _LIGHT_SHARE = 0.04, 0.1
 def albedo_deviation(value, weight, light, specular, blocks, block_count):  # type: ignore[no-untyped-def]
     """Return sum w |A - mean_b A| / sum w A with A = (T - I_s) / I: the paper's objective, normalised.
 
-    Without the division by sum w A it falls as the lights grow stronger. `blocks` (S, N) are S partitions.
+    Without the division it falls as the lights grow stronger. `blocks` (S, N) are S partitions.
     """
     mean, mass = np.zeros(block_count), np.zeros(block_count)
     cost, total = 0.0, 0.0

@@ -94,10 +94,7 @@ class AlbedoPrior:
 
     @classmethod
     def stationary(cls) -> Self:
-        """Return a prior of surfaces of which nothing is known: alike at all places, of any colour.
-
-        Colours vary less than brightness on most surfaces.
-        """
+        """Return a prior of surfaces of which nothing is known: alike at all places, of any colour."""
         return cls(
             mean=np.zeros((MEANS, MEANS, 3)),
             deviation=np.tile(_DEVIATIONS, (MEANS, MEANS, 1)),
@@ -106,7 +103,6 @@ class AlbedoPrior:
             shrinkage=0.0,
             length=_LENGTH,
             level=(float(np.log(_LEVEL[0])), 0.0, _LEVEL[1]),
-            # Nothing is known of these.
             chroma=np.vstack([np.zeros(2), 100 * np.eye(2)]),
             face=False,
         )

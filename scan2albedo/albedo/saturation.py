@@ -55,36 +55,25 @@ def inpainted(
     if not touched.any():
         reason = "the annotation forbids it" if saturated else "nothing is saturated"
         return albedo_linear, PlanStep(stage, False, reason, evidence)
-    albedo = albedo_linear.astype(np.float64)
-    missed = missed_highlight(albedo, any_channel(clipped) & allowed, usable & allowed & ~touched, allowed)
-    wholly |= missed
-    partly &= ~missed
-    source = usable & allowed & ~touched & ~missed
-    result = restore_channels(albedo, lost & ~missed[..., None], source)
+    albedo, source = albedo_linear.astype(np.float64), usable & allowed & ~touched
+    if int(source.sum()) >= MINIMAL_TEXELS:
+        # White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more
+        # than four (robust) deviations above the sources' median are a highlight that the light model left,
+        # with all connected to them that lies two above: what survived there is not the albedo's.
+        red, green, blue = np.moveaxis(albedo, -1, 0)
+        level = np.log(np.maximum(np.minimum(np.minimum(red, green), blue), FAINT))
+        away = level - np.median(level[source])
+        excess = away / max(1.4826 * np.median(np.abs(away[source])), HALF_STEP / math.sqrt(3))
+        seeds = binary_opening(any_channel(clipped) & allowed & (excess > 4))
+        missed = binary_propagation(seeds, mask=allowed & (excess > 2))
+        wholly, partly, source = wholly | missed, partly & ~missed, source & ~missed
+        lost &= ~missed[..., None]
+    result = restore_channels(albedo, lost, source)
     if white > _LARGEST_HIGHLIGHT * image.seen.sum() and not options.choice(stage):
         evidence += "; too many for a highlight, left"
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)
     return result.astype(np.float32), PlanStep(stage, True, "the texture is saturated", evidence)
-
-
-def missed_highlight(
-    albedo_linear: FloatArray, clipped: BoolArray, source: BoolArray, allowed: BoolArray
-) -> BoolArray:
-    """Return (H, W) texels of highlights that the light model left in the albedo, grown from clipped texels.
-
-    White light lifts the darkest channel most, and that channel clips last. A clipped texel in which it lies
-    more than four (robust) standard deviations above the median of `source` is such a highlight, with all
-    `allowed` connected to it that lies two above: what survived there is not the albedo's.
-    """
-    if int(source.sum()) < MINIMAL_TEXELS:
-        return np.zeros_like(clipped)
-    darkest = np.minimum(np.minimum(albedo_linear[..., 0], albedo_linear[..., 1]), albedo_linear[..., 2])
-    level = np.log(np.maximum(darkest, FAINT))
-    middle = float(np.median(level[source]))
-    deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), HALF_STEP / math.sqrt(3))
-    excess = (level - middle) / deviation
-    return binary_propagation(binary_opening(clipped & (excess > 4)), mask=allowed & (excess > 2))
 
 
 def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> FloatArray:
@@ -111,11 +100,9 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     window = surroundings(target, 4 * radius)
     if int(origin[window].sum()) < MINIMAL_TEXELS:
         window = (slice(None), slice(None))
-    result = albedo.copy()
-    inside = target[window]
-    field = np.log(np.maximum(albedo[window], FAINT))
-    pooled, texels = float(MINIMAL_TEXELS), np.argwhere(inside)
-    predicted = _predict(field, texels, lost[window], origin[window], radius, pooled, HALF_STEP**2 / 3)
+    result, inside, field = albedo.copy(), target[window], np.log(np.maximum(albedo[window], FAINT))
+    known = np.argwhere(inside), lost[window], origin[window]
+    predicted = _predict(field, *known, radius, float(MINIMAL_TEXELS), HALF_STEP**2 / 3)
     old = albedo[window][inside]
     result[window][inside] = np.where(lost[window][inside], np.maximum(np.exp(predicted), old), old)
     return result

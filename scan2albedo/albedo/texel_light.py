@@ -55,7 +55,7 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     """Return the light found on the image at its full size, with the mean of what explains it as well."""
     told = found.explanation
     if told is None:
-        return _of_solution(scene, found.solution, None, None)
+        return _of_solution(scene, found.solution, None, LightColours.white(found.solution.model.lights))
     lit = _of_solution(scene, found.solution, told.best, told.colours)
     cells = np.column_stack([told.shift, told.spread])
     *shift, spread = cell_field(told.level, cells, scene.image.mask).T
@@ -64,12 +64,12 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
 
 
 def _of_solution(
-    scene: LitImage, solution: Solution, point: Point | None, colours: LightColours | None
+    scene: LitImage, solution: Solution, point: Point | None, colours: LightColours
 ) -> TexelLight:
-    """Return the light of one explanation; without `point` and `colours` it is that of the paper's search."""
+    """Return the light of one explanation; without `point` it is that of the paper's search."""
     image, mask, state, caster = scene.image, scene.image.mask, solution.hypothesis, scene.shadows[0]
     unit = scene.at(scene.options.sizes[0]).level.unit
-    strength = state.reflectance.specular_strength * unit * (colours.gloss if colours else 1)
+    strength = state.reflectance.specular_strength * unit * colours.gloss
     reflectance = replace(state.reflectance, specular_strength=strength)
     order = np.argsort(-state.rows[:, 4], kind="stable")
     lights = list(state.lights())
@@ -86,8 +86,7 @@ def _of_solution(
     if image.specular_scale is not None:
         scale = image.specular_scale[mask].astype(np.float64)
     view = image.toward_camera(scene.view)
-    white = LightColours.white(len(lights))
-    colors = white if colours is None else colours.in_order(order)
+    colors = colours.in_order(order)
 
     def shading(seen: NDArray) -> Shading:
         return shade_rows(*surface, seen, state.rows[order], view, reflectance, scale, colors.lamps)
@@ -98,7 +97,7 @@ def _of_solution(
         _soft_light(scene, solution, shaded.lamps, colors) if softly else (None, np.zeros((1, 3)))
     )
     light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST) if softly else shaded.light_linear
-    if point is not None and colours is not None:
+    if point is not None:
         known = _Expected.at(scene, point)
         if lights and caster is not None:
             whole = shading(np.ones_like(visible)).lamps
@@ -199,8 +198,7 @@ def _unmodelled(
     """
     p, mask = point.problem, scene.image.mask
     level, nodes = point.albedo_nodes()
-    step = HALF_STEP
-    value = np.maximum(scene.value[mask] / p.level.unit - specular, step)
+    value = np.maximum(scene.value[mask] / p.level.unit - specular, HALF_STEP)
     left = np.log(value / light) - level - point.x[-1] * known.mean - known.nodes @ nodes
     usable = scene.usable[mask]
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
@@ -209,7 +207,7 @@ def _unmodelled(
     # A brow, a mole, hair: Student's t, whose variance grows with what is seen. Little is that bright.
     grain = (FREEDOM * grain + np.minimum(left, 0.0) ** 2) / FREEDOM
     stray = point.scales.light * deviation_of_light(light, float(np.median(light[usable])))
-    unknown = stray**2 + (step / value) ** 2
+    unknown = stray**2 + (HALF_STEP / value) ** 2
     return np.asarray(left * unknown / (grain + unknown))
 
 

@@ -35,10 +35,9 @@ class DistantLights:
     def __post_init__(self) -> None:
         toward = _checked_directions(self.directions)
         irradiance = np.asarray(self.irradiance_linear, np.float64)
-        if irradiance.shape not in ((len(toward),), (len(toward), 3)):
-            raise ValueError(
-                f"irradiance_linear must be ({len(toward)}, 3) or ({len(toward)},), got {irradiance.shape}"
-            )
+        count = len(toward)
+        if irradiance.shape not in ((count,), (count, 3)):
+            raise ValueError(f"irradiance_linear must be ({count}, 3) or ({count},), got {irradiance.shape}")
         if not np.isfinite(irradiance).all():
             raise ValueError("irradiance_linear must be finite")
         object.__setattr__(self, "directions", toward)
@@ -84,10 +83,8 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
 
     A Fibonacci lattice is carried through the distribution of brightness, of which a tenth is spread evenly,
     so that dark parts keep directions too; then twice each direction moves to the brightness's centroid of
-    its cell. Their `environment_weights` are alike: no light is much stronger than the others, and the edge
-    of its shadow hardly shows.
-
-    The map and its errors are those of `environment_weights`; ValueError when `count` K is below 1.
+    its cell. Their `environment_weights` are alike: the edge of no light's shadow shows much. The map and its
+    errors are those of `environment_weights`; ValueError when `count` K is below 1.
 
     .. [1] P. Debevec, "A median cut algorithm for light probe sampling", SIGGRAPH 2005 poster.
 
@@ -180,17 +177,15 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     tree, (height, width) = cKDTree(_checked_directions(directions)), image.shape[:2]
     repeat = max(1, -(-_FINEST_ROWS // height))
     rows, columns = height * repeat, width * repeat
-    solid_angle = texel_solid_angles(rows, columns)
     nearest = np.empty((rows, columns), np.int32)
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     # Row by row: maps may have many millions of texels.
     for row in range(rows):
         nearest[row] = tree.query(map_directions((row + 0.5) / rows * np.pi, azimuth))[1]
-    texel = np.add.outer(
-        np.arange(rows, dtype=np.int32) // repeat * width, np.arange(columns, dtype=np.int32) // repeat
-    )
+    down, across = (np.arange(side, dtype=np.int32) // repeat for side in (rows, columns))
+    texel = np.add.outer(down * width, across)
     # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.
-    entries = np.repeat(solid_angle, columns), (nearest.ravel(), texel.ravel())
+    entries = np.repeat(texel_solid_angles(rows, columns), columns), (nearest.ravel(), texel.ravel())
     shares = sparse.coo_matrix(entries, shape=(tree.n, height * width)).tocsr()
     return np.asarray(shares @ image.reshape(-1, 3))
 

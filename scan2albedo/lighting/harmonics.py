@@ -128,10 +128,9 @@ def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatA
     [3.544908, 0.0, 0.0, 0.0]
     """
     image = checked_map(environment_linear, several=True)
-    height, width = image.shape[-3:-1]
-    coefficients = np.zeros((*image.shape[:-3], (order + 1) ** 2, 3))
-    for row in range(height):
-        coefficients += row_projection(row, (height, width), order).T @ image[..., row, :, :]
+    shape, coefficients = image.shape[-3:-1], np.zeros((*image.shape[:-3], (order + 1) ** 2, 3))
+    for row in range(shape[0]):
+        coefficients += row_projection(row, shape, order).T @ image[..., row, :, :]
     return coefficients
 
 

@@ -50,8 +50,8 @@ class Reflectance:
 class Shading:
     """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture.
 
-    `light_linear` and `specular_linear` (N, 3) are both in the lamps' colours, whose means over the channels
-    they are. `lamps` (L, N) is each lamp's part of the light.
+    `light_linear` and `specular_linear` (N, 3) are both in the lamps' colours; `lamps` (L, N) is each lamp's
+    part of the light.
     """
 
     light: FloatArray
@@ -86,10 +86,9 @@ def shade_points(
     I_d = sum_k V_k E_k f(n, l_k, v), I_s = k_s sum_k V_k E_k phong(n, l_k, v), I_a = 1, with V the visibility
     and E = intensity (distance/r)^2 (no falloff for a distant light), times the lamp's colour.
 
-    `position` (N, 3) is in mm, the model's frame, `normal` (N, 3) unit. Lights may be none. `visible` (L, N)
-    is 0 where a light is hidden; everything is visible when None. `view_direction` (3,) or (N, 3), of any
-    length, points toward the viewer, and `specular_scale` (N,) multiplies I_s. ValueError for shapes that do
-    not fit, points, normals or a `specular_scale` that are not finite, or a zero `view_direction`.
+    `position` (N, 3) is in mm, `normal` (N, 3) unit. `visible` (L, N) is 0 where a light is hidden; all is
+    visible when None. `view_direction` (3,) or (N, 3), of any length, points toward the viewer;
+    `specular_scale` (N,) multiplies I_s. ValueError for shapes that do not fit, or what is not finite.
 
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
        modeling and relighting with application to face recognition", section 3.2.1.
@@ -133,9 +132,9 @@ def shade_rows(
 
     `view`, (3,) or (N, 3), is unit; `colors` (L, 3) are the lamps', all white when None.
     """
-    light, gloss = np.ones(len(position)), np.zeros(len(position))
-    tint, sheen = np.zeros((2, len(position), 3))
-    lamps = np.empty((len(rows), len(position)))
+    count = len(position)
+    light, gloss, lamps = np.ones(count), np.zeros(count), np.empty((len(rows), count))
+    tint, sheen = np.zeros((2, count, 3))
     for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
         at = row[:3], row[3], np.atleast_2d(view), reflectance
         lamps[k], highlight = row[4] * lamp_factors(position, normal, seen, *at)
