@@ -98,8 +98,7 @@ def estimate_albedo(
     5 % of the texels face `view_direction`. The trace's error is the perplexity of a cell: one over the
     geometric mean of its probability density. Light of one colour over the whole surface is told from pigment
     only by what is known of skin, and by highlights: the mean light is nearly white. Texels that are not skin
-    weigh a quarter in the search. White noise is filtered. The paper's objective knows lamps under constant
-    white ambient light alone.
+    weigh a quarter in the search. White noise is filtered.
 
     References
     ----------
@@ -219,10 +218,9 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
         return PlanStep(_CAMERAS, False, "no camera is known: one view direction serves", "no camera")
     known = image.camera[image.mask] != NO_CAMERA
     cosine = (image.toward_camera(scene.view) @ np.asarray(scene.view)).min()
-    evidence = (
-        f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels, from up to "
-        f"{math.degrees(math.acos(float(np.clip(cosine, -1, 1)))):.0f} deg off the view direction"
-    )
+    angle = math.degrees(math.acos(float(np.clip(cosine, -1, 1))))
+    took = f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels"
+    evidence = f"{took}, from up to {angle:.0f} deg off the view direction"
     plain = 1.0 if reflectance.brdf == "minnaert" else 0.0
     if reflectance.specular_strength == 0 and reflectance.roughness == plain:
         return PlanStep(_CAMERAS, False, "what is found of the light looks alike from everywhere", evidence)

@@ -82,11 +82,9 @@ def resynthesize(
 
 def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:
     """Return the bounding box of `region` (not empty) with `margin` texels around it, as slices."""
-    boxes = []
-    for axis in (1, 0):
-        at = np.flatnonzero(region.any(axis))
-        boxes.append(slice(max(0, int(at[0]) - margin), int(at[-1]) + margin + 1))
-    return boxes[0], boxes[1]
+    ends = (np.flatnonzero(region.any(axis))[[0, -1]].tolist() for axis in (1, 0))
+    rows, columns = (slice(max(0, first - margin), last + margin + 1) for first, last in ends)
+    return rows, columns
 
 
 def _order(target: BoolArray, known: BoolArray) -> IntArray:
@@ -185,8 +183,8 @@ def copied_steps(
     steps, both = np.zeros_like(own), np.ones(own.shape[:2], bool)
     for end, before in ((back, 1), (front, 0)):
         place = came_from[end].copy()
-        both &= place[..., 0] >= 0
         good = place[..., 0] >= 0
+        both &= good
         place[..., axis] -= before
         good &= pairs[place[..., 0], place[..., 1]]
         steps[good] = there[place[good][:, 0], place[good][:, 1]]

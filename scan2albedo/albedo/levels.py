@@ -67,10 +67,7 @@ class Level:
 
 
 def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> FloatArray:
-    """Return (H, W) the channel that is the brightest on average around each texel.
-
-    V itself, the largest of three noisy channels, is brighter than the surface, most in poor light.
-    """
+    """Return (H, W) the channel that is the brightest on average around each texel: V, but for its noise."""
     chosen = uniform_filter(usable[..., None] * texture_linear, (WINDOW, WINDOW, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
 

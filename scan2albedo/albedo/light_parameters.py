@@ -36,10 +36,9 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class SoftState:
-    """Soft light relative to ambient light of 1.
+    """Soft light relative to ambient light of 1, of which the part `fill` reaches hidden places.
 
-    `fill` is what of the ambient light reaches hidden places (1: all of it), `bounce` the mean albedo by
-    which the surface lights itself, `harmonics` (8,) the environment's coefficients of Y_k / Y_0.
+    `bounce` is the mean albedo by which the surface lights itself, `harmonics` (8,) the environment's.
     """
 
     fill: float

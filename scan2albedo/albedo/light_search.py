@@ -86,13 +86,11 @@ class LightSearch:
         """Return what was found, with the mean of all explanations, and the plan's rows."""
         level, (shift, spread) = wanted[0][1].problem.level, self._averaged(wanted)
         first = max(value for value, _ in self.found)
-        others = [
-            Alternative(point.solution().hypothesis.lights(), round(first - value, 3))
-            for value, point in wanted
-            if point.model.lights == best.model.lights > 0
-            and _TEMPER * (first - value) < 1
-            and not _alike(point.solution().hypothesis, best.solution().hypothesis, math.cos(0.25))
-        ]
+        found, others = best.solution().hypothesis, list[Alternative]()
+        for value, point in wanted:
+            other, near = point.solution().hypothesis, _TEMPER * (first - value) < 1
+            if near and len(other.rows) == len(found.rows) > 0 and not _alike(other, found, math.cos(0.25)):
+                others.append(Alternative(other.lights(), round(first - value, 3)))
         if not self.meter.exhausted:
             largest = self._posterior(2, best.problem.blur)
             fine = Point(largest, best.model, best.x, None, best.scales).rescaled()
@@ -250,7 +248,6 @@ class LightSearch:
                 return point
 
     def _posterior(self, size: int, blur: float) -> Posterior:
-        """Return the posterior at one of the sizes."""
         return self.scene.posterior(self.options.sizes[size], blur)
 
 

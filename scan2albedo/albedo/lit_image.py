@@ -24,7 +24,8 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.environment_light import shadowed_transfer, sky_table
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.environment_light import SKY, shadowed_transfer
 from scan2albedo.lighting.interreflection import Patches
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 
@@ -170,7 +171,7 @@ class SizedImage:
 
     @cached_property
     def _sky(self) -> VisibilityTable:
-        return sky_table(self._shadows)
+        return self._shadows.table(distant_directions(SKY))
 
     @cached_property
     def horizon(self) -> Horizon:

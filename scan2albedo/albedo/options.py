@@ -34,8 +34,7 @@ class EstimateOptions:
 
     objective: str = "residual"
     """"residual": the posterior of light and albedo; "albedo-deviation": the search of Toderici et al.,
-    section 3.2, which anneals the deviation of the albedo from its block means, and knows neither soft,
-    bounced nor coloured light."""
+    section 3.2, which knows neither soft, bounced nor coloured light."""
     sizes: tuple[int, ...] = ()
     """Longer sides, in cells, of three images: where starts are compared, the model is chosen, and the light
     is refined. Cells of the third say what the surface hides of soft light. When empty, the objective's."""

@@ -24,13 +24,14 @@ _FINEST_ROWS = 256
 
 @dataclass(frozen=True)
 class DistantLights:
-    """Lights far away: each has one direction for the whole scene."""
+    """Lights far away: each has one direction for the whole scene.
+
+    `directions` (K, 3) toward them are of any length; `irradiance_linear` (K, 3) or (K,) is that on a surface
+    that faces the light: a matte white one has 1 / pi of it as radiance.
+    """
 
     directions: ArrayLike
-    """(K, 3): towards the lights, of any length."""
     irradiance_linear: ArrayLike
-    """(K, 3) or (K,): on a surface that faces the light; a matte white one then has the radiance irradiance /
-    pi."""
 
     def __post_init__(self) -> None:
         toward = _checked_directions(self.directions)

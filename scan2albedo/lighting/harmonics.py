@@ -18,7 +18,6 @@ def harmonic_degrees(order: int) -> IntArray:
     >>> harmonic_degrees(2).tolist()
     [0, 1, 1, 1, 2, 2, 2, 2, 2]
     """
-    # Degree l stands at l^2 ... (l + 1)^2 - 1.
     return np.sqrt(np.arange(_count(order))).astype(np.int64)
 
 

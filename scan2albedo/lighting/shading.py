@@ -62,7 +62,7 @@ class Shading:
 
 
 def light_from_direction(direction: ArrayLike, distance_mm: float, intensity: float) -> PointLight:
-    """Return the `PointLight` in `direction` (3,), of unit length or not.
+    """Return the `PointLight` in `direction` (3,), of any length.
 
     >>> round(math.degrees(light_from_direction((1, 0, 1), math.inf, 1.0).azimuth_rad))
     45
