@@ -98,12 +98,9 @@ class LightSearch:
         self._record()
         colours = light_colours(best, self.options.choice("albedo.light_colour"))
         rows = parts_steps(best.model, best.x, best.covariance(), best.prior.rows, self.options)
-        return LightFound(
-            best.solution(),
-            [*steps, *rows, colours.step],
-            light_uncertainty(best, others),
-            Explanation(best, colours, level, shift, spread),
-        )
+        steps = [*steps, *rows, colours.step]
+        explained = Explanation(best, colours, level, shift, spread)
+        return LightFound(best.solution(), steps, light_uncertainty(best, others), explained)
 
     def _averaged(self, wanted: list[tuple[float, Point]]) -> tuple[FloatArray, FloatArray]:
         """Return (N, 3) what the mean log light of all explanations adds to the first, and (N,) their spread.
@@ -240,12 +237,12 @@ class LightSearch:
 
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""
-        value = -math.inf
-        while True:
+        value, rise = -math.inf, math.inf
+        while rise >= _FLAT:
             point = descend(point, _STEPS, self.meter).rescaled()
             before, value = value, point.log_evidence()
-            if value - before < _FLAT or self.meter.exhausted:
-                return point
+            rise = 0.0 if self.meter.exhausted else value - before
+        return point
 
     def _posterior(self, size: int, blur: float) -> Posterior:
         return self.scene.posterior(self.options.sizes[size], blur)
