@@ -255,7 +255,9 @@ def _distinct(model: LightModel, ahead: list[tuple[float, FloatArray]], count: i
         found = model.decode(x[:-EXTRA])
         if not any(_alike(found, other, _SAME_COSINE) for _, other in kept):
             kept.append((x, found))
-    return [x for x, _ in kept[:count]]
+        if len(kept) == count:
+            break
+    return [x for x, _ in kept]
 
 
 def _alike(one: Hypothesis, other: Hypothesis, cosine: float) -> bool:
