@@ -184,7 +184,7 @@ def print_speed() -> None:
     meter, usable = Meter("m", "u"), usable_texels(scene.image)
     prior = AlbedoPrior.faces()
     lit = LitImage(scene.image, usable, "oren-nayar", view, options, meter, prior)
-    paper, problem = DeviationProblem(lit, lit.level(128)), lit.posterior(128)
+    paper, problem = DeviationProblem(lit, lit.at(128).level), lit.posterior(128)
     model = LightModel(1, "oren-nayar", view, 100.0, rough=True, specular=True)
     x = model.from_lights(np.array([[0.6, 0.2, 0.77]]), np.array([2.0]))
     tabled = per_second(lambda: paper.cost(model, x, rays=False))

@@ -35,7 +35,7 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.io.images import write_png
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.lighting.harmonics import project_distant_lights, project_environment
+from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     GeometryFit,
     ImageObservation,
@@ -79,7 +79,7 @@ def scene(seed: int, shadows: bool) -> Scene:
     fine = transform_points(pose, model.subdivision(FINE).matrix @ control)
     coarse = transform_points(pose, model.subdivision(LEVEL).matrix @ control)
     lights = DistantLights.from_environment(generated_environment(70_000 + seed), LIGHTS)
-    light = project_distant_lights(lights)
+    light = harmonics(lights.directions).T @ np.asarray(lights.irradiance_linear)
     skin = person(seed, FINE)
     image = photograph(fine, model.subdivision(FINE).faces, skin, lights, shadows)
     image += 0.01 * np.median(image[image > 0]) * rng.normal(size=image.shape)

@@ -19,22 +19,10 @@ class AlbedoError:
 def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> AlbedoError:
     """Return the error of an albedo with the single best global scale a.
 
-    a = sum(A A_true) / sum(A^2): light strength and albedo cannot be separated.
+    a = sum(A A_true) / sum(A^2): light strength and albedo cannot be separated. `estimate` and `truth`
+    (H, W, C) or (H, W) are linear albedo; texels of `mask` (H, W) are compared. ValueError for shapes that
+    disagree, an empty mask, or values that are not finite inside it.
 
-    Parameters
-    ----------
-    estimate, truth : (H, W, C) or (H, W) array_like of float
-        Linear albedo.
-    mask : (H, W) array_like of bool
-        Texels compared.
-
-    Raises
-    ------
-    ValueError
-        For shapes that disagree, an empty mask, or values that are not finite inside it.
-
-    Examples
-    --------
     >>> albedo_error([[0.2, 0.4]], [[0.1, 0.2]], [[True, True]]).mse_percent
     0.0
     """
@@ -51,6 +39,5 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
     square = float(np.sum(ours * ours))
     scale = float(np.sum(ours * true)) / square if square > 0 else 0.0
     difference = scale * ours - true
-    norm = float(np.sqrt(np.sum(true * true)))
-    rmse = float(np.sqrt(np.sum(difference**2)))
+    norm, rmse = (float(np.sqrt(np.sum(values**2))) for values in (true, difference))
     return AlbedoError(100 * float(np.mean(difference**2)), rmse / norm if norm > 0 else float(rmse > 0))

@@ -11,30 +11,25 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
-from scan2albedo.albedo.harmonic_light import fit_harmonic_light, harmonic_shading
-from scan2albedo.albedo.levels import (
-    cell_field,
-    usable_texels,
-    with_every_normal,
-)
+from scan2albedo.albedo.harmonic_light import harmonic_light
+from scan2albedo.albedo.levels import cell_field, usable_texels, with_every_normal
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
+from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
-from scan2albedo.albedo.texel_light import light_on_texels
+from scan2albedo.albedo.shadows import FEWEST
+from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
 from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
-from scan2albedo.lighting.environment_light import environment_of_shading
+from scan2albedo.lighting.environment_light import open_shading
 from scan2albedo.lighting.shading import Reflectance
 
-_LEAST_FACING = 0.1
-"""Part of the texels that has to face the viewer."""
 _CAMERAS = "albedo.cameras"
 BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
 
@@ -69,18 +64,16 @@ def estimate_albedo(
     ----------
     image : GeometryImage
         With `texture_linear`. Texels not seen, black, saturated or without a normal (0) do not count, but get
-        an albedo; the nearest normal then serves.
+        an albedo.
     lights : "auto" or int
         Number of lamps; "auto" compares numbers of them by their evidence, and may find none.
     brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
-        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor point lights nor
-        highlights: `lights`, the parts and the repairs in `options` do not touch them, and their albedo has a
-        light of mean 1, not an ambient light of 1.
+        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor lamps nor highlights:
+        neither `lights` nor `options` touch them, and their light has a mean of 1, not an ambient part of 1.
     view_direction : (3,) sequence of float
         Toward the viewer, for roughness and highlights. Texels whose camera the image knows have their own.
     budget : Budget or float, optional
-        Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``. An
-        evaluation or two are needed for any answer; spherical harmonics ask for none.
+        Seconds, or a `Budget`; when it ends the best so far is returned with ``converged=False``.
     seed : int
         Of simulated annealing and of inpainting; the default search draws nothing.
     options : EstimateOptions
@@ -88,10 +81,6 @@ def estimate_albedo(
         Of the albedo, in place of that which `options.prior` names.
     on_progress : callable, optional
         Called with each trace row.
-
-    Returns
-    -------
-    AlbedoEstimate
 
     Raises
     ------
@@ -105,16 +94,11 @@ def estimate_albedo(
 
     Notes
     -----
-    The plan names each part of the model, and the log odds for it. `albedo.view` is a doubt where less than a
-    tenth of the texels faces `view_direction`. The trace's error is the perplexity of a cell: one over the
-    geometric mean of its probability density.
-
-    Where no colours are found, hue and saturation are kept. Light of one colour over the whole surface is
-    told from pigment only by what is known of skin, and by highlights: the mean light is nearly white. Texels
-    that are not skin weigh a quarter in the search. White noise is filtered.
-
-    The paper's objective knows lamps under constant white ambient light alone: one lamp at least, no
-    occlusion, environment, bounce, colours or spread outlines.
+    The plan names each part of the model, and the log odds for it. `albedo.view` is a doubt where less than
+    5 % of the texels face `view_direction`. The trace's error is the perplexity of a cell: one over the
+    geometric mean of its probability density. Light of one colour over the whole surface is told from pigment
+    only by what is known of skin, and by highlights: the mean light is nearly white. Texels that are not skin
+    weigh a quarter in the search. White noise is filtered.
 
     References
     ----------
@@ -131,74 +115,76 @@ def estimate_albedo(
         raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
     toward = np.asarray(view_direction, np.float64)
     length = float(np.linalg.norm(toward)) if toward.shape == (3,) else 0.0
-    if not (np.isfinite(length) and length > 0):
+    if not 0 < length < math.inf:
         raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")
     x, y, z = (toward / length).tolist()
-    view = x, y, z
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
     usable = usable_texels(image)
     image, paper = with_every_normal(image), options.objective == "albedo-deviation"
     if paper or options.choice(_CAMERAS) is False:
         image = replace(image, camera=None, camera_positions=None)
-    facing, plan = float(np.mean((image.normal @ np.asarray(view))[usable] > 0)), Plan()
-    if facing < _LEAST_FACING:
+    facing, plan = float(np.mean((image.normal @ [x, y, z])[usable] > 0)), Plan()
+    if facing < FEWEST:
         reason = (
-            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
+            f"only {100 * facing:.1f} % of the texels face view_direction {np.round([x, y, z], 3).tolist()}, "
             "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
             "normals outward"
         )
         plan += [PlanStep.doubt("albedo.view", reason)]
     meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
     known = prior or AlbedoPrior.named(options.prior, face=image.face_chart is not None)
-    scene = LitImage(image, usable, brdf, view, options, meter, known)
+    scene = LitImage(image, usable, brdf, (x, y, z), options, meter, known)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):
         if brdf == "spherical-harmonics":
-            estimate = _divide_harmonics(scene)
-        else:
-            count = None if lights == "auto" else int(lights)
-            found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
-            estimate = _divide(scene, found, seed)
-    return replace(estimate, plan=plan + estimate.plan)
+            return _divide(scene, harmonic_light(scene), None, plan, seed)
+        count = None if lights == "auto" else int(lights)
+        found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
+        return _divide(scene, light_on_texels(scene, found), found, plan, seed)
 
 
-def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
-    """Remove the light found from the full-size image."""
+def _divide(
+    scene: LitImage, lit: TexelLight, found: LightFound | None, plan: Plan, seed: int
+) -> AlbedoEstimate:
+    """Remove the light from the full-size image; `found` is None for spherical harmonics."""
     image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
-    mask, deviation = image.mask, None
-    lit = light_on_texels(scene, found)
-    shadow = np.zeros(mask.shape)
-    specular, shading = np.zeros((2, *mask.shape, 3))
+    mask, deviation, reflectance = image.mask, None, lit.reflectance
+    shadow, (specular, shading) = np.zeros(mask.shape), np.zeros((2, *mask.shape, 3))
     specular[mask], shadow[mask], shading[mask] = lit.specular, lit.visible, lit.light_linear
-    if found.explanation is not None:
-        best = found.explanation.best
+    if found is not None and found.explanation is not None:
+        best, deviation = found.explanation.best, np.zeros(mask.shape)
         cells = best.light_deviation()[:, None]
-        deviation = np.zeros(mask.shape)
         deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
     # What makes a good albedo better is left out once the seconds have ended.
-    late = meter.out_of_time
+    late = meter.out_of_time and found is not None
     division = divide_light(image.texture_linear, shading, specular, mask, usable, shrink=not late)
     color, stage = division.albedo.astype(np.float32), "albedo.inpainting"
-    choice = options.choice(stage)
-    if choice is False:
-        inpainting = PlanStep(stage, False, "left out by the caller")
-    elif late and choice is None:
-        inpainting = PlanStep(stage, False, "the budget ended before it")
+    parameters: dict[str, object]
+    if found is None:
+        plan += [PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")]
+        assert lit.environment is not None
+        coefficients = open_shading(lit.environment)
+        parameters = {"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()}
     else:
-        color, inpainting = inpainted(color, image, usable, options, seed)
-    cameras = _cameras_step(scene, lit.reflectance)
-    rough = "minnaert_exponent" if lit.reflectance.brdf == "minnaert" else "sigma_rad"
-    distance = lit.lights[0].distance_mm if lit.lights else math.inf
-    parameters: dict[str, object] = {
-        "ambient": 1.0,
-        "brdf": lit.reflectance.brdf,
-        rough: lit.reflectance.roughness,
-        "specular_strength": lit.reflectance.specular_strength,
-        "specular_exponent": lit.reflectance.exponent,
-        "light_distance_mm": distance if math.isfinite(distance) else None,
-    }
+        if options.choice(stage) is False:
+            inpainting = PlanStep(stage, False, "left out by the caller")
+        elif late and options.choice(stage) is None:
+            inpainting = PlanStep(stage, False, "the budget ended before it")
+        else:
+            color, inpainting = inpainted(color, image, usable, options, seed)
+        plan += [*found.steps, _cameras_step(scene, reflectance), inpainting]
+        rough = "minnaert_exponent" if reflectance.brdf == "minnaert" else "sigma_rad"
+        distance = lit.lights[0].distance_mm if lit.lights else math.inf
+        parameters = {
+            "ambient": 1.0,
+            "brdf": reflectance.brdf,
+            rough: reflectance.roughness,
+            "specular_strength": reflectance.specular_strength,
+            "specular_exponent": reflectance.exponent,
+            "light_distance_mm": distance if math.isfinite(distance) else None,
+        }
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lit.lights,
@@ -207,68 +193,35 @@ def _divide(scene: LitImage, found: LightFound, seed: int) -> AlbedoEstimate:
         specular=specular.mean(-1).astype(np.float32),
         shadow=shadow.astype(np.float32),
         confidence=division.confidence.astype(np.float32),
-        plan=Plan((*found.steps, cameras, inpainting)),
+        plan=plan,
         trace=meter.trace,
         converged=not meter.exhausted,
         iterations=meter.evaluations,
         residual=meter.rows[-1].error,
         image=image,
         view_direction=scene.view,
-        reflectance=lit.reflectance,
-        casts_shadows=found.caster is not None,
-        shadow_offset_mm=SHADOW_OFFSET_MM,
-        uncertainty=found.uncertainty,
+        reflectance=reflectance,
+        casts_shadows=found is None or scene.shadows[0] is not None,
+        uncertainty=None if found is None else found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
-        expected_error=expected_error(division.deviation, deviation, mask, image.skin),
         environment=lit.environment,
+        expected_error=expected_error(division.deviation, deviation, mask, image.skin),
     )
 
 
 def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     """Return the plan's row of the view direction that each texel has from its camera."""
-    image, choice = scene.image, scene.options.choice(_CAMERAS)
-    if choice is False:
+    image = scene.image
+    if scene.options.choice(_CAMERAS) is False:
         return PlanStep(_CAMERAS, False, "left out by the caller")
     if image.camera is None or image.camera_positions is None:
         return PlanStep(_CAMERAS, False, "no camera is known: one view direction serves", "no camera")
     known = image.camera[image.mask] != NO_CAMERA
     cosine = (image.toward_camera(scene.view) @ np.asarray(scene.view)).min()
-    evidence = (
-        f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels, from up to "
-        f"{math.degrees(math.acos(float(np.clip(cosine, -1, 1)))):.0f} deg off the view direction"
-    )
+    angle = math.degrees(math.acos(float(np.clip(cosine, -1, 1))))
+    took = f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels"
+    evidence = f"{took}, from up to {angle:.0f} deg off the view direction"
     plain = 1.0 if reflectance.brdf == "minnaert" else 0.0
     if reflectance.specular_strength == 0 and reflectance.roughness == plain:
         return PlanStep(_CAMERAS, False, "what is found of the light looks alike from everywhere", evidence)
     return PlanStep(_CAMERAS, True, "each texel is seen from its camera", evidence)
-
-
-def _divide_harmonics(scene: LitImage) -> AlbedoEstimate:
-    """Fit spherical harmonics to each channel and divide by them."""
-    image, options, meter = scene.image, scene.options, scene.meter
-    assert image.texture_linear is not None
-    coefficients = fit_harmonic_light(image, scene.usable, options, meter)
-    shading, none = harmonic_shading(image, coefficients), np.zeros(image.shape)
-    division = divide_light(image.texture_linear, shading, none, image.mask, scene.usable)
-    step = PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")
-    return AlbedoEstimate(
-        albedo_linear=division.albedo.astype(np.float32),
-        lights=(),
-        parameters={"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()},
-        shading=np.where(image.mask[..., None], shading, 0).astype(np.float32),
-        specular=none.astype(np.float32),
-        shadow=image.mask.astype(np.float32),
-        confidence=division.confidence.astype(np.float32),
-        plan=Plan((step,)),
-        trace=meter.trace,
-        converged=not meter.exhausted,
-        iterations=meter.evaluations,
-        residual=meter.trace.rows[-1].error if len(meter.trace) else float("nan"),
-        image=image,
-        view_direction=scene.view,
-        reflectance=Reflectance("lambert"),
-        casts_shadows=True,
-        shadow_offset_mm=SHADOW_OFFSET_MM,
-        environment=environment_of_shading(coefficients),
-        expected_error=expected_error(division.deviation, None, image.mask, image.skin),
-    )

@@ -6,30 +6,33 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from scan2albedo.albedo.levels import Level, build_level
-from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.lit_image import LitImage
 from scan2albedo.albedo.soft_terms import DARKEST
+from scan2albedo.albedo.texel_light import TexelLight
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.lighting.environment_light import environment_of_shading
 from scan2albedo.lighting.harmonics import harmonics
+from scan2albedo.lighting.shading import Reflectance
 
 
-def fit_harmonic_light(
-    image: GeometryImage, usable: BoolArray, options: EstimateOptions, meter: Meter
-) -> FloatArray:
-    """Return (9, 3) coefficients of the shading of each channel, each of mean 1 over the usable texels.
+def harmonic_light(scene: LitImage) -> TexelLight:
+    """Return light as harmonics that nothing hides, of each channel's mean 1 over the usable texels.
 
-    Minimises sum rho(w (T - a_b Y c) / mean T) over c, with the block albedos a_b eliminated and rho the soft
-    L1 loss. The colours of light and albedo cannot be separated: hence the mean of 1.
+    Minimises sum rho(w (T - a_b Y c) / mean T) over each channel's coefficients c, with the block albedos a_b
+    eliminated and rho the soft L1 loss. The colours of light and albedo cannot be separated: hence the mean.
 
     .. [1] R. Basri, D. Jacobs, "Lambertian reflectance and linear subspaces", IEEE TPAMI 25(2), 2003.
     """
+    image, size = scene.image, scene.options.sizes[2]
     assert image.texture_linear is not None
-    channels = [
-        build_level(image, usable, options.sizes[2], values=image.texture_linear[..., channel])
-        for channel in range(3)
-    ]
-    return np.stack([_fit_channel(level, meter) for level in channels], 1)
+    channels = np.moveaxis(image.texture_linear, -1, 0)
+    levels = [build_level(image, scene.usable, size, channel) for channel in channels]
+    coefficients = np.stack([_fit_channel(level, scene.meter) for level in levels], 1)
+    light = np.maximum(harmonics(image.normal[image.mask], 2) @ coefficients, DARKEST)
+    nothing, environment = np.zeros_like(light), environment_of_shading(coefficients)
+    seen, deviation = np.ones(len(light)), np.zeros(len(light))
+    return TexelLight(light, nothing, seen, deviation, (), environment, Reflectance("lambert"))
 
 
 def _fit_channel(level: Level, meter: Meter) -> FloatArray:
@@ -64,11 +67,3 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
     if not meter.rows:
         meter.record(float(np.mean(np.abs(residual(free)))))
     return complete(free)
-
-
-def harmonic_shading(image: GeometryImage, coefficients: FloatArray) -> FloatArray:
-    """Return (H, W, 3) the shading of each channel, floored; 1 outside the mask."""
-    shading = np.ones((*image.shape, 3))
-    lit = harmonics(image.normal[image.mask], 2) @ coefficients
-    shading[image.mask] = np.maximum(lit, DARKEST)
-    return shading

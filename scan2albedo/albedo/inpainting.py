@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.optimization.poisson import integrate_gradients
 
-_NEIGHBOURS = 14
-_PROBES = 12
+_COMPARED = 14
+"""Neighbours of a texel that are compared, and random places where they are."""
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
 RADIUS = 40 / 512
-FLOOR = np.float32(1e-4)
-"""Albedo below this counts as this in logarithms."""
 
 
 def resynthesize(
@@ -30,24 +29,15 @@ def resynthesize(
     Non-hierarchical resynthesis [1]_: texels with most known neighbours come first; each takes the value of
     the place, among where its neighbours came from and random places within the search radius (40 texels at
     512), whose surroundings resemble its own most. Surroundings are compared in log albedo over the nearest
-    known texels by sum min(1, x), with x the squared difference over the texture's own variance.
-
-    The gradients that the copies had at their origin are then integrated inwards from the border [2]_: no
-    step is left where two copies meet, or where their level or colour differs from the border's. Far from any
-    border small errors of gradients add up: no channel gets darker or brighter than all that is known.
+    known texels by sum min(1, x), with x the squared difference over the texture's own variance. The
+    gradients that the copies had at their origin are then integrated inwards from the border [2]_: no step is
+    left where copies meet. No channel gets darker or brighter than all that is known.
 
     `albedo` (H, W, 3) is returned unchanged outside `target`, and everywhere when there is no source. Texels
     of `context` are compared with but not copied, beside the sources. ValueError when texels of `source` or
-    `context` are not finite.
+    `context` are not finite. The cost grows with the number of texels to fill. [1]_ compares 30 neighbours at
+    80 places; less is as good on skin, but on large holes in wood the joints can then be seen.
 
-    Notes
-    -----
-    The cost grows with the number of texels to fill, not with the image. [1]_ compares 30 neighbours at 80
-    places. Less is as good on skin, where blending mends small misfits, and a third of the time; on large
-    holes in wood the joints can then be seen.
-
-    References
-    ----------
     .. [1] P. Harrison, "A non-hierarchical procedure for re-synthesis of complex textures", WSCG 2001.
     .. [2] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
     """
@@ -65,7 +55,7 @@ def resynthesize(
     # With a rim of nothing known around it no index has to be checked.
     inside, copies, around = (np.pad(part[window], reach) for part in (target, origin, known))
     field = np.zeros((*inside.shape, 3), np.float32)
-    field[reach:-reach, reach:-reach] = np.log(np.maximum(albedo[window].astype(np.float32), FLOOR))
+    field[reach:-reach, reach:-reach] = np.log(np.maximum(albedo[window].astype(np.float32), FAINT))
     order = _order(inside, around)
     # Offsets of neighbours without (0, 0), the nearest first.
     offsets = np.stack([grid.ravel() for grid in np.indices((2 * reach + 1, 2 * reach + 1)) - reach], 1)
@@ -78,9 +68,8 @@ def resynthesize(
         around,
         offsets,
         np.argwhere(copies),
-        rng.integers(-radius, radius + 1, (len(order), _PROBES, 2), np.int32),
+        rng.integers(-radius, radius + 1, (len(order), _COMPARED, 2), np.int32),
         np.float32(1 / max(field[copies].var(0).mean(), 1e-6)),
-        _NEIGHBOURS,
         rng,
     )
     across, down = (copied_steps(filled, field, came_from, around, axis) for axis in (1, 0))
@@ -93,61 +82,51 @@ def resynthesize(
 
 def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:
     """Return the bounding box of `region` (not empty) with `margin` texels around it, as slices."""
-    boxes = []
-    for axis in (1, 0):
-        at = np.flatnonzero(region.any(axis))
-        boxes.append(slice(max(0, int(at[0]) - margin), int(at[-1]) + margin + 1))
-    return boxes[0], boxes[1]
+    ends = (np.flatnonzero(region.any(axis))[[0, -1]].tolist() for axis in (1, 0))
+    rows, columns = (slice(max(0, first - margin), last + margin + 1) for first, last in ends)
+    return rows, columns
 
 
-@njit(cache=True, nogil=True)
-def _order(target, known):  # type: ignore[no-untyped-def]
+def _order(target: BoolArray, known: BoolArray) -> IntArray:
     """Return (T, 2) the target's texels, those with most known neighbours first, in layers.
 
     Each layer takes the texels with at least three known neighbours (or as many as there are).
     """
-    height, width = target.shape
-    rows, columns = np.nonzero(target)
-    done = known.copy()
-    left = np.stack((rows, columns), 1)
-    count = np.empty(len(left), np.int64)
-    order = np.empty_like(left)
-    placed = 0
+    done, left, layers = known.copy(), np.argwhere(target), []
     while len(left):
-        for t in range(len(left)):
-            count[t] = 0
-            for i in range(max(0, left[t, 0] - 1), min(height, left[t, 0] + 2)):
-                for j in range(max(0, left[t, 1] - 1), min(width, left[t, 1] + 2)):
-                    count[t] += done[i, j]
-        here = count[: len(left)]
-        enough = min(3, here.max())
-        first = placed
-        for wanted in range(8, enough - 1, -1):
-            for t in range(len(left)):
-                if here[t] == wanted:
-                    order[placed] = left[t]
-                    placed += 1
-        for t in range(first, placed):
-            done[order[t, 0], order[t, 1]] = True
-        left = left[here < enough]
-    return order
+        near = left[:, None] + np.indices((3, 3)).reshape(2, -1).T - 1
+        count = done[near[..., 0], near[..., 1]].sum(1)
+        enough = count >= min(3, count.max())
+        layer = left[np.argsort(-count, kind="stable")[: enough.sum()]]
+        layers.append(layer)
+        done[tuple(layer.T)] = True
+        left = left[~enough]
+    return np.concatenate(layers)
 
 
 @njit(cache=True, nogil=True)
-def _fill(field, order, origin, context, offsets, places, jumps, precision, neighbours, rng):  # type: ignore[no-untyped-def]
+def _fill(field, order, origin, context, offsets, places, jumps, precision, rng):  # type: ignore[no-untyped-def]
     """Return `field` with the texels of `order` filled one after another, and where they came from.
 
-    The places are (H, W, 2) rows and columns, -1 where nothing was copied. `jumps` (T, P, 2) lead to the
-    random places that are tried; when none of them serves, farther ones are drawn from `rng`, and from the
-    sources' own `places` (S, 2) when even those that reach across the image miss.
+    That is (H, W, 2) rows and columns, -1 where nothing was copied. `jumps` (T, P, 2) lead to the random
+    places that are tried, P neighbours being compared; when none serves, farther ones are drawn from `rng`,
+    and from the sources' own `places` (S, 2) when even those that reach across the image miss.
     """
     height, width = origin.shape
     result, known = field.copy(), context.copy()
     came_from = np.full((height, width, 2), -1)
-    near, own = np.empty((neighbours, 2), np.int64), np.empty((neighbours, 3), np.float32)
+    near, own = np.empty((jumps.shape[1], 2), np.int64), np.empty((jumps.shape[1], 3), np.float32)
     for t in range(order.shape[0]):
         row, column = order[t, 0], order[t, 1]
-        found = _nearest_known(result, known, row, column, offsets, near, own)
+        # The nearest known texels, and their values.
+        found = 0
+        for k in range(len(offsets)):
+            i, j = row + offsets[k, 0], column + offsets[k, 1]
+            if known[i, j]:
+                near[found], own[found] = offsets[k], result[i, j]
+                found += 1
+                if found == len(near):
+                    break
         best, best_row, best_column = np.float32(np.inf), -1, -1
         attempt, probes, reach = 0, jumps.shape[1], 2
         while attempt < found + probes or best_row < 0:
@@ -166,54 +145,27 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, neig
                 i, j = places[int(rng.integers(0, len(places)))]
             else:
                 reach = min(2 * reach, height + width)
-                i, j = (
-                    row + int(rng.integers(-reach, reach + 1)),
-                    column + int(rng.integers(-reach, reach + 1)),
-                )
+                i = row + int(rng.integers(-reach, reach + 1))
+                j = column + int(rng.integers(-reach, reach + 1))
             if not (0 <= i < height and 0 <= j < width and origin[i, j]):
                 continue
-            distance = _distance(field, context, i, j, near[:found], own, precision, best)
+            # How much the surroundings differ; the sum ends when it reaches the best one.
+            distance = np.float32(0)
+            for k in range(found):
+                a, b, apart = i + near[k, 0], j + near[k, 1], np.float32(1)
+                if context[a, b]:
+                    red, green = own[k, 0] - field[a, b, 0], own[k, 1] - field[a, b, 1]
+                    blue = own[k, 2] - field[a, b, 2]
+                    apart = min(apart, precision * (red * red + green * green + blue * blue))
+                distance += apart
+                if distance >= best:
+                    break
             if distance < best:
                 best, best_row, best_column = distance, i, j
-        for c in range(3):
-            result[row, column, c] = field[best_row, best_column, c]
-        came_from[row, column, 0], came_from[row, column, 1] = best_row, best_column
+        result[row, column] = field[best_row, best_column]
+        came_from[row, column] = best_row, best_column
         known[row, column] = True
     return result, came_from
-
-
-@njit(cache=True, nogil=True)
-def _nearest_known(field, known, row, column, offsets, near, own):  # type: ignore[no-untyped-def]
-    """Put offsets `near` (N, 2) and values `own` (N, 3) of the nearest known texels; return their number."""
-    found = 0
-    for k in range(offsets.shape[0]):
-        i, j = row + offsets[k, 0], column + offsets[k, 1]
-        if known[i, j]:
-            near[found, 0], near[found, 1] = offsets[k, 0], offsets[k, 1]
-            for c in range(3):
-                own[found, c] = field[i, j, c]
-            found += 1
-            if found == len(near):
-                break
-    return found
-
-
-@njit(cache=True, nogil=True)
-def _distance(field, context, i, j, near, own, precision, enough):  # type: ignore[no-untyped-def]
-    """Return how much the surroundings of (i, j) differ from `own`; the sum ends when it reaches `enough`."""
-    distance = np.float32(0)
-    for k in range(len(near)):
-        a, b = i + near[k, 0], j + near[k, 1]
-        if context[a, b]:
-            red, green = own[k, 0] - field[a, b, 0], own[k, 1] - field[a, b, 1]
-            blue = own[k, 2] - field[a, b, 2]
-            square = precision * (red * red + green * green + blue * blue)
-            distance += min(np.float32(1), square)
-        else:
-            distance += np.float32(1)
-        if distance >= enough:
-            break
-    return distance
 
 
 def copied_steps(
@@ -231,8 +183,8 @@ def copied_steps(
     steps, both = np.zeros_like(own), np.ones(own.shape[:2], bool)
     for end, before in ((back, 1), (front, 0)):
         place = came_from[end].copy()
-        both &= place[..., 0] >= 0
         good = place[..., 0] >= 0
+        both &= good
         place[..., axis] -= before
         good &= pairs[place[..., 0], place[..., 1]]
         steps[good] = there[place[good][:, 0], place[good][:, 1]]

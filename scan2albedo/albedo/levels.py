@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
 from scan2albedo.lighting.interreflection import SMALLEST_MM, surface_keys
 
-BLOCK_AREA = 0.125
+_BLOCK_AREA = 0.125
 """Area of a block of constant albedo as a part of the chart's: larger than the texture's grain."""
 _NOT_SKIN = 0.25
 """Weight of what is not skin: without any, nothing is known of the light below a beard."""
@@ -27,16 +26,15 @@ _NOT_SKIN = 0.25
 
 @dataclass(frozen=True)
 class Level:
-    """N cells of the image at one size; `weight` (N,) is the usable part of a cell's texels times their
-    mean skin.
+    """N cells of the image at one size.
 
-    `position`, `normal` and `toward`, the direction to the camera, (N, 3) are weighted means, directions of
-    unit length again. `anchor` (N, 3) is one texel's position, where shadow rays start: it lies on the
-    surface, as the mean need not. `value` (N,) and `color` (N, 3) are the mean V and colour of the linear
-    texture divided by `unit`, the median V of the usable texels, also the unit of the highlight's strength.
-    `scale` (N,) is the annotated strength of highlights. `cell` (N, 2) is row and column among the cells,
-    `center` (N, 2) their mean among the texels. `texels` counts those of the whole chart; `factor` is the
-    side of a cell in texels.
+    `position`, `normal` and `toward`, the direction to the camera, (N, 3) are means, directions of unit
+    length again. `anchor` (N, 3) is a texel's position, where shadow rays start: it lies on the surface, as
+    the mean need not. `value` (N,) and `color` (N, 3) are the mean V and colour of the linear texture divided
+    by `unit`, the median V of the usable texels, also the unit of the highlight's strength. `weight` (N,) is
+    the usable part of a cell's texels times their mean skin, `scale` (N,) the annotated strength of
+    highlights. `cell` (N, 2) is row and column among the cells, `center` (N, 2) their mean among the texels.
+    `texels` counts those of the whole chart; `factor` is the side of a cell in texels.
     """
 
     position: FloatArray
@@ -53,49 +51,30 @@ class Level:
     texels: int
     factor: int
 
-    def blocks(
-        self, area: float = BLOCK_AREA, shifts: Sequence[tuple[float, float]] = ((0.0, 0.0), (0.5, 0.5))
-    ) -> tuple[NDArray[np.int32], int]:
-        """Return (S, N) the block of each cell in S overlapping partitions, and how many blocks there are.
+    def blocks(self) -> tuple[NDArray[np.int32], int]:
+        """Return (2, N) the block of each cell in two partitions, and how many blocks there are.
 
-        Blocks are squares whose area is a part `area` of the chart's; each of `shifts` moves them by parts of
-        their side, by row and column.
+        Blocks are squares; those of the second partition are moved by half a side along both axes.
         """
-        side, low = math.sqrt(area * self.texels), self.center.min(0)
+        side, low = math.sqrt(_BLOCK_AREA * self.texels), self.center.min(0)
         found, total = [], 0
-        for shift in shifts:
-            row, column = (np.floor((self.center - low) / side + np.asarray(shift)).astype(np.int64)).T
+        for shift in (0.0, 0.5):
+            row, column = (np.floor((self.center - low) / side + shift).astype(np.int64)).T
             _, index = np.unique(row * 100_000 + column, return_inverse=True)
             found.append(index + total)
             total += int(index.max()) + 1
         return np.stack(found).astype(np.int32), total
 
 
-def value_channel(texture_linear: NDArray[np.floating]) -> FloatArray:
-    """Return (H, W) V of HSV: the largest of the three channels."""
-    red, green, blue = np.moveaxis(texture_linear, -1, 0)
-    return np.maximum(np.maximum(red, green), blue).astype(np.float64)
-
-
 def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> FloatArray:
-    """Return (H, W) the channel that is the brightest on average around each texel.
-
-    V itself is the largest of three noisy channels, and so brighter than the surface, most where the channels
-    are alike and the light is poor. Choosing by averages avoids that.
-    """
-    known = usable[..., None] * texture_linear
-    chosen = uniform_filter(known, (WINDOW, WINDOW, 1)).argmax(-1)
+    """Return (H, W) the channel that is the brightest on average around each texel: V, but for its noise."""
+    chosen = uniform_filter(usable[..., None] * texture_linear, (WINDOW, WINDOW, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
-
-
-def known_normals(image: GeometryImage) -> BoolArray:
-    """Return (H, W) where the normal is known: not 0."""
-    return np.asarray(lengths(image.normal) > 0.5)
 
 
 def with_every_normal(image: GeometryImage) -> GeometryImage:
     """Return the image with normals that are not known (0) taken from the nearest texel that has one."""
-    known = known_normals(image)
+    known = lengths(image.normal) > 0.5
     if known[image.mask].all():
         return image
     nearest = distance_transform_edt(~(known & image.mask), return_distances=False, return_indices=True)
@@ -105,8 +84,8 @@ def with_every_normal(image: GeometryImage) -> GeometryImage:
 def usable_texels(image: GeometryImage) -> BoolArray:
     """Return (H, W) texels that the search may trust: seen, neither black nor clipped, with a normal.
 
-    LightingError when there is no texture, or fewer than `MINIMAL_TEXELS` such texels; says why.
-    GeometryImageError for normals of another length than 1, or 0 where none is known.
+    LightingError without a texture, or with fewer than `MINIMAL_TEXELS` such texels; GeometryImageError for
+    normals of another length than 1, or 0 where none is known.
     """
     if image.texture_linear is None:
         raise LightingError(
@@ -115,13 +94,12 @@ def usable_texels(image: GeometryImage) -> BoolArray:
     if not image.mask.any():
         raise LightingError("the mask of the geometry image is empty: there is no surface to light")
     image.check_normals()
-    seen = image.seen
-    value = value_channel(image.texture_linear)
-    black = value <= 0
-    clipped = value >= SATURATION_LINEAR
-    usable = seen & ~black & ~clipped & known_normals(image)
+    seen, (red, green, blue) = image.seen, np.moveaxis(image.texture_linear, -1, 0)
+    value = np.maximum(np.maximum(red, green), blue)
+    black, clipped = value <= 0, value >= SATURATION_LINEAR
+    with_normal = seen & (lengths(image.normal) > 0.5)
+    usable = with_normal & ~black & ~clipped
     if int(usable.sum()) < MINIMAL_TEXELS:
-        with_normal = known_normals(image) & seen
         raise LightingError(
             f"only {int(usable.sum())} of {int(image.mask.sum())} texels can be used to find the light "
             f"(seen {int(seen.sum())}, of these black {int((seen & black).sum())}, "
@@ -213,8 +191,8 @@ def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:
 def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> FloatArray:
     """Return (P, C) `values` (N, C) of the cells on the P masked texels, from four cells near each.
 
-    Of the cells beside it in the chart, they are the closest by place and normal, as in `SurfaceLookup`: no
-    value leaks over a fold, or a cut of the chart.
+    Of the cells beside it in the chart, they are the closest by `surface_keys`: no value leaks over a fold,
+    or a cut of the chart.
     """
     mask, found = image.mask, np.empty((int(image.mask.sum()), values.shape[1]))
     texels = surface_keys(image.position[mask], image.normal[mask])

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag, cho_factor
 
 from scan2albedo.albedo.light_parameters import HARMONICS
 from scan2albedo.albedo.node_field import inverse, posterior_factor, solved
-from scan2albedo.albedo.posterior import DARK, EXTRA, NOISE, Point, Posterior, cell_trust, robust_weights
+from scan2albedo.albedo.posterior import EXTRA, NOISE, Point, Posterior, cell_trust, robust_weights
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.plan import PlanStep
@@ -184,10 +184,10 @@ class _Ratio:
     def __init__(self, point: Point, channel: int, signs: FloatArray) -> None:
         p, level = point.problem, point.problem.level
         value, leading = level.color[:, channel], level.color[:, p.lead]
-        least = DARK * np.median(leading)
+        least = NOISE * np.median(leading)
         self.log = np.log(np.maximum(value, least) / np.maximum(leading, least))
         self.mean = p.prior.mean_at(p.places)[:, 1:] @ signs
-        dark = DARK * np.median(value) / np.maximum(value, least)
+        dark = NOISE * np.median(value) / np.maximum(value, least)
         grain = p.prior.deviation_at(p.places)[:, 1:] ** 2 @ signs**2
         self.variance = (grain + NOISE**2 + dark**2) / cell_trust(level)
         fields = [s**2 * p.field.of_used(p.prior.covariance(n)) for n, s in enumerate(signs, 1)]

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.shading import Reflectance, light_from_direction
@@ -20,33 +19,26 @@ HARMONICS = 8
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One state of the light: what `shade` needs, in its units."""
+    """One state of the light: `rows` (L, 5) of direction, 1/distance, intensity; one radius for all lamps."""
 
     rows: FloatArray
-    """(L, 5) direction, 1/distance, intensity."""
     reflectance: Reflectance
     radius_deg: float = 0.0
-    """Angular radius of each light."""
 
     def lights(self) -> tuple[PointLight, ...]:
         """Return the lights, strongest first."""
-        order = np.argsort(-self.rows[:, 4], kind="stable")
-        return tuple(
-            replace(
-                light_from_direction(row[:3], float(1 / row[3]) if row[3] > 0 else math.inf, row[4]),
-                radius_deg=self.radius_deg,
-            )
-            for row in self.rows[order]
-        )
+        order, found = np.argsort(-self.rows[:, 4], kind="stable"), list[PointLight]()
+        for row in self.rows[order]:
+            lamp = light_from_direction(row[:3], float(1 / row[3]) if row[3] > 0 else math.inf, row[4])
+            found.append(replace(lamp, radius_deg=self.radius_deg))
+        return tuple(found)
 
 
 @dataclass(frozen=True)
 class SoftState:
-    """Soft light relative to ambient light of 1; the paper's constant one by default.
+    """Soft light relative to ambient light of 1, of which the part `fill` reaches hidden places.
 
-    `fill` is what of the ambient light reaches hidden places (1: all of it, none is occluded), `bounce` the
-    mean albedo by which the surface lights itself, `harmonics` (8,) the environment's coefficients of
-    Y_k / Y_0.
+    `bounce` is the mean albedo by which the surface lights itself, `harmonics` (8,) the environment's.
     """
 
     fill: float
@@ -60,11 +52,10 @@ class LightModel:
 
     x = [p_x, p_y, log intensity] of each lamp, then, where free, radius/distance, roughness, (specular
     strength, log exponent), fill, bounce, eight harmonics. p is the direction in exponential coordinates
-    around the direction `view`: |p| is the angle from it. That has no pole among the directions that light a
-    face. `radius_mm`, the largest distance of the surface from the origin, is the unit of the lamps' common
-    distance. `near`, `rough`, `specular` free the distance, the roughness, the highlight; `occlusion`,
-    `bounce`, `environment` what `SoftTerms` says of soft light. Without lamps the first three mean nothing
-    and take no parameter.
+    around `view`, |p| the angle from it: without a pole among the directions that light a face. `radius_mm`,
+    the largest distance of the surface from the origin, is the unit of the lamps' common distance. `near`,
+    `rough`, `specular` free the distance, the roughness, the highlight, where there are lamps; `occlusion`,
+    `bounce`, `environment` what `SoftTerms` says of soft light.
     """
 
     lights: int
@@ -81,10 +72,7 @@ class LightModel:
 
     @cached_property
     def _tail(self) -> dict[str, tuple[float, float, float, float]]:
-        """Return start, lower, upper bound and first step of the parameters after the lights, by name.
-
-        A part's first parameter has its name.
-        """
+        """Start, bounds and first step of the parameters after the lights; a part's first has its name."""
         rows = {}
         if self.near and self.lights:
             rows["near"] = 0.1, 0.0, 0.6, 0.1
@@ -188,10 +176,6 @@ class LightModel:
         """Return whether a part is free: of lamps only where there is one."""
         return part in self._tail
 
-    def with_part(self, part: str, free: bool = True) -> LightModel:
-        """Return the model with a part free, or fixed at its plain value."""
-        return replace(self, **{part: free})  # type: ignore[arg-type]
-
     def extend(self, x: FloatArray, other: LightModel) -> FloatArray:
         """Return x of `other`, which has the same lights and more or fewer free parts, at the same state."""
         mine = self._values(x)
@@ -224,12 +208,3 @@ PARTS = {
 """Stages of the optional parts, by the name of their field of `LightModel`."""
 SOFT_PARTS = "occlusion", "bounce", "environment"
 """Those that need no lamp."""
-
-
-def allowed_parts(brdf: str, options: EstimateOptions) -> list[str]:
-    """Return the parts that neither caller nor reflectance leaves out."""
-    return [
-        name
-        for name, stage in PARTS.items()
-        if options.choice(stage) is not False and not (name == "rough" and brdf == "lambert")
-    ]

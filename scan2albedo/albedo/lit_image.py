@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -9,9 +10,9 @@ import numpy as np
 
 from scan2albedo.albedo.levels import Level, brightest_around, build_level, cell_means
 from scan2albedo.albedo.light_colour import LightColours
-from scan2albedo.albedo.light_parameters import LightModel, Solution
+from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
 from scan2albedo.albedo.node_field import NodeField
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
+from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.posterior import Point, Posterior
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.shadows import Horizon, ShadowLattice, shadow_caster
@@ -23,9 +24,10 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.environment_light import shadowed_transfer, sky_table
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.environment_light import SKY, shadowed_transfer
 from scan2albedo.lighting.interreflection import Patches
-from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
+from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 
 CONE_RAD = 1.92
 """Half angle around the view direction in which lights are sought: a little behind the face."""
@@ -37,10 +39,9 @@ _LEAST_RESIDUAL = 1e-3
 
 @dataclass(frozen=True)
 class Explanation:
-    """The best explanation, its colours, and what all of them together say.
+    """The best explanation, its colours, and, on the N cells of `level`, what all of them together say.
 
-    `shift` (N, 3) is what their mean log light adds to the best one's on the cells of `level`, `spread` (N,)
-    their standard deviation.
+    `shift` (N, 3) is what their mean log light adds to the best one's, `spread` (N,) their deviation.
     """
 
     best: Point
@@ -52,25 +53,17 @@ class Explanation:
 
 @dataclass(frozen=True)
 class LightFound:
-    """The best solution, the unit of its highlight's strength, the plan's rows, and what casts shadows.
-
-    The paper's search neither says how sure the light is nor how it was explained.
-    """
+    """The best solution, the plan's rows, and, but for the paper's search, how sure it is and why."""
 
     solution: Solution
-    unit: float
     steps: list[PlanStep]
-    caster: RayCaster | None
     uncertainty: LightUncertainty | None = None
     explanation: Explanation | None = None
 
 
 @dataclass(frozen=True)
 class LitImage:
-    """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer.
-
-    Texels whose camera is known have a view direction of their own.
-    """
+    """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer."""
 
     image: GeometryImage
     usable: BoolArray
@@ -79,22 +72,32 @@ class LitImage:
     options: EstimateOptions
     meter: Meter
     prior: AlbedoPrior
-    _levels: dict[int, Level] = field(default_factory=dict, init=False, repr=False)
-    _soft: dict[int, SoftTerms] = field(default_factory=dict, init=False, repr=False)
-    _cell_places: dict[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
-    _lattices: dict[int, ShadowLattice] = field(default_factory=dict, init=False, repr=False)
-    _horizons: dict[int, Horizon] = field(default_factory=dict, init=False, repr=False)
+    _sized: dict[int, SizedImage] = field(default_factory=dict, init=False, repr=False)
 
-    def model(self, lights: int) -> LightModel:
-        """Return the plain model of so many lights."""
+    def model(self, lights: int, parts: Iterable[str] = ()) -> LightModel:
+        """Return the model of so many lights, with `parts` but for those that caller or surface leave out."""
+        left_out = {part for part in parts if self.options.choice(PARTS[part]) is False}
+        if self.brdf == "lambert":
+            left_out.add("rough")
+        if parts and self.shadows[0] is None:
+            left_out |= {"occlusion", "bounce"}
         radius = float(lengths(self.image.position)[self.image.mask].max()) or 1.0
-        return LightModel(lights, self.brdf, self.view, radius)
+        free = dict.fromkeys(set(parts) - left_out, True)
+        return LightModel(lights, self.brdf, self.view, radius, **free)
 
-    def level(self, size: int) -> Level:
+    def at(self, size: int) -> SizedImage:
         """Return the image with `size` cells along its longer side; known ones are kept."""
-        if size not in self._levels:
-            self._levels[size] = build_level(self.image, self.usable, size, self.value, self.view)
-        return self._levels[size]
+        if size not in self._sized:
+            self._sized[size] = SizedImage(self, size)
+        return self._sized[size]
+
+    def posterior(self, size: int, blur: float = 0.0) -> Posterior:
+        """Return the posterior of `size` cells, with outlines blurred by a part of the chart's side."""
+        cells = self.at(size)
+        if blur not in cells.posteriors:
+            parts = cells.level, cells.places, cells.lattice, cells.soft
+            cells.posteriors[blur] = Posterior(*parts, self.nodes, self.meter, blur)
+        return cells.posteriors[blur]
 
     @cached_property
     def places(self) -> FloatArray:
@@ -104,87 +107,83 @@ class LitImage:
             return chart[mask].astype(np.float64)
         return (np.argwhere(mask) + 0.5) / np.asarray(mask.shape)
 
-    def cell_places(self, level: Level) -> FloatArray:
-        """Return (N, 2) where on the prior's chart the cells of a level lie; known ones are kept."""
-        if level.factor not in self._cell_places:
-            means = [cell_means(level, along, self.image.mask) for along in self.places.T]
-            self._cell_places[level.factor] = np.stack(means, 1)
-        return self._cell_places[level.factor]
-
     @cached_property
     def nodes(self) -> NodeField:
         """What is known at the nodes of the prior."""
-        level = self.level(self.options.sizes[1])
-        return NodeField(self.prior, level, self.cell_places(level))
-
-    def posterior(self, size: int, blur: float = 0.0) -> Posterior:
-        """Return the posterior of `size` cells, with outlines blurred by a part of the chart's side."""
-        level = self.level(size)
-        terms = self.lattice(level), self.soft(level)
-        return Posterior(level, self.cell_places(level), *terms, self.nodes, self.meter, blur)
-
-    def lattice(self, level: Level) -> ShadowLattice:
-        """Return the cast shadows of a level; known ones are kept."""
-        if level.factor not in self._lattices:
-            horizon = self._horizons.get(level.factor)
-            above = None if horizon is None else horizon.at(level.center)
-            self._lattices[level.factor] = ShadowLattice(level, self.shadows[0], SHADOW_OFFSET_MM, above)
-        return self._lattices[level.factor]
-
-    def soft(self, level: Level) -> SoftTerms:
-        """Return what soft light needs to know of a level; known ones are kept."""
-        if level.factor in self._soft:
-            return self._soft[level.factor]
-        caster, patches = self.shadows[0], self._patches
-        bounce = None if patches is None else patches.seen_from(level.anchor, level.normal)
-        surface = level.anchor, level.normal, SHADOW_OFFSET_MM
-        if caster is None:
-            self._soft[level.factor] = SoftTerms(shadowed_transfer(ShadowMap(caster, *surface)), bounce)
-            return self._soft[level.factor]
-        above, middle = None, self.level(self.options.sizes[1])
-        if level.factor < middle.factor:
-            self.soft(middle)
-            above = self._horizons[middle.factor].at(level.center)
-        shadows = ShadowMap(caster, *surface, above)
-        sky = sky_table(shadows)
-        self._horizons[level.factor] = Horizon(level, sky)
-        self._soft[level.factor] = SoftTerms(shadowed_transfer(shadows, sky), bounce)
-        return self._soft[level.factor]
-
-    def open_above(self) -> FloatArray | None:
-        """Return (P,) the cosine above which nothing hides a light from each masked texel, where known."""
-        if not self._horizons:
-            return None
-        return self._horizons[min(self._horizons)].at(np.argwhere(self.image.mask))
+        middle = self.at(self.options.sizes[1])
+        return NodeField(self.prior, middle.level, middle.places)
 
     @cached_property
-    def _patches(self) -> Patches | None:
+    def patches(self) -> Patches | None:
+        """What throws light onto the surface, where anything casts shadows."""
         caster, image, mask = self.shadows[0], self.image, self.image.mask
         if caster is None:
             return None
         surface = image.position[mask], image.normal[mask].astype(np.float64)
-        return Patches.among(ShadowMap(caster, *surface, SHADOW_OFFSET_MM))
+        return Patches.among(ShadowMap(caster, *surface))
 
     @cached_property
     def directions(self) -> FloatArray:
         """The directions that are tried, those nearest to where the shading grows first."""
         every = cone_directions(_DIRECTIONS, self.view, CONE_RAD)
-        return nearest_first(every, shading_direction(self._smallest))
+        toward = shading_direction(self.at(self.options.sizes[0]).level)
+        return every[np.argsort(-(every @ toward), kind="stable")]
 
     @cached_property
     def shadows(self) -> tuple[RayCaster | None, PlanStep]:
         """What casts shadows, and the plan's row."""
-        return shadow_caster(self.image, self._smallest, self.directions, self.options, self.meter)
-
-    @property
-    def _smallest(self) -> Level:
-        return self.level(self.options.sizes[0])
+        level = self.at(self.options.sizes[0]).level
+        return shadow_caster(self.image, level, self.directions, self.options, self.meter)
 
     @cached_property
     def value(self) -> FloatArray:
         """(H, W) the channel that is the brightest around each texel."""
         assert self.image.texture_linear is not None
         return brightest_around(self.image.texture_linear, self.usable)
+
+
+class SizedImage:
+    """The N cells of an image at one size, and what a search needs to know of them, made when asked for."""
+
+    def __init__(self, scene: LitImage, size: int) -> None:
+        self.scene, self.posteriors = scene, dict[float, Posterior]()
+        self.level = build_level(scene.image, scene.usable, size, scene.value, scene.view)
+
+    @cached_property
+    def places(self) -> FloatArray:
+        """(N, 2) where on the prior's chart the cells lie."""
+        mask, places = self.scene.image.mask, self.scene.places
+        return np.stack([cell_means(self.level, along, mask) for along in places.T], 1)
+
+    @cached_property
+    def lattice(self) -> ShadowLattice:
+        """Their cast shadows."""
+        return ShadowLattice(self.level, self.scene.shadows[0], ShadowMap.offset_mm)
+
+    @cached_property
+    def _shadows(self) -> ShadowMap:
+        """Exact rays; finer cells know from those of the middle size where none is needed."""
+        scene, level, above = self.scene, self.level, None
+        middle = scene.at(scene.options.sizes[1])
+        if scene.shadows[0] is not None and level.factor < middle.level.factor:
+            above = middle.horizon.at(level.center)
+        return ShadowMap(scene.shadows[0], level.anchor, level.normal, open_above=above)
+
+    @cached_property
+    def _sky(self) -> VisibilityTable:
+        return self._shadows.table(distant_directions(SKY))
+
+    @cached_property
+    def horizon(self) -> Horizon:
+        """Above which no light is hidden from them."""
+        return Horizon(self.level, self._sky)
+
+    @cached_property
+    def soft(self) -> SoftTerms:
+        """What soft light does to them."""
+        level, patches = self.level, self.scene.patches
+        bounce = None if patches is None else patches.seen_from(level.anchor, level.normal)
+        return SoftTerms(shadowed_transfer(self._shadows, self._sky), bounce)
 
 
 def shading_direction(level: Level) -> FloatArray:
@@ -203,12 +202,3 @@ def shading_direction(level: Level) -> FloatArray:
         weight = level.weight / np.maximum(np.abs(basis @ found - level.value), _LEAST_RESIDUAL)
     length = float(np.linalg.norm(found[1:]))
     return found[1:] / length if length > _LEAST_RESIDUAL else np.array([0.0, 0.0, 1.0])
-
-
-def nearest_first(directions: FloatArray, toward: FloatArray) -> FloatArray:
-    """Return the directions (D, 3), those nearest to `toward` first.
-
-    >>> nearest_first(np.eye(3), np.array([0.0, 1.0, 0.0]))[0]
-    array([0., 1., 0.])
-    """
-    return directions[np.argsort(-(directions @ toward), kind="stable")]

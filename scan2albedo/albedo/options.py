@@ -23,9 +23,8 @@ to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient
 off the surface, an environment in spherical harmonics, colours of the light's parts, repair of saturated
 texels. Parts of the light that are not skipped are always in the model, as far as their priors allow."""
 
-MINIMAL_TEXELS, SATURATION_LINEAR, SHADOW_OFFSET_MM = 64, 0.995, 0.2
-"""Fewer usable texels are an error; texels at or above this value are clipped: no weight, and candidates for
-inpainting; shadow rays start this far along the normal."""
+MINIMAL_TEXELS, SATURATION_LINEAR = 64, 0.995
+"""Fewer usable texels are an error; texels at or above this value are clipped."""
 OBJECTIVES = ("residual", "albedo-deviation")
 
 
@@ -35,8 +34,7 @@ class EstimateOptions:
 
     objective: str = "residual"
     """"residual": the posterior of light and albedo; "albedo-deviation": the search of Toderici et al.,
-    section 3.2, which anneals the deviation of the albedo from its block means, and knows neither soft,
-    bounced nor coloured light."""
+    section 3.2, which knows neither soft, bounced nor coloured light."""
     sizes: tuple[int, ...] = ()
     """Longer sides, in cells, of three images: where starts are compared, the model is chosen, and the light
     is refined. Cells of the third say what the surface hides of soft light. When empty, the objective's."""
@@ -58,10 +56,8 @@ class EstimateOptions:
             object.__setattr__(self, "sizes", (32, 64, 128) if paper else (22, 32, 86))
         if not 1 <= self.maximal_lights <= 4:
             raise ValueError(f"maximal_lights is {self.maximal_lights}, expected 1 to 4")
-        if len(self.sizes) != 3:
-            raise ValueError(f"sizes is {self.sizes}, expected three numbers of cells")
-        if min(self.sizes) < 1:
-            raise ValueError(f"sizes is {min(self.sizes)}, expected 1 or more")
+        if len(self.sizes) != 3 or min(self.sizes) < 1:
+            raise ValueError(f"sizes is {self.sizes}, expected three numbers of cells, 1 or more each")
         for name in (*self.skip, *self.force):
             if name not in OPTIONAL_STEPS:
                 raise ValueError(f"{name!r} is not an optional step; these are {', '.join(OPTIONAL_STEPS)}")

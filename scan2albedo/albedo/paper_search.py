@@ -10,9 +10,8 @@ from numba import njit
 from scipy.optimize import minimize
 
 from scan2albedo.albedo.levels import Level
-from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution, allowed_parts
+from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.shading import shade_rows
@@ -31,7 +30,7 @@ _LIGHT_GAIN, _LIGHT_SHARE = 0.04, 0.1
 def albedo_deviation(value, weight, light, specular, blocks, block_count):  # type: ignore[no-untyped-def]
     """Return sum w |A - mean_b A| / sum w A with A = (T - I_s) / I: the paper's objective, normalised.
 
-    Without the division by sum w A it falls as the lights grow stronger. `blocks` (S, N) are S partitions.
+    Without the division it falls as the lights grow stronger. `blocks` (S, N) are S partitions.
     """
     mean, mass = np.zeros(block_count), np.zeros(block_count)
     cost, total = 0.0, 0.0
@@ -60,8 +59,7 @@ class DeviationProblem:
     def __init__(self, scene: LitImage, level: Level) -> None:
         self._level, self._view, self.meter = level, np.asarray(scene.view), scene.meter
         self._blocks, self._count = level.blocks()
-        surface = scene.shadows[0], level.anchor, level.normal
-        self._shadows = ShadowMap(*surface, SHADOW_OFFSET_MM)
+        self._shadows = ShadowMap(scene.shadows[0], level.anchor, level.normal)
 
     @cached_property
     def _table(self) -> VisibilityTable:
@@ -82,10 +80,8 @@ class DeviationProblem:
 def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     """Anneal the paper's objective, all parts of the model free; `lights` None adds lights while they pay."""
     meter, options = scene.meter, scene.options
-    middle, largest = (DeviationProblem(scene, scene.level(size)) for size in options.sizes[1:])
-    model = scene.model(1)
-    for name in set(allowed_parts(scene.brdf, options)) & {"near", "rough", "specular"}:
-        model = model.with_part(name)
+    middle, largest = (DeviationProblem(scene, scene.at(size).level) for size in options.sizes[1:])
+    model = scene.model(1, ("near", "rough", "specular"))
     best = _annealed(middle, model, model.from_lights(scene.directions[:1], np.ones(1)), seed)
     meter.record(largest.cost(best.model, best.x, rays=True))
     reason, evidence = "one light", "no second one tried"
@@ -107,12 +103,11 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     best = _polished(largest, best, 2 * _POLISH)
     asked = reason if lights is None else f"{lights} asked for"
     steps = [scene.shadows[1], PlanStep("albedo.lights", True, asked, evidence)]
-    why = "part of the paper's model"
     for name, stage in PARTS.items():
-        left_out = options.choice(stage) is False
-        steps.append(PlanStep(stage, model.has(name), "left out by the caller" if left_out else why))
+        why = "left out by the caller" if options.choice(stage) is False else "part of the paper's model"
+        steps.append(PlanStep(stage, model.has(name), why))
     meter.record(best.cost)
-    return LightFound(best, scene.level(options.sizes[2]).unit, steps, scene.shadows[0])
+    return LightFound(best, steps)
 
 
 def _annealed(problem: DeviationProblem, model: LightModel, x: FloatArray, seed: int) -> Solution:

@@ -42,11 +42,9 @@ farther than texture does."""
 _ALBEDOS = 0.1, 0.8
 """Of skin, dark and pale, in red."""
 NOISE = 0.02
-"""Relative noise of a cell: that of pictures of 8 bits."""
+"""Relative noise of a cell, that of pictures of 8 bits: below this part of the median V says nothing."""
 _LEAST_GRAIN = 0.1
 """Scale of grain at which cells are as noisy as rounding to 8 bits makes texels."""
-DARK = 0.02
-"""Parts of the median below which brightness says nothing."""
 _MISFIT_SD = 0.7
 """Standard deviation of the log of two scales that the image itself tells: how far this person is from the
 prior, and how rough."""
@@ -93,7 +91,7 @@ class Posterior:
         color = np.average(level.color, axis=0, weights=level.weight)
         self.lead, (red, green, _) = int(np.argmax(color)), color
         offset, slope, self.level_sd = self.prior.level
-        level_here = offset + slope * math.log(max(green, DARK) / max(red, DARK))
+        level_here = offset + slope * math.log(max(green, NOISE) / max(red, NOISE))
         self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
 
     def started(self, scales: Scales) -> Start:

@@ -23,7 +23,7 @@ NODES, MEANS = 16, 64
 at the cells' centres, row 0 at v = 1. Finer nodes explain heads left out better (32: by 0.6 nats a cell), but
 their factorisations cost NODES^6."""
 
-_SPREADS, _LENGTH, _DEVIATIONS, _LEVEL = (0.25, 0.1, 0.1), 0.1, (0.03, 0.02, 0.02), (0.4, 0.3)
+SPREADS, _LENGTH, _DEVIATIONS, _LEVEL = (0.25, 0.1, 0.1), 0.1, (0.03, 0.02, 0.02), (0.4, 0.3)
 """Of a surface that may be anything, by channel: standard deviations of log colour over it, their correlation
 length in sides of the chart, those of single texels, and the mean albedo with its relative deviation."""
 
@@ -93,30 +93,23 @@ class AlbedoPrior:
         return cls.stationary() if name in ("auto", "stationary") else cls.load(name)
 
     @classmethod
-    def stationary(
-        cls, spread: float = _SPREADS[0], length: float = _LENGTH, deviation: float = _DEVIATIONS[0]
-    ) -> Self:
-        """Return a prior of surfaces of which nothing is known: alike at all places, of any colour.
-
-        `spread` and `deviation` are those of log(red); colours vary less than brightness on most surfaces.
-        """
-        chroma = _SPREADS[1:]
+    def stationary(cls) -> Self:
+        """Return a prior of surfaces of which nothing is known: alike at all places, of any colour."""
         return cls(
             mean=np.zeros((MEANS, MEANS, 3)),
-            deviation=np.tile([deviation, *_DEVIATIONS[1:]], (MEANS, MEANS, 1)),
+            deviation=np.tile(_DEVIATIONS, (MEANS, MEANS, 1)),
             modes=np.zeros((3, 0, NODES, NODES)),
-            spread=np.array([spread, *chroma])[:, None, None] * np.ones((NODES, NODES)),
+            spread=np.array(SPREADS)[:, None, None] * np.ones((NODES, NODES)),
             shrinkage=0.0,
-            length=length,
+            length=_LENGTH,
             level=(float(np.log(_LEVEL[0])), 0.0, _LEVEL[1]),
-            # Nothing is known of these.
             chroma=np.vstack([np.zeros(2), 100 * np.eye(2)]),
             face=False,
         )
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a prior that `save` wrote; raises `LightingError`, naming the file, for anything else."""
+        """Read a prior that `save` wrote; `LightingError` for anything else."""
         what, advice = "albedo prior", "give a file that tools/fit_albedo_prior.py wrote"
         found: dict[str, Any] = read_npz(path, tuple(_SHAPES), what=what, advice=advice, error=LightingError)
         for name, shape in _SHAPES.items():

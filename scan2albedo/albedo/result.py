@@ -57,7 +57,7 @@ class AlbedoEstimate:
     """How the surface reflects."""
     casts_shadows: bool
     """Whether shadow rays were used."""
-    shadow_offset_mm: float
+    shadow_offset_mm: float = ShadowMap.offset_mm
     """Of the shadow rays."""
     uncertainty: LightUncertainty | None = None
     """How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended."""
@@ -66,9 +66,8 @@ class AlbedoEstimate:
     environment: EnvironmentLight | None = None
     """The soft light; None is the constant white ambient light of 1."""
     expected_error: NDArray[np.float32] | None = None
-    """(H, W): relative error of the albedo that two texels in three stay below, best scale removed: from the
-    noise that is left, the light's uncertainty where it is known, and what path-traced faces err by besides;
-    1 where nothing was measured."""
+    """(H, W): relative error of the albedo that two texels in three stay below, best scale removed; 1 where
+    nothing was measured (`uncertainty.expected_error`)."""
 
     def relit(
         self, lights: Sequence[PointLight], environment: EnvironmentLight | None = None
@@ -76,22 +75,14 @@ class AlbedoEstimate:
         """Return (H, W, 3) the linear texture under other lights in their colours, with shadows.
 
         T = A (I_a + I_d) + I_s with the estimated reflectance, highlights in the colours of their lamps.
-        I_a is 1 without an environment; give the estimate's own for the light of the scan. With one, the
-        surface also throws light onto itself, if its `bounce` says so. One viewer sees all of it, whatever
-        cameras took the texture.
+        I_a is 1 without an environment, whose `bounce` is light that the surface throws onto itself; give the
+        estimate's own for the light of the scan. One viewer sees all, whatever cameras took the texture.
         """
-        mask = self.image.mask
-        shading = shade_image(
-            self.image,
-            lights,
-            self.reflectance,
-            self.view_direction,
-            RayCaster(*self.image.occluder_mesh())
-            if self.casts_shadows and (lights or environment)
-            else None,
-            self.shadow_offset_mm,
-            environment,
-        )
+        mask, caster = self.image.mask, None
+        if self.casts_shadows and (lights or environment):
+            caster = RayCaster(*self.image.occluder_mesh())
+        seen = self.reflectance, self.view_direction, caster, self.shadow_offset_mm
+        shading = shade_image(self.image, lights, *seen, environment)
         albedo = self.albedo_linear[mask].astype(np.float64)
         result = np.zeros((*mask.shape, 3), np.float32)
         result[mask] = albedo * shading.light_linear + shading.specular_linear
@@ -112,18 +103,17 @@ def shade_image(
     `view_direction` is one for all, (3,), or one a texel, (N, 3). The environment stands for the ambient
     light of 1.
     """
-    mask = image.mask
-    position, normal = image.position[mask], image.normal[mask]
-    hidden = ShadowMap(caster, position, normal, offset_mm)
+    mask, scale = image.mask, image.specular_scale
+    hidden = ShadowMap(caster, image.position[mask], image.normal[mask], offset_mm)
     seen = [hidden.reached(lamp.direction, lamp.distance_mm, lamp.radius_deg) for lamp in lights]
     shading = shade_points(
-        position,
-        normal,
+        hidden.position,
+        hidden.normal,
         lights,
         reflectance,
-        visible=np.array(seen).reshape(len(lights), len(position)),
+        visible=np.array(seen).reshape(len(lights), len(hidden.position)),
         view_direction=view_direction,
-        specular_scale=None if image.specular_scale is None else image.specular_scale[mask],
+        specular_scale=None if scale is None else scale[mask],
     )
     if environment is not None:
         soft = environment_light_on(environment, hidden, shading.light_linear - 1)

@@ -9,16 +9,16 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, binary_propagation
 
-from scan2albedo.albedo.inpainting import FLOOR, RADIUS, resynthesize, surroundings
+from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
+from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
+from scan2albedo.albedo.texel_light import HALF_STEP
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are not highlights but over-exposure."""
-_RIDGE = 2e-5
-"""Variance of log albedo below which channels are taken to keep their ratio: what 8 bits leave unsure."""
 
 
 def inpainted(
@@ -30,10 +30,9 @@ def inpainted(
 ) -> tuple[NDArray[np.float32], PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
-    The texels that the input clipped are rebuilt, not those that the light model expects. Where a channel
-    survived, the others follow from it (`restore_channels`): in highlights and under over-exposure alike.
-    Where none did, texture is resynthesised from beside it (`resynthesize`), unless so much is lost that it
-    was no highlight. Nothing is filled, or copied from, where the annotation forbids it.
+    Of the texels that the input clipped, those with a channel left follow from it (`restore_channels`); the
+    others are resynthesised from beside them (`resynthesize`), unless so much is lost that it was no
+    highlight. Nothing is filled, or copied from, where the annotation forbids it.
     """
     assert image.texture_linear is not None
     stage = "albedo.inpainting"
@@ -56,42 +55,25 @@ def inpainted(
     if not touched.any():
         reason = "the annotation forbids it" if saturated else "nothing is saturated"
         return albedo_linear, PlanStep(stage, False, reason, evidence)
-    albedo = albedo_linear.astype(np.float64)
-    missed = missed_highlight(albedo, any_channel(clipped) & allowed, usable & allowed & ~touched, allowed)
-    wholly |= missed
-    partly &= ~missed
-    source = usable & allowed & ~touched & ~missed
-    result = restore_channels(albedo, lost & ~missed[..., None], source)
+    albedo, source = albedo_linear.astype(np.float64), usable & allowed & ~touched
+    if int(source.sum()) >= MINIMAL_TEXELS:
+        # White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more
+        # than four (robust) deviations above the sources' median are a highlight that the light model left,
+        # with all connected to them that lies two above: what survived there is not the albedo's.
+        red, green, blue = np.moveaxis(albedo, -1, 0)
+        level = np.log(np.maximum(np.minimum(np.minimum(red, green), blue), FAINT))
+        away = level - np.median(level[source])
+        excess = away / max(1.4826 * np.median(np.abs(away[source])), HALF_STEP / math.sqrt(3))
+        seeds = binary_opening(any_channel(clipped) & allowed & (excess > 4))
+        missed = binary_propagation(seeds, mask=allowed & (excess > 2))
+        wholly, partly, source = wholly | missed, partly & ~missed, source & ~missed
+        lost &= ~missed[..., None]
+    result = restore_channels(albedo, lost, source)
     if white > _LARGEST_HIGHLIGHT * image.seen.sum() and not options.choice(stage):
         evidence += "; too many for a highlight, left"
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)
     return result.astype(np.float32), PlanStep(stage, True, "the texture is saturated", evidence)
-
-
-def missed_highlight(
-    albedo_linear: FloatArray, clipped: BoolArray, source: BoolArray, allowed: BoolArray
-) -> BoolArray:
-    """Return (H, W) texels of highlights that the light model left in the albedo, grown from clipped texels.
-
-    White light lifts the darkest channel most, and that channel clips last. A clipped texel in which it lies
-    more than four (robust) standard deviations above the sources' median is such a highlight, with all
-    connected to it that lies two above: what survived there is not the albedo's. `albedo_linear` is (H, W, 3)
-    as divided; `clipped`, `source`, `allowed` (H, W) are texels with a clipped channel, trustworthy texels,
-    and texels that may belong to the result.
-    """
-    nothing = np.zeros_like(clipped)
-    if int(source.sum()) < MINIMAL_TEXELS:
-        return nothing
-    darkest = np.minimum(np.minimum(albedo_linear[..., 0], albedo_linear[..., 1]), albedo_linear[..., 2])
-    level = np.log(np.maximum(darkest, FLOOR))
-    middle = float(np.median(level[source]))
-    deviation = max(1.4826 * float(np.median(np.abs(level[source] - middle))), math.sqrt(_RIDGE))
-    excess = (level - middle) / deviation
-    seeds = binary_opening(clipped & (excess > 4))
-    if not seeds.any():
-        return nothing
-    return binary_propagation(seeds, mask=allowed & (excess > 2))
 
 
 def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> FloatArray:
@@ -102,14 +84,11 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
 
     log A_c = m_c + sum_s b_s (log A_s - m_s), b = (C_ss + r)^-1 (C_sc + r / |s|),
 
-    with means m, covariances C, in which all sources together count as 64 more, and a small ridge r that
-    draws towards constant ratios. Few pigments colour a face, so one channel predicts much of the others, as
-    in a guided filter [1]_. The clipped value itself, divided by the light, is the least a lost channel can
-    be.
-
-    `lost` (H, W, 3) marks channels without a trustworthy value; texels that lost all three, and everything
-    when there are too few texels of `source` (H, W), are left as they are. Sums over windows come from tables
-    of running sums: the cost is linear in the texels of the bounding box.
+    with means m, covariances C, in which all sources together count as 64 more, and a ridge r, the variance
+    of rounding to 8 bits, that draws towards constant ratios: a guided filter [1]_. The clipped value,
+    divided by the light, is the least a lost channel can be. `lost` (H, W, 3) marks channels without a
+    trustworthy value; texels that lost all three, and everything when there are too few texels of `source`
+    (H, W), are left as they are.
 
     .. [1] K. He, J. Sun, X. Tang, "Guided image filtering", ECCV 2010.
     """
@@ -121,18 +100,9 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     window = surroundings(target, 4 * radius)
     if int(origin[window].sum()) < MINIMAL_TEXELS:
         window = (slice(None), slice(None))
-    result = albedo.copy()
-    inside = target[window]
-    field = np.log(np.maximum(albedo[window], FLOOR))
-    predicted = _predict(
-        field,
-        np.argwhere(inside),
-        lost[window],
-        origin[window],
-        radius,
-        float(MINIMAL_TEXELS),
-        _RIDGE,
-    )
+    result, inside, field = albedo.copy(), target[window], np.log(np.maximum(albedo[window], FAINT))
+    known = np.argwhere(inside), lost[window], origin[window]
+    predicted = _predict(field, *known, radius, float(MINIMAL_TEXELS), HALF_STEP**2 / 3)
     old = albedo[window][inside]
     result[window][inside] = np.where(lost[window][inside], np.maximum(np.exp(predicted), old), old)
     return result

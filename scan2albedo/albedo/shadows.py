@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM, EstimateOptions
+from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
@@ -28,7 +28,7 @@ moves a shadow by several; and of one that is exact."""
 
 LEAST_SHADOW = 0.01
 """Part of the cells facing some light that has to lie in cast shadow for shadow rays to be used."""
-_FEWEST = 0.05
+FEWEST = 0.05
 """Part of the cells that has to face a direction for its figure to mean something."""
 _COARSE = 160
 """Longer side, in texels, of a chart that shows whether there are shadows."""
@@ -72,11 +72,11 @@ def shadow_caster(
     caster = RayCaster(vertices, faces)
     if choice is None and meter.exhausted:
         return caster, PlanStep(stage, True, "the budget ended before it was judged", "not judged")
-    shadows, largest = ShadowMap(caster, level.anchor, level.normal, SHADOW_OFFSET_MM), 0.0
+    shadows, largest = ShadowMap(caster, level.anchor, level.normal), 0.0
     for direction in directions:
         # At the terminator facets shade texels whose smooth normal still faces the light.
         facing = shadows.normal @ direction > 0.2
-        if facing.mean() >= _FEWEST:
+        if facing.mean() >= FEWEST:
             largest = max(largest, float(np.mean(shadows.visible(direction)[facing] == 0)))
     evidence = f"at most {100 * largest:.1f} % of the texels facing a light lie in cast shadow"
     if choice is None and largest < LEAST_SHADOW:

@@ -15,8 +15,8 @@ from scan2albedo.albedo.light_colour import LightColours
 from scan2albedo.albedo.light_parameters import SOFT_PARTS, Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
-from scan2albedo.albedo.options import SHADOW_OFFSET_MM
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, Point
+from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
@@ -25,9 +25,7 @@ from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 
-_GRAIN = 0.25
-"""Standard deviation of log albedo beside what is known of it, where a texel tells shadow from light."""
-_HALF_STEP = 2 / 255
+HALF_STEP = 2 / 255
 """Rounding of 8 bits, as a part of the median V where that is a quarter."""
 _LEAST = 0.001
 """A traced shadow is wrong this often anywhere: what casts it may not be part of the surface."""
@@ -37,8 +35,6 @@ _LEAST = 0.001
 class TexelLight:
     """The light on the N masked texels, and what it comes from."""
 
-    light: FloatArray
-    """(N,) mean over the channels."""
     light_linear: FloatArray
     """(N, 3)."""
     specular: FloatArray
@@ -59,26 +55,29 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     """Return the light found on the image at its full size, with the mean of what explains it as well."""
     told = found.explanation
     if told is None:
-        return _of_solution(scene, found.solution, found.unit, None, None)
-    lit = _of_solution(scene, found.solution, found.unit, told.best, told.colours)
+        return _of_solution(scene, found.solution, None, LightColours.white(found.solution.model.lights))
+    lit = _of_solution(scene, found.solution, told.best, told.colours)
     cells = np.column_stack([told.shift, told.spread])
     *shift, spread = cell_field(told.level, cells, scene.image.mask).T
     light = lit.light_linear * np.exp(np.stack(shift, 1))
-    return replace(lit, light=light.mean(-1), light_linear=light, deviation=spread)
+    return replace(lit, light_linear=light, deviation=spread)
 
 
 def _of_solution(
-    scene: LitImage, solution: Solution, unit: float, point: Point | None, colours: LightColours | None
+    scene: LitImage, solution: Solution, point: Point | None, colours: LightColours
 ) -> TexelLight:
-    """Return the light of one explanation; without `point` and `colours` it is that of the paper's search."""
+    """Return the light of one explanation; without `point` it is that of the paper's search."""
     image, mask, state, caster = scene.image, scene.image.mask, solution.hypothesis, scene.shadows[0]
-    strength = state.reflectance.specular_strength * unit * (colours.gloss if colours else 1)
+    unit = scene.at(scene.options.sizes[0]).level.unit
+    strength = state.reflectance.specular_strength * unit * colours.gloss
     reflectance = replace(state.reflectance, specular_strength=strength)
     order = np.argsort(-state.rows[:, 4], kind="stable")
     lights = list(state.lights())
     surface = image.position[mask], image.normal[mask].astype(np.float64)
-    hidden = ShadowMap(caster, *surface, SHADOW_OFFSET_MM, scene.open_above())
-    attached = ShadowMap(None, *surface, SHADOW_OFFSET_MM)
+    above = None
+    if point is not None and caster is not None:
+        above = scene.at(scene.options.sizes[2]).horizon.at(np.argwhere(mask))
+    hidden, attached = ShadowMap(caster, *surface, open_above=above), ShadowMap(None, *surface)
     visible, facing = np.ones((2, len(lights), len(surface[0])), np.float32)
     for k, lamp in enumerate(lights):
         at = lamp.direction, lamp.distance_mm, lamp.radius_deg
@@ -87,8 +86,7 @@ def _of_solution(
     if image.specular_scale is not None:
         scale = image.specular_scale[mask].astype(np.float64)
     view = image.toward_camera(scene.view)
-    white = LightColours.white(len(lights))
-    colors = white if colours is None else colours.in_order(order)
+    colors = colours.in_order(order)
 
     def shading(seen: NDArray) -> Shading:
         return shade_rows(*surface, seen, state.rows[order], view, reflectance, scale, colors.lamps)
@@ -99,7 +97,7 @@ def _of_solution(
         _soft_light(scene, solution, shaded.lamps, colors) if softly else (None, np.zeros((1, 3)))
     )
     light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST) if softly else shaded.light_linear
-    if point is not None and colours is not None:
+    if point is not None:
         known = _Expected.at(scene, point)
         if lights and caster is not None:
             whole = shading(np.ones_like(visible)).lamps
@@ -115,7 +113,6 @@ def _of_solution(
         stray = _unmodelled(scene, point, known, light[:, point.problem.lead], shaded.specular / unit)
         light *= np.exp(known.nodes @ colours.cast + stray[:, None])
     return TexelLight(
-        light.mean(-1),
         light,
         shaded.specular_linear,
         visible.min(0, initial=1).astype(np.float64),
@@ -184,7 +181,7 @@ def _seen_shadows(
             others = np.maximum(soft + (seen * lamps).sum(0) - seen[k] * lamps[k], DARKEST)
             without, lit = np.log(others), np.log(others + lamps[k])
             step = lit - without
-            odds = (value - 0.5 * (without + lit)) * step / (_GRAIN**2 + DARKEST / others) * judged
+            odds = (value - 0.5 * (without + lit)) * step / (SPREADS[0] ** 2 + DARKEST / others) * judged
             odds = np.clip(odds, -6.0, 6.0)
             odds += np.log(prior / (1 - prior))
             seen[k] = np.where(away[k], 1.0, 1 / (1 + np.exp(-odds)))
@@ -201,8 +198,7 @@ def _unmodelled(
     """
     p, mask = point.problem, scene.image.mask
     level, nodes = point.albedo_nodes()
-    step = _HALF_STEP
-    value = np.maximum(scene.value[mask] / p.level.unit - specular, step)
+    value = np.maximum(scene.value[mask] / p.level.unit - specular, HALF_STEP)
     left = np.log(value / light) - level - point.x[-1] * known.mean - known.nodes @ nodes
     usable = scene.usable[mask]
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
@@ -211,7 +207,7 @@ def _unmodelled(
     # A brow, a mole, hair: Student's t, whose variance grows with what is seen. Little is that bright.
     grain = (FREEDOM * grain + np.minimum(left, 0.0) ** 2) / FREEDOM
     stray = point.scales.light * deviation_of_light(light, float(np.median(light[usable])))
-    unknown = stray**2 + (step / value) ** 2
+    unknown = stray**2 + (HALF_STEP / value) ** 2
     return np.asarray(left * unknown / (grain + unknown))
 
 
@@ -232,8 +228,8 @@ def _soft_light(
     if caster is None:
         return environment, light
     # What the surface hides and what it throws back changes slowly along it, and comes from cells.
-    level = scene.level(scene.options.sizes[2])
-    terms = scene.soft(level)
+    finest = scene.at(scene.options.sizes[2])
+    level, terms = finest.level, finest.soft
     hidden = open_transfer(level.normal) - terms.transfer
     hidden[:, 0] *= 1 - state.fill
     change = -hidden @ harmonics

@@ -9,17 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.light_parameters import Solution
-from scan2albedo.albedo.posterior import Point
+from scan2albedo.albedo.posterior import NOISE, Point
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 
 _LIGHT = 2.2
 """Times the light's uncertainty that texels err by: the light is estimated as if its model were right."""
-_NOT_SKIN, _ALWAYS = 0.2, 0.02
-"""Relative errors of what is not skin, whose shape and reflectance are least known, and of everything. All
-three are fitted to path-traced faces of two people under twelve kinds of light, and raw scans of six, so that
-.68 of their texels err by less."""
+_NOT_SKIN = 0.2
+"""Relative error of what is not skin, whose shape and reflectance are least known. Both are fitted, beside
+the `NOISE` of everything, to path-traced faces of two people under twelve kinds of light, and raw scans of
+six, so that .68 of their texels err by less."""
 
 
 @dataclass(frozen=True)
@@ -85,26 +84,13 @@ def expected_error(
     `deviation` (H, W) that of the albedo which follows from the light's uncertainty, where it is known.
     `skin` (H, W) says how surely a texel is skin, everywhere when None.
     """
-    squares = noise**2 + _ALWAYS**2
+    squares = noise**2 + NOISE**2
     if deviation is not None:
         squares += (_LIGHT * deviation) ** 2
     if skin is not None:
         squares += (_NOT_SKIN * (1 - skin)) ** 2
     said = np.where(noise >= 1, 1.0, np.minimum(np.sqrt(squares), 1.0))
     return np.where(mask, said, 0.0).astype(np.float32)
-
-
-def apart(solutions: list[Solution], count: int, separation_rad: float = 0.25) -> list[Solution]:
-    """Return the first `count` of which no two have all their lights within `separation_rad`."""
-    kept: list[Solution] = []
-    cosine = math.cos(separation_rad)
-    for solution in solutions:
-        rows = solution.hypothesis.rows[:, :3]
-        if not any((rows @ other.hypothesis.rows[:, :3].T > cosine).any(1).all() for other in kept):
-            kept.append(solution)
-        if len(kept) == count:
-            break
-    return kept
 
 
 def light_uncertainty(point: Point, others: Sequence[Alternative] = ()) -> LightUncertainty:

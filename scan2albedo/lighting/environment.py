@@ -24,21 +24,21 @@ _FINEST_ROWS = 256
 
 @dataclass(frozen=True)
 class DistantLights:
-    """Lights far away: each has one direction for the whole scene."""
+    """Lights far away: each has one direction for the whole scene.
+
+    `directions` (K, 3) toward them are of any length; `irradiance_linear` (K, 3) or (K,) is that on a surface
+    that faces the light: a matte white one has 1 / pi of it as radiance.
+    """
 
     directions: ArrayLike
-    """(K, 3): towards the lights, of any length."""
     irradiance_linear: ArrayLike
-    """(K, 3) or (K,): on a surface that faces the light; a matte white one then has the radiance irradiance /
-    pi."""
 
     def __post_init__(self) -> None:
         toward = _checked_directions(self.directions)
         irradiance = np.asarray(self.irradiance_linear, np.float64)
-        if irradiance.shape not in ((len(toward),), (len(toward), 3)):
-            raise ValueError(
-                f"irradiance_linear must be ({len(toward)}, 3) or ({len(toward)},), got {irradiance.shape}"
-            )
+        count = len(toward)
+        if irradiance.shape not in ((count,), (count, 3)):
+            raise ValueError(f"irradiance_linear must be ({count}, 3) or ({count},), got {irradiance.shape}")
         if not np.isfinite(irradiance).all():
             raise ValueError("irradiance_linear must be finite")
         object.__setattr__(self, "directions", toward)
@@ -51,44 +51,22 @@ class DistantLights:
     ) -> DistantLights:
         """Return `count` lights that together shine like an environment map (H, W, 3).
 
-        Parameters
-        ----------
-        environment_linear : (H, W, 3) array_like of float
-            Equirectangular.
-        count : int
-        spread : {"even", "important"}
-            "even" is `distant_directions`, the same for all maps, so that the light of two maps adds up;
-            "important" is `important_directions`, which give fewer errors for the count, in that map alone.
-
-        Raises
-        ------
-        ValueError
-            When `spread` is neither.
+        `spread` "even" is `distant_directions`, the same for all maps, so that the light of two maps adds up;
+        "important" is `important_directions`, which give fewer errors for the count, in that map alone.
+        ValueError when it is neither.
         """
         if spread not in get_args(LightSpread):
             raise ValueError(f"spread is {spread!r}, expected one of {get_args(LightSpread)}")
-        if spread == "even":
-            directions = distant_directions(count)
-        else:
-            directions = important_directions(environment_linear, count)
-        return cls(directions, environment_weights(environment_linear, directions))
+        even = spread == "even"
+        toward = distant_directions(count) if even else important_directions(environment_linear, count)
+        return cls(toward, environment_weights(environment_linear, toward))
 
 
 def distant_directions(count: int) -> FloatArray:
     """Return (K, 3) unit vectors spread evenly over the sphere, a Fibonacci spiral from +y down.
 
-    Parameters
-    ----------
-    count : int
-        K, 1 or more.
+    ValueError when `count` K is below 1.
 
-    Raises
-    ------
-    ValueError
-        When `count` is below 1.
-
-    Examples
-    --------
     >>> directions = distant_directions(100)
     >>> bool(abs(directions.mean(0)).max() < 0.01)
     True
@@ -106,10 +84,8 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
 
     A Fibonacci lattice is carried through the distribution of brightness, of which a tenth is spread evenly,
     so that dark parts keep directions too; then twice each direction moves to the brightness's centroid of
-    its cell. Their `environment_weights` are alike: no light is much stronger than the others, and the edge
-    of its shadow hardly shows.
-
-    The map and its errors are those of `environment_weights`; ValueError when `count` K is below 1.
+    its cell. Their `environment_weights` are alike: the edge of no light's shadow shows much. The map and its
+    errors are those of `environment_weights`; ValueError when `count` K is below 1.
 
     .. [1] P. Debevec, "A median cut algorithm for light probe sampling", SIGGRAPH 2005 poster.
 
@@ -119,7 +95,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     >>> int((toward @ texel_directions(sun.shape[:2])[2, 4] > 0.9).sum()) > 35
     True
     """
-    image = _checked_map(environment_linear)
+    image = checked_map(environment_linear)
     even = distant_directions(count)
     brightness = np.abs(image).mean(2)
     rows, columns = brightness.shape
@@ -181,62 +157,46 @@ def texel_solid_angles(rows: int, columns: int) -> FloatArray:
 
 
 def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) -> FloatArray:
-    """Return (K, 3) integrals of an environment map over each direction's cell of the sphere.
+    """Return (K, 3) integrals of an environment map over each direction's cell of the sphere [1]_.
 
         w_k = integral of L over the directions that are nearer to k than to all others.
 
     The cells part the sphere, texels being constant, so the weights sum to the map's integral and are linear
-    in it.
+    in it. Cost: one nearest-neighbour search a texel.
 
-    Parameters
-    ----------
-    environment_linear : (H, W, 3) array_like of float
-        Radiance; rows from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
-    directions : (K, 3) array_like of float
-        Of any length but zero.
+    `environment_linear` (H, W, 3) is radiance; rows from +y down to -y, columns by azimuth from -pi to pi,
+    from +z toward +x. `directions` (K, 3) are of any length but zero. ValueError when an array has the wrong
+    shape, is empty or not finite.
 
-    Raises
-    ------
-    ValueError
-        When an array has the wrong shape, is empty or not finite.
-
-    Notes
-    -----
-    Cost: one nearest-neighbour search a texel.
-
-    References
-    ----------
     .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, section 6.3.
 
-    Examples
-    --------
     >>> weights = environment_weights(np.ones((8, 16, 3)), [[0, 1, 0], [0, -1, 0]])
     >>> weights.round(4).tolist() == [[6.2832] * 3] * 2
     True
     """
-    image = _checked_map(environment_linear)
+    image = checked_map(environment_linear)
     tree, (height, width) = cKDTree(_checked_directions(directions)), image.shape[:2]
     repeat = max(1, -(-_FINEST_ROWS // height))
     rows, columns = height * repeat, width * repeat
-    solid_angle = texel_solid_angles(rows, columns)
     nearest = np.empty((rows, columns), np.int32)
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     # Row by row: maps may have many millions of texels.
     for row in range(rows):
         nearest[row] = tree.query(map_directions((row + 0.5) / rows * np.pi, azimuth))[1]
-    texel = np.add.outer(
-        np.arange(rows, dtype=np.int32) // repeat * width, np.arange(columns, dtype=np.int32) // repeat
-    )
+    down, across = (np.arange(side, dtype=np.int32) // repeat for side in (rows, columns))
+    texel = np.add.outer(down * width, across)
     # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.
-    entries = np.repeat(solid_angle, columns), (nearest.ravel(), texel.ravel())
+    entries = np.repeat(texel_solid_angles(rows, columns), columns), (nearest.ravel(), texel.ravel())
     shares = sparse.coo_matrix(entries, shape=(tree.n, height * width)).tocsr()
     return np.asarray(shares @ image.reshape(-1, 3))
 
 
-def _checked_map(environment_linear: ArrayLike) -> FloatArray:
+def checked_map(environment_linear: ArrayLike, *, several: bool = False) -> FloatArray:
+    """Return a map (H, W, 3), or `several` (..., H, W, 3), as an array; ValueError where it is none."""
     image = np.asarray(environment_linear, np.float64)
-    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise ValueError(f"environment_linear must have shape (H, W, 3), got {image.shape}")
+    if image.ndim < 3 or (image.ndim > 3 and not several) or image.shape[-1] != 3 or image.size == 0:
+        expected = "(..., H, W, 3)" if several else "(H, W, 3)"
+        raise ValueError(f"environment_linear must have shape {expected}, got {image.shape}")
     if not np.isfinite(image).all():
         raise ValueError("environment_linear must be finite")
     return image

@@ -13,7 +13,7 @@ from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
 _COSINE_LOBE = np.array([1.0, *[2 / 3] * 3, *[1 / 4] * 5])
 """Of the clamped cosine over pi, for each harmonic."""
-_DIRECTIONS = 96
+SKY = 96
 """Rays a point: the occlusion of a face is off by 1 to 2 % with them."""
 
 
@@ -42,17 +42,11 @@ def environment_of_shading(coefficients: FloatArray) -> EnvironmentLight:
     )
 
 
-def sky_table(shadows: ShadowMap, directions: int = _DIRECTIONS) -> VisibilityTable:
-    """Return which of so many directions, spread evenly, each point sees."""
-    return shadows.table(distant_directions(directions))
-
-
 def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) -> FloatArray:
     """Return (N, 9) the same for points that the surface partly hides; the first is ambient occlusion.
 
-    `sky` is their `sky_table`, where it is known already.
-
-    Sums over rays err; only what is hidden is therefore taken from them, and the rest from `open_transfer`.
+    `sky` says which directions, spread evenly, each point sees: `SKY` of them, where it is not known already.
+    Sums over rays err; only what is hidden is taken from them, and the rest from `open_transfer`.
 
     .. [1] P.-P. Sloan, J. Kautz, J. Snyder, "Precomputed radiance transfer for real-time rendering in
        dynamic, low-frequency lighting environments", SIGGRAPH 2002.
@@ -60,7 +54,7 @@ def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) ->
     free = open_transfer(shadows.normal)
     if shadows.caster is None:
         return free
-    sky = sky_table(shadows) if sky is None else sky
+    sky = shadows.table(distant_directions(SKY)) if sky is None else sky
     values = harmonics(sky.directions, 2)
     weighted = values / values[:, :1] * (4 / len(values))
     cosine = np.maximum(shadows.normal @ sky.directions.T, 0.0)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.lighting.environment import DistantLights, map_directions
+from scan2albedo.lighting.environment import checked_map, map_directions
 
 _NODES = 160
 """Least number of quadrature nodes from pole to pole: degree 8 is then integrated to 1e-7."""
@@ -18,7 +18,6 @@ def harmonic_degrees(order: int) -> IntArray:
     >>> harmonic_degrees(2).tolist()
     [0, 1, 1, 1, 2, 2, 2, 2, 2]
     """
-    # Degree l stands at l^2 ... (l + 1)^2 - 1.
     return np.sqrt(np.arange(_count(order))).astype(np.int64)
 
 
@@ -29,11 +28,9 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
 
         Y_lm = N_l|m|(z) * (sqrt(2) Re, 1, sqrt(2) Im) (x + i y)^|m|   for m > 0, = 0, < 0,
 
-    so that nothing is divided by sin and the poles are points like all others.
-
-    They are orthonormal over the sphere. Y_lm stands at l (l + 1) + m; Y_1 = (y, z, x), no Condon-Shortley
-    phase. ValueError for another shape, or values that are not finite. Cost: about six operations a harmonic.
-    Agrees with `scipy.special.sph_harm_y` to 1e-14, at the poles too.
+    so that nothing is divided by sin and the poles are points like all others. They are orthonormal over the
+    sphere. Y_lm stands at l (l + 1) + m; Y_1 = (y, z, x), no Condon-Shortley phase. ValueError for another
+    shape, or values that are not finite.
 
     .. [1] P.-P. Sloan, "Efficient Spherical Harmonic Evaluation", JCGT 2(2), 2013.
 
@@ -44,15 +41,12 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
     values = np.empty((_count(order), *x.shape))
     cosine, sine = np.ones_like(x), np.zeros_like(x)
     for m in range(order + 1):
-        column = _legendre_column(z, m, order)
-        if m == 0:
-            for degree, legendre in enumerate(column):
-                values[degree * (degree + 1)] = legendre
-        else:
+        if m > 0:
             cosine, sine = x * cosine - y * sine, x * sine + y * cosine
-            for degree, legendre in enumerate(column, start=m):
-                values[degree * (degree + 1) + m] = legendre * cosine
-                values[degree * (degree + 1) - m] = legendre * sine
+        # With m = 0 both are the same place, and the cosine, which is 1, comes last.
+        for degree, legendre in enumerate(_legendre_column(z, m, order), start=m):
+            values[degree * (degree + 1) - m] = legendre * sine
+            values[degree * (degree + 1) + m] = legendre * cosine
     return np.ascontiguousarray(np.moveaxis(values, 0, -1))
 
 
@@ -132,15 +126,10 @@ def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatA
     >>> abs(project_environment(np.ones((2, 4, 3)), order=1)[:, 0]).round(6).tolist()
     [3.544908, 0.0, 0.0, 0.0]
     """
-    image = np.asarray(environment_linear, np.float64)
-    if image.ndim < 3 or image.shape[-1] != 3 or image.size == 0:
-        raise ValueError(f"environment_linear must have shape (..., H, W, 3), got {image.shape}")
-    if not np.isfinite(image).all():
-        raise ValueError("environment_linear must be finite")
-    height, width = image.shape[-3:-1]
-    coefficients = np.zeros((*image.shape[:-3], (order + 1) ** 2, 3))
-    for row in range(height):
-        coefficients += row_projection(row, (height, width), order).T @ image[..., row, :, :]
+    image = checked_map(environment_linear, several=True)
+    shape, coefficients = image.shape[-3:-1], np.zeros((*image.shape[:-3], (order + 1) ** 2, 3))
+    for row in range(shape[0]):
+        coefficients += row_projection(row, shape, order).T @ image[..., row, :, :]
     return coefficients
 
 
@@ -154,16 +143,6 @@ def row_projection(row: int, shape: tuple[int, int], order: int = 8) -> FloatArr
     values = harmonics(map_directions(polar[:, None, None], azimuth), order)
     share = down_weight * np.sin(polar) * np.pi / height
     return np.einsum("a,c,awcb->wb", share, across_weight * 2 * np.pi / width, values, optimize=True)
-
-
-def project_distant_lights(lights: DistantLights, order: int = 8) -> FloatArray:
-    """Return ((order + 1)^2, 3) coefficients of distant lights: sum of irradiance times Y(direction).
-
-    >>> project_distant_lights(DistantLights([[0, 1, 0]], [[1, 0, 0]]), order=1)[:, 0].round(3).tolist()
-    [0.282, 0.489, 0.0, 0.0]
-    """
-    directions = np.asarray(lights.directions, np.float64)
-    return harmonics(directions, order).T @ np.asarray(lights.irradiance_linear, np.float64)
 
 
 def _nodes(count: int) -> tuple[FloatArray, FloatArray]:

@@ -24,34 +24,22 @@ _NEIGHBOURS, SMALLEST_MM = 4, 0.5
 """Points that a value is interpolated from, and the distance below which all weigh the same."""
 
 
-@dataclass(frozen=True)
-class SurfaceLookup:
-    """Interpolation of values known at points of a surface to others on it, along the surface.
-
-    Distances are those of `surface_keys`: a value does not leak to the other side of a fold.
-    """
-
-    tree: cKDTree
-
-    @classmethod
-    def of(cls, position: FloatArray, normal: FloatArray) -> SurfaceLookup:
-        """Return the lookup of values at M points."""
-        return cls(cKDTree(surface_keys(position, normal)))
-
-    def weights(self, position: FloatArray, normal: FloatArray) -> sparse.csr_matrix:
-        """Return (N, M) weights, rows summing to 1, of the values at N points."""
-        count = min(_NEIGHBOURS, self.tree.n)
-        far, index = self.tree.query(surface_keys(position, normal), range(1, count + 1))
-        weight = 1 / (far + SMALLEST_MM) ** 2
-        weight /= weight.sum(1, keepdims=True)
-        rows = np.repeat(np.arange(len(position)), count)
-        shape = len(position), self.tree.n
-        return sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), shape)
-
-
 def surface_keys(position: FloatArray, normal: FloatArray) -> FloatArray:
     """Return (N, 6) what distances along a surface are taken between: position in mm and scaled normal."""
     return np.column_stack([position, _NORMAL_MM * normal])
+
+
+def surface_weights(known: FloatArray, wanted: FloatArray) -> sparse.csr_matrix:
+    """Return (N, M) weights, rows summing to 1, at N `surface_keys` of values that are known at M of them.
+
+    Values come from along the surface: none leaks to the other side of a fold.
+    """
+    count = min(_NEIGHBOURS, len(known))
+    far, index = cKDTree(known).query(wanted, range(1, count + 1))
+    weight = 1 / (far + SMALLEST_MM) ** 2
+    weight /= weight.sum(1, keepdims=True)
+    rows = np.repeat(np.arange(len(wanted)), count)
+    return sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), (len(wanted), len(known)))
 
 
 @dataclass(frozen=True)
@@ -61,8 +49,7 @@ class Bounce:
         B(x) = integral of V_hit(x, w) D(y(x, w)) max(0, n.w) / pi dw
 
     for light D on the surface and albedo 1: M patches exchange it by `factors` (M, M), whose rows sum to the
-    hidden part of the hemisphere, and N points take part through `up` (N, M) and `down` (M, N). The factors
-    are float32: their product takes most of the search's time on soft light.
+    hidden part of the hemisphere, and N points take part through `up` (N, M) and `down` (M, N).
 
     .. [1] C. Goral, K. Torrance, D. Greenberg, B. Battaile, "Modeling the interaction of light between
        diffuse surfaces", SIGGRAPH 1984.
@@ -80,9 +67,9 @@ class Bounce:
 
 @dataclass(frozen=True)
 class Patches:
-    """M patches of a surface and the form factors between them."""
+    """M patches of a surface: their `surface_keys` and the form factors between them."""
 
-    lookup: SurfaceLookup
+    keys: FloatArray
     factors: NDArray[np.float32]
 
     @classmethod
@@ -111,11 +98,11 @@ class Patches:
             # Light leaves the outer side alone: a ray that meets the inner side passed a hole.
             outer = normal[column] @ direction < 0
             np.add.at(factors, (rows[outer], column[outer]), cosine[rows[outer]] * 4 / _DIRECTIONS)
-        return cls(SurfaceLookup.of(position, normal), factors.astype(np.float32))
+        return cls(surface_keys(position, normal), factors.astype(np.float32))
 
     def seen_from(self, position: FloatArray, normal: FloatArray) -> Bounce:
         """Return the bounce onto and from N points."""
-        up = self.lookup.weights(position, normal)
+        up = surface_weights(self.keys, surface_keys(position, normal))
         # What averages values at the points around each patch.
         total = np.maximum(np.asarray(up.sum(0)).ravel(), 1e-9)
         return Bounce(self.factors, up, sparse.diags(1 / total) @ up.T)

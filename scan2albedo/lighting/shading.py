@@ -50,8 +50,8 @@ class Reflectance:
 class Shading:
     """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture.
 
-    `light_linear` and `specular_linear` (N, 3) are both in the lamps' colours, whose means over the channels
-    they are. `lamps` (L, N) is each lamp's part of the light.
+    `light_linear` and `specular_linear` (N, 3) are both in the lamps' colours; `lamps` (L, N) is each lamp's
+    part of the light.
     """
 
     light: FloatArray
@@ -61,16 +61,8 @@ class Shading:
     lamps: FloatArray
 
 
-def light_rows(lights: Sequence[PointLight]) -> FloatArray:
-    """Return (L, 5) float64: direction, 1/distance, intensity."""
-    rows = np.zeros((len(lights), 5))
-    for row, light in zip(rows, lights, strict=True):
-        row[:3], row[3], row[4] = light.direction, 1.0 / light.distance_mm, light.intensity
-    return rows
-
-
 def light_from_direction(direction: ArrayLike, distance_mm: float, intensity: float) -> PointLight:
-    """Return the `PointLight` in `direction` (3,), of unit length or not.
+    """Return the `PointLight` in `direction` (3,), of any length.
 
     >>> round(math.degrees(light_from_direction((1, 0, 1), math.inf, 1.0).azimuth_rad))
     45
@@ -94,10 +86,9 @@ def shade_points(
     I_d = sum_k V_k E_k f(n, l_k, v), I_s = k_s sum_k V_k E_k phong(n, l_k, v), I_a = 1, with V the visibility
     and E = intensity (distance/r)^2 (no falloff for a distant light), times the lamp's colour.
 
-    `position` (N, 3) is in mm, the model's frame, `normal` (N, 3) unit. Lights may be none. `visible` (L, N)
-    is 0 where a light is hidden; everything is visible when None. `view_direction` (3,) or (N, 3), of any
-    length, points toward the viewer, and `specular_scale` (N,) multiplies I_s. ValueError for shapes that do
-    not fit, points, normals or a `specular_scale` that are not finite, or a zero `view_direction`.
+    `position` (N, 3) is in mm, `normal` (N, 3) unit. `visible` (L, N) is 0 where a light is hidden; all is
+    visible when None. `view_direction` (3,) or (N, 3), of any length, points toward the viewer;
+    `specular_scale` (N,) multiplies I_s. ValueError for shapes that do not fit, or what is not finite.
 
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
        modeling and relighting with application to face recognition", section 3.2.1.
@@ -123,7 +114,8 @@ def shade_points(
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")
     colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
     toward = view / np.linalg.norm(view, axis=-1, keepdims=True)
-    return shade_rows(xyz, unit, seen, light_rows(lights), toward, reflectance, scale, colors)
+    rows = [(*lamp.direction, 1 / lamp.distance_mm, lamp.intensity) for lamp in lights]
+    return shade_rows(xyz, unit, seen, np.reshape(rows, (-1, 5)), toward, reflectance, scale, colors)
 
 
 def shade_rows(
@@ -136,13 +128,13 @@ def shade_rows(
     scale: FloatArray,
     colors: FloatArray | None = None,
 ) -> Shading:
-    """Do as `shade_points` for `rows` of `light_rows` and unit `view`, (3,) or (N, 3), unchecked.
+    """Do as `shade_points` for `rows` (L, 5) of lamps: direction, 1/distance, intensity; nothing is checked.
 
-    `colors` (L, 3) are the lamps', all white when None.
+    `view`, (3,) or (N, 3), is unit; `colors` (L, 3) are the lamps', all white when None.
     """
-    light, gloss = np.ones(len(position)), np.zeros(len(position))
-    tint, sheen = np.zeros((2, len(position), 3))
-    lamps = np.empty((len(rows), len(position)))
+    count = len(position)
+    light, gloss, lamps = np.ones(count), np.zeros(count), np.empty((len(rows), count))
+    tint, sheen = np.zeros((2, count, 3))
     for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
         at = row[:3], row[3], np.atleast_2d(view), reflectance
         lamps[k], highlight = row[4] * lamp_factors(position, normal, seen, *at)

@@ -45,7 +45,7 @@ def lit(ball, scenes):
             return descend(problem.start(model, x, known), 10, problem.meter)
         strength = gloss * 0.3 * GLOSS.specular_strength / problem.level.unit
         x = np.append(x, [strength, math.log(GLOSS.exponent)])
-        point = problem.start(model.with_part("specular"), x, known)
+        point = problem.start(replace(model, specular=True), x, known)
         return point.moved(np.zeros(len(point.x)))
 
     return at

@@ -136,13 +136,16 @@ def test_a_budget_ends_it_with_an_answer(skin, evaluations):
     assert {step.stage for step in estimate.plan} == {f"albedo.{name}" for name in ROWS}
 
 
-def test_more_evaluations_leave_less_of_the_light(skin):
-    errors = []
-    for evaluations in (3, None):
-        estimate = estimate_albedo(skin.image, 1, budget=Budget(evaluations=evaluations))
-        errors.append(albedo_error(estimate.albedo_linear, skin.albedo, skin.image.mask).mse_percent)
-    assert errors[1] < 0.9 * errors[0]
-    assert errors[1] < 0.03
+def test_more_evaluations_leave_less_of_the_light(scenes):
+    """A lamp that lies at a start by chance takes few: it is the mean of several."""
+    errors = {3: [], None: []}
+    for angles in ((20, 10), (-40, 10), (55, 0)):
+        scene = scenes.scene("hemisphere", "skin", [(*angles, 2.0, FAR)], size=64)
+        for evaluations, found in errors.items():
+            estimate = estimate_albedo(scene.image, 1, budget=Budget(evaluations=evaluations))
+            found.append(albedo_error(estimate.albedo_linear, scene.albedo, scene.image.mask).mse_percent)
+    assert np.mean(errors[None]) < 0.5 * np.mean(errors[3])
+    assert max(errors[None]) < 0.03
 
 
 def test_seeds_do_not_change_a_bit(skin):
@@ -191,8 +194,7 @@ def test_explanations_of_equal_evidence_give_the_mean_log_albedo_of_both(explana
     search, (one, other, again) = explanations(skip=("albedo.light_colour",))
     both = 0.5 * (_log_albedo(one) + _log_albedo(other))
     for wanted in ([one, other], [one, other, again], [one, again, other]):
-        search.found[:] = [(7.0, point) for point in wanted]
-        shift, spread = search._averaged(wanted)
+        shift, spread = search._averaged([(7.0, point) for point in wanted])
         assert shift == pytest.approx((_log_albedo(one) - both)[:, None] * np.ones(3))
         assert spread == pytest.approx(0.5 * np.abs(_log_albedo(one) - _log_albedo(other)))
 
@@ -201,8 +203,7 @@ def test_explanations_of_less_evidence_count_less(explanations):
     search, (one, other, _) = explanations(skip=("albedo.light_colour",))
     sizes = []
     for less in (0.0, 4.0, 400.0):
-        search.found[:] = [(0.0, one), (-less, other)]
-        sizes.append(np.abs(search._averaged([one, other])[0]).mean())
+        sizes.append(np.abs(search._averaged([(0.0, one), (-less, other)])[0]).mean())
     assert sizes[0] > 0.05
     # Odds are to the power of a quarter.
     assert sizes[1] / sizes[0] == pytest.approx(2 / (1 + math.e))
@@ -211,8 +212,7 @@ def test_explanations_of_less_evidence_count_less(explanations):
 
 def test_colours_of_explanations_are_averaged_as_well(explanations):
     search, (one, other, _) = explanations()
-    search.found[:] = [(0.0, one), (0.0, other)]
-    shift, _ = search._averaged([one, other])
+    shift, _ = search._averaged([(0.0, one), (0.0, other)])
     ratios = [light_colours(point, None).ratio for point in (one, other)]
     beside = 0.5 * (ratios[1] - ratios[0])
     lead = one.problem.lead

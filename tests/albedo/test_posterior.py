@@ -38,7 +38,7 @@ def ball(scenes):
 def _model(scene, lights, *parts):
     model = scene.model(lights)
     for part in parts:
-        model = model.with_part(part)
+        model = replace(model, **{part: True})
     return model
 
 

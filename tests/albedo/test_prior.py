@@ -1,5 +1,6 @@
 """The prior of albedo: what it says of faces, its Gaussian, and its file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,8 @@ def test_covariances_are_symmetric_and_positive_definite(prior, channel):
 
 
 def test_the_stationary_covariance_is_the_exponential():
-    prior = AlbedoPrior.stationary(spread=0.2, length=0.3)
+    spread = np.full((3, NODES, NODES), 0.2)
+    prior = replace(AlbedoPrior.stationary(), spread=spread, length=0.3)
     covariance = prior.covariance(0).reshape((NODES,) * 4)
     assert covariance[3, 4, 3, 4] == pytest.approx(0.04)
     assert covariance[0, 0, 3, 4] == pytest.approx(0.04 * np.exp(-5 / NODES / 0.3))
@@ -151,7 +153,8 @@ def test_an_option_names_the_prior(tmp_path):
     assert AlbedoPrior.named("auto", face=True) is AlbedoPrior.faces()
     assert not AlbedoPrior.named("auto", face=False).face
     assert not AlbedoPrior.named("stationary", face=True).face
-    AlbedoPrior.stationary(spread=0.5).save(tmp_path / "mine.npz")
+    spread = np.full((3, NODES, NODES), 0.5)
+    replace(AlbedoPrior.stationary(), spread=spread).save(tmp_path / "mine.npz")
     assert AlbedoPrior.named(str(tmp_path / "mine.npz"), face=True).spread[0, 0, 0] == 0.5
     with pytest.raises(LightingError, match="nowhere"):
         AlbedoPrior.named(str(tmp_path / "nowhere.npz"), face=True)

@@ -14,7 +14,8 @@ from scan2albedo.albedo.shadows import LEAST_SHADOW, Horizon, ShadowLattice, sha
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.environment_light import sky_table
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.environment_light import SKY
 from scan2albedo.lighting.shadow_map import ShadowMap, cone_directions
 from scan2albedo.synthetic import face
 
@@ -219,7 +220,7 @@ def test_nothing_is_hidden_above_the_horizon(cells):
     image = face(0, size=128).image
     level = build_level(image, image.mask, cells)
     exact = ShadowMap(RayCaster(*image.occluder_mesh()), level.anchor, level.normal)
-    above = Horizon(level, sky_table(exact)).at(level.center)
+    above = Horizon(level, exact.table(distant_directions(SKY))).at(level.center)
     cosine = level.normal @ DIRECTIONS.T
     seen, spared = exact.table(DIRECTIONS).visibility.T, cosine > above[:, None]
     assert seen[spared].all()
@@ -231,6 +232,6 @@ def test_beyond_the_cells_no_horizon_is_known(make_image):
     image = make_image("bumps")
     level = build_level(image, image.mask & (np.arange(64) < 40), 32)
     exact = ShadowMap(RayCaster(*image.occluder_mesh()), level.anchor, level.normal)
-    horizon = Horizon(level, sky_table(exact, 24))
+    horizon = Horizon(level, exact.table(distant_directions(24)))
     assert np.isfinite(horizon.at(level.center)).all()
     assert np.isinf(horizon.at(np.array([[32, 60], [63, 63]]))).all()

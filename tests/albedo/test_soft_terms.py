@@ -1,5 +1,7 @@
 """Soft light in the search: derivatives by every parameter, its plain values, and its floor."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -70,7 +72,7 @@ def test_derivatives_equal_central_differences(surface, lights, parts):
 @pytest.mark.parametrize("part", ["occlusion", "bounce", "environment"])
 def test_soft_light_at_its_plain_value_is_constant_light(surface, part):
     plain = _model(1)
-    x, model = _inner_x(plain), plain.with_part(part)
+    x, model = _inner_x(plain), replace(plain, **{part: True})
     more = plain.extend(x, model)
     more[model.position_of(part) :] = 1.0 if part == "occlusion" else 0.0
     assert _lit(surface, model, more)[0] == pytest.approx(_lit(surface, plain, x)[0], abs=1e-12)

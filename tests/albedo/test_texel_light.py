@@ -42,12 +42,12 @@ def _solution(scene, lamps=(WEAK, STRONG), tail=(), **parts):
 
 def _found(scene, solution, shift=0.0, spread=0.0, **colours):
     """Return a solution as the best explanation, in white light but for what `colours` replaces."""
-    level, problem = scene.level(40), scene.posterior(40, OUTLINE_BLURS[0])
+    level, problem = scene.at(40).level, scene.posterior(40, OUTLINE_BLURS[0])
     point = problem.start(solution.model, solution.x, problem.started(Scales()))
     shown = replace(light_colours(point, False), **colours)
     none = np.zeros(len(level.value))
     told = Explanation(point, shown, level, none[:, None] + np.zeros(3) + shift, none + spread)
-    return LightFound(solution, level.unit, [], scene.shadows[0], explanation=told)
+    return LightFound(solution, [], explanation=told)
 
 
 def _rays(scene, solution, environment=None):
@@ -59,7 +59,7 @@ def _rays(scene, solution, environment=None):
 
 def test_without_members_the_light_is_that_of_the_lamps_under_constant_ambient_light(lit_face):
     solution = _solution(lit_face)
-    lit = light_on_texels(lit_face, LightFound(solution, 0.5, [], lit_face.shadows[0]))
+    lit = light_on_texels(lit_face, LightFound(solution, []))
     assert lit.environment is None
     assert lit.light_linear == pytest.approx(_rays(lit_face, solution), rel=1e-6)
     assert [lamp.intensity for lamp in lit.lights] == pytest.approx([3, 1])
@@ -68,7 +68,7 @@ def test_without_members_the_light_is_that_of_the_lamps_under_constant_ambient_l
 
 def test_soft_light_at_its_plain_values_is_constant_light(lit_face):
     solution = _solution(lit_face, tail=[1.0, 0.0, *[0.0] * 8], **SOFT)
-    lit = light_on_texels(lit_face, LightFound(solution, 0.5, [], lit_face.shadows[0]))
+    lit = light_on_texels(lit_face, LightFound(solution, []))
     assert lit.light_linear == pytest.approx(_rays(lit_face, solution), abs=1e-6)
     assert (lit.environment.fill, lit.environment.bounce) == (1, 0)
 
@@ -76,7 +76,7 @@ def test_soft_light_at_its_plain_values_is_constant_light(lit_face):
 def test_light_that_was_found_is_that_of_its_lamps_and_environment(lit_face):
     """Two roads to the same light: hidden parts taken from cells, and rays from each texel."""
     solution = _solution(lit_face, tail=[0.3, 0.4, 0.2, -0.1, 0.3, 0.0, 0.1, 0.0, -0.1, 0.05], **SOFT)
-    lit = light_on_texels(lit_face, LightFound(solution, 0.5, [], lit_face.shadows[0]))
+    lit = light_on_texels(lit_face, LightFound(solution, []))
     again = _rays(lit_face, solution, lit.environment)
     ratio = again / lit.light_linear
     assert np.std(ratio) < 0.02
@@ -96,7 +96,7 @@ def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth, scen
     texture[mask] = texture[mask] / shaded * open_light
     image = replace(truth.image, texture_linear=texture)
     other = scenes.lit_image(image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
-    traced = light_on_texels(lit_face, LightFound(solution, 0.5, [], lit_face.shadows[0]))
+    traced = light_on_texels(lit_face, LightFound(solution, []))
     normal = truth.image.normal[mask]
     shadow = (traced.visible < 0.1) & (normal @ WEAK.direction > 0.1) & (normal @ STRONG.direction > 0.1)
     assert shadow.sum() > 50
@@ -104,7 +104,7 @@ def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth, scen
     assert step > 0.25
     # Of the step in the light that a shadow makes, most is there where the picture shows it, and only there.
     for scene, true in ((lit_face, shaded), (other, open_light)):
-        off = np.log(light_on_texels(scene, _found(scene, solution)).light / true[:, 0])
+        off = np.log(light_on_texels(scene, _found(scene, solution)).light_linear.mean(1) / true[:, 0])
         assert np.abs(off[shadow] - np.median(off)).mean() < 0.4 * step
 
 
@@ -116,7 +116,6 @@ def test_colours_go_with_their_lamps(lit_face):
     assert weak.color_linear == pytest.approx((2, 1, 0))
     assert (weak.intensity, strong.intensity) == pytest.approx((1, 3))
     assert lit.light_linear.min() > 0
-    assert lit.light == pytest.approx(lit.light_linear.mean(1))
     normal = lit_face.image.normal[lit_face.image.mask]
     only_weak = (normal @ WEAK.direction > 0.3) & (normal @ STRONG.direction < -0.1)
     assert (lit.light_linear[only_weak, 0] > lit.light_linear[only_weak, 2]).all()

@@ -13,14 +13,13 @@ from scan2albedo.lighting.environment_light import (
     open_shading,
     open_transfer,
     shadowed_transfer,
-    sky_table,
 )
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 
 def _of_rays(shadows, count):
-    return shadowed_transfer(shadows, sky_table(shadows, count))
+    return shadowed_transfer(shadows, shadows.table(distant_directions(count)))
 
 
 def test_open_surfaces_receive_the_clamped_cosine_of_the_radiance():
