@@ -232,7 +232,7 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     if image.camera is None or image.camera_positions is None:
         return PlanStep(_CAMERAS, False, "no camera is known: one view direction serves", "no camera")
     known = image.camera[image.mask] != NO_CAMERA
-    cosine = (image.toward_camera(scene.view) @ np.asarray(scene.view)).min()
+    cosine = (scene.toward @ np.asarray(scene.view)).min()
     evidence = (
         f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels, from up to "
         f"{math.degrees(math.acos(float(np.clip(cosine, -1, 1)))):.0f} deg off the view direction"

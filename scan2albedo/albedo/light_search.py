@@ -119,7 +119,7 @@ class LightSearch:
         ]
         if not meter.exhausted:
             largest = self._posterior(2, best.problem.blur)
-            fine = Point(largest, best.model, best.x, None, best.scales).rescaled()
+            fine = Point(largest, best.model, best.x, largest.started(best.known.scales)).rescaled()
             best = descend(fine, _LAST_EVALUATIONS, meter).rescaled()
         self._record()
         colours = light_colours(best, options.choice("albedo.light_colour"))
@@ -177,7 +177,7 @@ class LightSearch:
         best = point
         for radius in _RADII_DEG:
             model = replace(point.model, radius_deg=radius)
-            start = Point(point.problem, model, point.x, point.robust, point.scales)
+            start = Point(point.problem, model, point.x, point.known)
             tried = descend(start, 4, self.scene.meter)
             if tried.cost > best.cost:
                 break
@@ -215,7 +215,7 @@ class LightSearch:
             if where is not problem and (self.scene.shadows[0] is None or not near.lights):
                 continue
             x = np.append(point.model.extend(point.light_x, near), point.x[-EXTRA:])
-            found.append(self._settled(Point(where, near, x, None, point.scales)))
+            found.append(self._settled(Point(where, near, x, where.started(point.known.scales))))
         return found
 
     def _with_one_more(self, base: Point) -> list[Point]:
@@ -228,9 +228,7 @@ class LightSearch:
         for x in self._starts(base, model):
             if meter.exhausted and ahead:
                 break
-            point = Point(
-                coarse, model, np.append(x, base.x[-EXTRA:]), known.weight, known.scales, known.factor
-            )
+            point = Point(coarse, model, np.append(x, base.x[-EXTRA:]), known, fixed=True)
             equations = point.normal_equations()
             step = damped_step(equations, _CAUTION)
             fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
@@ -248,7 +246,7 @@ class LightSearch:
             if found and meter.exhausted:
                 break
             x = np.append(model.extend(start.light_x, full), start.x[-EXTRA:])
-            point = Point(problem, full, x, None, start.scales)
+            point = Point(problem, full, x, problem.started(start.known.scales))
             found.append(point if meter.exhausted else self._settled(point))
         return sorted(found, key=lambda point: -point.log_evidence())
 
@@ -256,11 +254,11 @@ class LightSearch:
         self, problem: Posterior, model: LightModel, starts: list[FloatArray], scales: Scales
     ) -> list[Point]:
         """Return the points of starts x, at least one, as long as the budget lasts."""
-        found = list[Point]()
+        found, known = list[Point](), problem.started(scales)
         for x in starts:
             if found and self.scene.meter.exhausted:
                 break
-            found.append(Point(problem, model, x, None, scales))
+            found.append(Point(problem, model, x, known))
         return found
 
     def _settled(self, point: Point) -> Point:

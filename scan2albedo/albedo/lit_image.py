@@ -93,8 +93,13 @@ class LitImage:
     def level(self, size: int) -> Level:
         """Return the image with `size` cells along its longer side; known ones are kept."""
         if size not in self._levels:
-            self._levels[size] = build_level(self.image, self.usable, size, self.value, self.view)
+            self._levels[size] = build_level(self.image, self.usable, size, self.value, self.toward)
         return self._levels[size]
+
+    @cached_property
+    def toward(self) -> FloatArray:
+        """(P, 3) unit directions from the masked texels to the camera, or the viewer."""
+        return self.image.toward_camera(self.view)
 
     @cached_property
     def places(self) -> FloatArray:
