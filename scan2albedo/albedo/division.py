@@ -112,7 +112,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> Float
     return np.stack([result + finer, own + finer_share, variance + finer_share * noise_here])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-untyped-def]
     """Return weighted means (H, W) over windows, and the part of white noise's variance that they have.
 
@@ -121,19 +121,26 @@ def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-unt
     rows, columns = field.shape
     radius = window // 2
     mean, share = field.copy(), np.ones((rows, columns))
+    total, mass, squares = np.empty((3, columns))
     for row in range(rows):
+        total[:], mass[:], squares[:] = 0.0, 0.0, 0.0
+        # Along a row neighbours lie side by side, so that several are compared at once.
+        for i in range(max(0, row - radius), min(rows, row + radius + 1)):
+            for step in range(-radius, radius + 1):
+                here, there = max(0, -step), max(0, step)
+                width = columns - here - there
+                own, near, far = guide[row, here:], guide[i, there:], reach[row, here:]
+                value, known = field[i, there:], weight[i, there:]
+                sums, masses, products = total[here:], mass[here:], squares[here:]
+                for column in range(width):
+                    apart = near[column] - own[column]
+                    alike = far[column] / (far[column] + apart * apart)
+                    w = known[column] * alike * alike
+                    sums[column] += w * value[column]
+                    masses[column] += w
+                    products[column] += w * w
         for column in range(columns):
-            if weight[row, column] <= 0:
-                continue
-            total = mass = squares = 0.0
-            for i in range(max(0, row - radius), min(rows, row + radius + 1)):
-                for j in range(max(0, column - radius), min(columns, column + radius + 1)):
-                    apart = guide[i, j] - guide[row, column]
-                    alike = 1 / (1 + apart * apart / reach[row, column])
-                    w = weight[i, j] * alike * alike
-                    total += w * field[i, j]
-                    mass += w
-                    squares += w * w
-            mean[row, column] = total / mass
-            share[row, column] = squares / (mass * mass)
+            if weight[row, column] > 0:
+                mean[row, column] = total[column] / mass[column]
+                share[row, column] = squares[column] / (mass[column] * mass[column])
     return mean, share

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
 
 from scan2albedo.albedo.noise import WINDOW
@@ -115,9 +116,12 @@ def build_level(
     usable: BoolArray,
     size: int,
     values: NDArray[np.floating] | None = None,
-    view: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    toward: FloatArray | None = None,
 ) -> Level:
-    """Average usable texels of V, or of `values` (H, W), into cells, at most `size` along the longer side."""
+    """Average usable texels of V, or of `values` (H, W), into cells, at most `size` along the longer side.
+
+    `toward` (P, 3) are the masked texels' directions to the camera, to the front when None.
+    """
     assert image.texture_linear is not None
     field = brightest_around(image.texture_linear, usable) if values is None else values
     factor = max(1, -(-max(image.shape) // size))
@@ -127,20 +131,16 @@ def build_level(
     count = np.bincount(number)
     found = np.flatnonzero(count)
     index, count = (np.cumsum(count > 0) - 1)[number], count[found]
+    each = np.arange(len(index) + 1)
+    cells = sparse.csc_matrix((np.ones(len(index)), index, each), (len(found), len(index)))
 
-    def mean(field: NDArray) -> FloatArray:
-        parts = field[row, column].reshape(len(index), -1).T
-        return np.stack([np.bincount(index, part) for part in parts], 1) / count[:, None]
+    def mean(field: NDArray, texels: BoolArray = usable) -> FloatArray:
+        return np.asarray(cells @ field[texels].reshape(len(index), -1)) / count[:, None]
 
     position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
-    toward = np.zeros(image.position.shape)
-    toward[image.mask] = image.toward_camera(view)
-    # The texel closest to each cell's mean.
-    texels = image.position[row, column]
-    farthest_first = np.argsort(-((texels - position[index]) ** 2).sum(1), kind="stable")
-    anchor = np.empty_like(position)
-    anchor[index[farthest_first]] = texels[farthest_first]
+    toward = image.toward_camera((0.0, 0.0, 1.0)) if toward is None else toward
+    anchor = _closest(index, image.position[usable].astype(np.float64), position)
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)
@@ -149,7 +149,7 @@ def build_level(
     return Level(
         position,
         normalized(mean(image.normal)),
-        normalized(mean(toward)),
+        normalized(mean(toward, usable[image.mask])),
         anchor,
         value / unit,
         count / factor**2 * mean(part)[:, 0],
@@ -157,10 +157,24 @@ def build_level(
         unit,
         mean(image.texture_linear) / unit,
         np.stack(np.divmod(found, across), 1),
-        np.stack([np.bincount(index, along) for along in (row, column)], 1) / count[:, None],
+        mean(np.stack([row, column], 1), np.ones(len(row), bool)),
         int(image.mask.sum()),
         factor,
     )
+
+
+@njit(cache=True, nogil=True)
+def _closest(index, texels, mean):  # type: ignore[no-untyped-def]
+    """Return (N, 3) of the `texels` (T, 3) with each `index` (T,) the one closest to `mean` (N, 3)."""
+    found, least = np.empty(mean.shape), np.full(len(mean), np.inf)
+    for t in range(len(index)):
+        square = 0.0
+        for c in range(3):
+            square += (texels[t, c] - mean[index[t], c]) ** 2
+        if square <= least[index[t]]:
+            least[index[t]] = square
+            found[index[t]] = texels[t]
+    return found
 
 
 def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:

@@ -97,10 +97,14 @@ class LightModel:
     def _frame(self) -> FloatArray:
         return view_frame(self.view)
 
+    @cached_property
+    def _place(self) -> dict[str, int]:
+        return {name: 3 * self.lights + k for k, name in enumerate(self._tail)}
+
     @property
     def size(self) -> int:
         """Length of x."""
-        return 3 * self.lights + len(self._tail)
+        return 3 * self.lights + len(self._place)
 
     @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -128,26 +132,20 @@ class LightModel:
 
     def direction(self, px: float, py: float) -> FloatArray:
         """Return the unit direction (3,) of p."""
-        angle = math.hypot(px, py)
-        part = math.sin(angle) / angle if angle > 1e-12 else 1.0
-        return np.array([part * px, part * py, math.cos(angle)]) @ self._frame
+        return np.asarray(_with_tangents(px, py)[0] @ self._frame)
 
     def tangents(self, x: FloatArray) -> FloatArray:
         """Return (L, 2, 3) the derivatives of each light's direction by p."""
-        step = 1e-5
-        found = np.empty((self.lights, 2, 3))
-        for k in range(self.lights):
-            px, py = x[3 * k : 3 * k + 2]
-            found[k, 0] = self.direction(px + step, py) - self.direction(px - step, py)
-            found[k, 1] = self.direction(px, py + step) - self.direction(px, py - step)
-        return found / (2 * step)
+        lamps = x[: 3 * self.lights].reshape(-1, 3).tolist()
+        found = [_with_tangents(px, py)[1:] for px, py, _ in lamps]
+        return np.asarray(np.reshape(found, (self.lights, 2, 3)) @ self._frame)
 
     def decode(self, x: FloatArray) -> Hypothesis:
         """Return the hypothesis that x stands for (x clipped to the bounds)."""
         x = np.clip(x, *self.bounds)
         tail, rows = self._values(x), np.zeros((self.lights, 5))
         for k in range(self.lights):
-            px, py, log_intensity = x[3 * k : 3 * k + 3]
+            px, py, log_intensity = x[3 * k : 3 * k + 3].tolist()
             rows[k, :3] = self.direction(px, py)
             rows[k, 3] = tail.get("near", 0.0) / self.radius_mm
             rows[k, 4] = math.exp(log_intensity)
@@ -170,7 +168,7 @@ class LightModel:
 
     def position_of(self, part: str) -> int:
         """Return where in x a part is, its first parameter; ValueError when it is not free."""
-        return 3 * self.lights + list(self._tail).index(part)
+        return self._place[part]
 
     def has(self, part: str) -> bool:
         """Return whether a part is free: of lamps only where there is one."""
@@ -181,6 +179,21 @@ class LightModel:
         mine = self._values(x)
         tail = [mine.get(name, row[0]) for name, row in other._tail.items()]
         return np.concatenate([x[: 3 * self.lights], tail])
+
+
+def _with_tangents(px: float, py: float) -> list[list[float]]:
+    """Return the unit direction of p in the frame of the view, and its derivatives by p."""
+    angle = math.hypot(px, py)
+    if angle < 1e-6:
+        return [[px, py, 1.0], [1.0, 0.0, -px], [0.0, 1.0, -py]]
+    part = math.sin(angle) / angle
+    # (sin a / a)' / a
+    bend = (math.cos(angle) - part) / angle**2
+    return [
+        [part * px, part * py, math.cos(angle)],
+        [part + bend * px * px, bend * px * py, -part * px],
+        [bend * px * py, part + bend * py * py, -part * py],
+    ]
 
 
 @dataclass(frozen=True)

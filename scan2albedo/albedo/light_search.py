@@ -13,7 +13,7 @@ from scan2albedo.albedo.light_parameters import PARTS, Hypothesis, LightModel
 from scan2albedo.albedo.light_priors import INTENSITY, parts_steps
 from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import Scales
-from scan2albedo.albedo.posterior import EXTRA, NOISE, Point, Posterior, descend
+from scan2albedo.albedo.posterior import EXTRA, NOISE, Point, Posterior, Start, descend
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
@@ -93,7 +93,7 @@ class LightSearch:
                 others.append(Alternative(other.lights(), round(first - value, 3)))
         if not self.meter.exhausted:
             largest = self._posterior(2, best.problem.blur)
-            fine = Point(largest, best.model, best.x, None, best.scales).rescaled()
+            fine = Point(largest, best.model, best.x, largest.started(best.known.scales)).rescaled()
             best = descend(fine, _STEPS, self.meter).rescaled()
         self._record()
         colours = light_colours(best, self.options.choice("albedo.light_colour"))
@@ -145,7 +145,7 @@ class LightSearch:
         best = point
         for radius in _RADII_DEG:
             model = replace(point.model, radius_deg=radius)
-            start = Point(point.problem, model, point.x, point.robust, point.scales)
+            start = Point(point.problem, model, point.x, point.known)
             tried = descend(start, _STEPS, self.meter)
             if tried.cost > best.cost:
                 break
@@ -177,7 +177,7 @@ class LightSearch:
             if self.meter.exhausted:
                 break
             x = np.append(point.model.extend(point.light_x, model), point.x[-EXTRA:])
-            found.append(self._settled(Point(where, model, x, None, point.scales)))
+            found.append(self._settled(Point(where, model, x, where.started(point.known.scales))))
         return found
 
     def _with_one_more(self, base: Point) -> list[Point]:
@@ -192,7 +192,7 @@ class LightSearch:
             if found and meter.exhausted:
                 break
             x = np.append(model.extend(start.light_x, full), start.x[-EXTRA:])
-            point = Point(base.problem, full, x, None, start.scales)
+            point = Point(base.problem, full, x, base.problem.started(start.known.scales))
             found.append(point if meter.exhausted else self._settled(point))
         return sorted(found, key=lambda point: -point.log_evidence())
 
@@ -201,7 +201,8 @@ class LightSearch:
     ) -> list[Point]:
         """Return where a few steps lead from the best distinct starts, the best first."""
         meter, ranked, found = self.meter, list[tuple[float, FloatArray]](), list[Point]()
-        for point in self._starts(base, model, dark, scales):
+        known = self._posterior(0, base.problem.blur).started(scales)
+        for point in self._starts(base, model, dark, known):
             cost, x = point.cost, point.x
             # A lamp in a dark room is far from soft light: its own cost ranks it, not a predicted one.
             if not dark:
@@ -215,15 +216,16 @@ class LightSearch:
         for x in _distinct(model, ranked, count):
             if found and meter.exhausted:
                 break
-            found.append(descend(Point(point.problem, model, x, None, scales), _STEPS, meter))
+            found.append(descend(Point(point.problem, model, x, known), _STEPS, meter))
         return sorted(found, key=lambda point: point.cost)
 
-    def _starts(self, base: Point, model: LightModel, dark: bool, scales: Scales) -> Iterator[Point]:
+    def _starts(self, base: Point, model: LightModel, dark: bool, known: Start) -> Iterator[Point]:
         """Yield starts of one lamp more beside the light that is there, or a strong one in a dark room."""
         count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
-        plain, known = self.scene.model(count), coarse.started(scales)
-        tail = (plain.extend(head, model) if dark else base.model.extend(base.light_x, model))[3 * count :]
+        tail = (
+            self.scene.model(count).extend(head, model) if dark else base.model.extend(base.light_x, model)
+        )[3 * count :]
         strength = math.log(_DARK_STRENGTH) if dark else INTENSITY[0]
         for direction in self.scene.directions:
             if count and (rows @ direction).max() > _SAME_COSINE:
@@ -233,7 +235,7 @@ class LightSearch:
             if dark:
                 yield coarse.start(model, x, known)
             else:
-                yield Point(coarse, model, np.append(x, base.x[-EXTRA:]), known.weight, scales, known.factor)
+                yield Point(coarse, model, np.append(x, base.x[-EXTRA:]), known, fixed=True)
 
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""

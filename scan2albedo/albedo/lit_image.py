@@ -100,6 +100,11 @@ class LitImage:
         return cells.posteriors[blur]
 
     @cached_property
+    def toward(self) -> FloatArray:
+        """(P, 3) unit directions from the masked texels to the camera, or the viewer."""
+        return self.image.toward_camera(self.view)
+
+    @cached_property
     def places(self) -> FloatArray:
         """(P, 2) where on the prior's chart each masked texel lies: row and column, from 0 to 1."""
         mask, chart = self.image.mask, self.image.face_chart
@@ -147,7 +152,7 @@ class SizedImage:
 
     def __init__(self, scene: LitImage, size: int) -> None:
         self.scene, self.posteriors = scene, dict[float, Posterior]()
-        self.level = build_level(scene.image, scene.usable, size, scene.value, scene.view)
+        self.level = build_level(scene.image, scene.usable, size, scene.value, scene.toward)
 
     @cached_property
     def places(self) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter
+from numba import njit
 from scipy.optimize import nnls
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -63,13 +63,13 @@ def channel_noise(
     code = linear_to_srgb(np.clip(texture, 0.0, 1.0))
     rounding = (srgb_to_linear(code + 0.5 / 255) - srgb_to_linear(code - 0.5 / 255)) ** 2 / 12
     rounding /= (light * around) ** 2
-    if texture.shape[-1] < 3 or not np.ptp(texture[usable], axis=-1).any():
+    if texture.shape[-1] < 3 or not (texture[..., 1:] != texture[..., :1])[usable].any():
         deviation = additive_deviation(texture[..., lead], light[..., lead], usable)
         leading = (deviation / (light[..., lead] * around[..., lead])) ** 2
         return ChannelNoise(lead, leading, beside, rounding[..., lead])
     pairs = (0, 1), (0, 2), (1, 2)
     steps = [relative[..., i] - relative[..., j] for i, j in pairs]
-    *apart, white = white_variance(np.stack([*steps, relative[..., lead]]), usable)
+    *apart, white = np.moveaxis(white_variance(np.stack([*steps, relative[..., lead]], -1), usable), -1, 0)
     eight_bits = window_mean(rounding, usable.astype(float), WINDOW)
     differences = {}
     for (i, j), own_white in zip(pairs, apart, strict=True):
@@ -90,7 +90,7 @@ def channel_noise(
 
 
 def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return (C, H, W) the variance of the white part of fields, over a window about each texel; may be < 0.
+    """Return (H, W, C) the variance of the white part of fields, over a window about each texel; may be < 0.
 
     The structure function g(h) = E (f(x + h) - f(x))^2 / 2 is s^2 at every lag h for white noise, and rises
     at least in proportion to h for edges and spots of two texels and more [1]_: what is left at lag 0 of the
@@ -102,19 +102,19 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
     if min(usable.shape) <= 3:
         return np.zeros(fields.shape)
     least = np.full(fields.shape, np.inf)
-    turned = fields.swapaxes(1, 2), usable.T, least.swapaxes(1, 2)
+    turned = fields.swapaxes(0, 1), usable.T, least.swapaxes(0, 1)
     for values, known, found in ((fields, usable, least), turned):
         variogram = []
         for lag in (1, 2, 3):
-            sums = np.zeros((len(values) + 1, *known.shape))
+            sums = np.zeros((*known.shape, values.shape[2] + 1))
             middle = slice(lag // 2, lag // 2 - lag)
             pairs = known[lag:] & known[:-lag]
-            sums[-1, middle] = pairs
-            sums[:-1, middle] = 0.5 * (values[:, lag:] - values[:, :-lag]) ** 2 * pairs
-            *totals, number = uniform_filter(sums, (1, WINDOW, WINDOW), mode="constant")
+            sums[middle, :, -1] = pairs
+            sums[middle, :, :-1] = 0.5 * (values[lag:] - values[:-lag]) ** 2 * pairs[..., None]
+            sums = _window_sums(sums, WINDOW // 2)
+            number = sums[..., -1:]
             # Fewer pairs than the window's side tell nothing.
-            share = np.where(number * WINDOW > 1, 1 / np.maximum(number, 1 / WINDOW**2), 0.0)
-            variogram.append(np.stack(totals) * share)
+            variogram.append(sums[..., :-1] * np.where(number >= WINDOW, 1 / np.maximum(number, 1), 0.0))
         first, second, third = variogram
         np.minimum(found, np.minimum(2 * first - second, np.minimum(second, third)), out=found)
     return least
@@ -123,10 +123,31 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
 def window_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:
     """Return the weighted means of (H, W) or (H, W, C) over a square window; 0 where nothing has weight."""
     each = field.reshape(*weight.shape, -1)
-    parts = np.dstack([weight[..., None] * each, weight])
-    *totals, mass = np.moveaxis(uniform_filter(parts, (window, window, 1), mode="constant"), -1, 0)
-    share = np.where(mass > 1e-12, 1 / np.maximum(mass, 1e-12), 0.0)
-    return np.stack([total * share for total in totals], -1).reshape(field.shape)
+    sums = _window_sums(np.dstack([weight[..., None] * each, weight]), window // 2)
+    mass = sums[..., -1:]
+    return np.where(mass > 1e-9, sums[..., :-1] / np.maximum(mass, 1e-9), 0.0).reshape(field.shape)
+
+
+@njit(cache=True, nogil=True)
+def _window_sums(values, radius):  # type: ignore[no-untyped-def]
+    """Return the sums of `values` (H, W, C) over windows: what enters is added, what leaves is taken off."""
+    rows, columns, channels = values.shape
+    sums, total, result = np.zeros((columns, channels)), np.empty(channels), np.empty(values.shape)
+    for i in range(-radius, rows):
+        if i + radius < rows:
+            sums += values[i + radius]
+        if i > radius:
+            sums -= values[i - radius - 1]
+        total[:] = 0.0
+        for j in range(-radius, columns if i >= 0 else -radius):
+            for c in range(channels):
+                if j + radius < columns:
+                    total[c] += sums[j + radius, c]
+                if j > radius:
+                    total[c] -= sums[j - radius - 1, c]
+                if j >= 0:
+                    result[i, j, c] = total[c]
+    return result
 
 
 def additive_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray) -> float:

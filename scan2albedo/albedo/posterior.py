@@ -7,7 +7,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.blas import dtrsm
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
@@ -27,7 +28,7 @@ from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.lighting.kernels import shade_with_derivatives
+from scan2albedo.lighting.kernels import log_rows, shade_with_derivatives
 from scan2albedo.optimization import Damping, NormalEquations, minimize
 
 FREEDOM = 4.0
@@ -94,23 +95,20 @@ class Posterior:
         level_here = offset + slope * math.log(max(green, NOISE) / max(red, NOISE))
         self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
 
-    def started(self, scales: Scales) -> Start:
-        """Return weights of the cells, and their factor, for points far from an optimum."""
-        weight = 1 / (self.repeats * self.variance * scales.grain**2)
+    def started(self, scales: Scales, weight: FloatArray | None = None) -> Start:
+        """Return `weight` (N,) of the cells, that of points far from an optimum when None, and its factor."""
+        if weight is None:
+            weight = 1 / (self.repeats * self.variance * scales.grain**2)
         factor = posterior_factor(self.nodes, weight, self.field.precision(scales))
         return Start(weight, scales, factor)
 
     def start(self, model: LightModel, x: FloatArray, known: Start) -> Point:
         """Return the point of a light x (P,), at the albedo's scale that fits best."""
-        whole = np.append(x, [0.0, 1.0])
-        whole[-EXTRA] = float(
-            np.median(Point(self, model, whole, known.weight, known.scales, known.factor).left)
-        )
-        return Point(self, model, whole, known.weight, known.scales, known.factor)
+        return Point(self, model, np.append(x, [math.nan, 1.0]), known, fixed=True)
 
 
 class Start(NamedTuple):
-    """Weights (N,) of the cells that do not depend on a light, scales, and the nodes' factor for them."""
+    """Weights (N,) of the cells from a point near by, scales, and the nodes' factor for them."""
 
     weight: FloatArray
     scales: Scales
@@ -128,10 +126,10 @@ def robust_weights(error: FloatArray, variance: FloatArray, repeats: float) -> F
 
 
 class Point:
-    """The posterior at x = [light, scale, likeness]: one counted evaluation.
+    """The posterior at x = [light, scale, likeness]: one counted evaluation. NaN is the scale that fits best.
 
-    `weight` (N,) of the cells come from a point near by; with `factor`, the nodes' factor for them, they
-    stay. `u` (M,) is the nodes' best field.
+    The cells are weighed once more by what they err by under `known`, or have its weights when `fixed`.
+    `u` (M,) is the nodes' best field.
     """
 
     def __init__(
@@ -139,25 +137,23 @@ class Point:
         problem: Posterior,
         model: LightModel,
         x: FloatArray,
-        weight: FloatArray | None,
-        scales: Scales,
-        factor: tuple[FloatArray, bool] | None = None,
+        known: Start,
+        *,
+        fixed: bool = False,
     ) -> None:
         problem.meter.count()
-        self.problem, self.model, self.scales = problem, model, scales
+        self.problem, self.model = problem, model
         lower, upper = model.bounds
         self.x = np.concatenate([np.clip(x[:-EXTRA], lower, upper), x[-EXTRA:]])
         self._shade()
-        if weight is None:
-            weight = 1 / (problem.repeats * problem.variance * scales.grain**2)
-        self._settle(weight, factor)
+        self._settle(known, fixed)
 
     def _shade(self) -> None:
         p, model, light_x = self.problem, self.model, self.light_x
         level, found, cells = p.level, model.decode(light_x), len(p.value)
         visible, visible_slope = p.lattice.visibility(model, light_x, p.blur)
-        light, specular = np.empty(cells), np.empty(cells)
-        slopes = np.zeros((model.size, cells)), np.zeros((model.size, cells))
+        light, specular = np.empty((2, cells))
+        slopes = np.zeros((2, cells, model.size))
         shade_with_derivatives(
             level.position,
             level.normal,
@@ -179,36 +175,34 @@ class Point:
             specular,
             *slopes,
         )
-        self.lamps, self.highlights = (part[2 : 3 * model.lights : 3].copy() for part in slopes)
+        self.lamps, self.highlights = slopes[..., 2 : 3 * model.lights : 3].transpose(0, 2, 1).copy()
         p.soft.add(model, light_x, light, slopes[0])
-        scale, likeness = self.x[-EXTRA:]
-        albedo = np.exp(scale + likeness * p.mean)
-        seen = albedo * light + specular
         self.light, self.specular = light, specular
-        self.left = p.value - np.log(seen)
-        whole = (albedo * slopes[0] + slopes[1]) / seen
-        share = albedo * light / seen
-        self.slopes = np.vstack([whole, share, share * p.mean])
+        if math.isnan(self.x[-EXTRA]):
+            seen = np.log(np.exp(self.x[-1] * p.mean) * light + specular)
+            self.x[-EXTRA] = np.median(p.value - seen)
+        self.rows = np.empty((cells, model.size + EXTRA + 1))
+        log_rows(p.value, p.mean, light, specular, *slopes, *self.x[-EXTRA:], self.rows)
+        self.left = self.rows[:, -1].copy()
 
-    def _settle(self, weight: FloatArray, factor: tuple[FloatArray, bool] | None) -> None:
+    def _settle(self, known: Start, fixed: bool) -> None:
         """Estimate the nodes' field for robust weights; the cost follows."""
-        p, (albedo, light, grain, soft) = self.problem, self.scales
-        variance, free, precision = p.variance * grain**2, FREEDOM, p.field.precision(self.scales)
-        for _ in range(1 if factor else 2):
-            self.weight = weight
-            self.factor = posterior_factor(p.nodes, weight, precision) if factor is None else factor
-            self.u = solved(self.factor, p.onto_nodes @ (weight * self.left))
+        self._quadratic: tuple[FloatArray, FloatArray] | None = None
+        self.robust: FloatArray
+        p, (albedo, light, grain, soft) = self.problem, known.scales
+        variance, free = p.variance * grain**2, FREEDOM
+        for again in range(1 if fixed else 2):
+            self.known = p.started(known.scales, self.robust) if again else known
+            self.u = solved(self.known.factor, p.onto_nodes @ (self.known.weight * self.left))
             self.error = self.left - p.nodes @ self.u
-            # The last weights are for points near by: factor and weights have to agree.
-            self.robust = weight if factor else robust_weights(self.error, variance, p.repeats)
-            weight = self.robust
+            self.robust = robust_weights(self.error, variance, p.repeats)
         misfit = (free + 1) / 2 * np.log1p(self.error**2 / (free * variance)).sum()
         self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
         far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
         far += math.log(light) ** 2 / (2 * _LIGHT_SD**2)
         far += math.log(soft) ** 2 / (2 * _SOFT_SD**2)
-        sizes = 0.5 * p.field.log_determinant(self.scales) + len(self.error) / p.repeats * math.log(grain)
-        rough = 0.5 * float(self.u @ precision @ self.u)
+        sizes = 0.5 * p.field.log_determinant(known.scales) + len(self.error) / p.repeats * math.log(grain)
+        rough = 0.5 * float(p.field.own(known.scales) @ (self.u @ p.field.basis) ** 2)
         self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
 
     @property
@@ -230,12 +224,13 @@ class Point:
 
     def quadratic(self) -> tuple[FloatArray, FloatArray]:
         """Return matrix (P, P) and gradient (P,) of the cost in x, the nodes' field following each step."""
-        p = self.problem
-        rows = np.column_stack([self.slopes.T, self.left])
-        weighted = rows * self.weight[:, None]
-        nodes = p.onto_nodes @ weighted
-        inner = rows.T @ weighted - nodes.T @ solved(self.factor, nodes)
-        return inner[:-1, :-1] + np.diag(self.prior.curvature), self.prior.slope - inner[:-1, -1]
+        if self._quadratic is None:
+            weighted = self.rows * self.known.weight[:, None]
+            nodes = dtrsm(1.0, self.known.factor[0], self.problem.onto_nodes @ weighted, lower=1)
+            inner = self.rows.T @ weighted - nodes.T @ nodes
+            matrix = inner[:-1, :-1] + np.diag(self.prior.curvature)
+            self._quadratic = matrix, self.prior.slope - inner[:-1, -1]
+        return self._quadratic
 
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model with the bounds of a step."""
@@ -251,34 +246,33 @@ class Point:
 
     def moved(self, step: FloatArray) -> Point:
         """Return the point at x + `step`."""
-        return Point(self.problem, self.model, self.x + step, self.robust, self.scales)
+        return Point(self.problem, self.model, self.x + step, self.known)
 
     def rescaled(self) -> Point:
         """Return the point nearer to the scales at which the evidence is largest: one step of its iteration.
 
         .. [1] D. MacKay, "Bayesian interpolation", Neural Computation 4(3), 1992, section 4.
         """
-        p, (albedo, light, grain, soft) = self.problem, self.scales
+        p, (albedo, light, grain, soft) = self.problem, self.known.scales
         # The evidence is largest where what the field shows is what it is free to show [1]_.
-        own, along = p.field.own(self.scales), self.u @ p.field.basis
-        free = solve_triangular(self.factor[0], p.field.basis, lower=True, check_finite=False)
-        free = own - own**2 * (free**2).sum(0)
+        own, along = p.field.own(self.known.scales), self.u @ p.field.basis
+        left = (dtrsm(1.0, self.known.factor[0], p.field.basis, lower=1) ** 2).sum(0)
+        free = own - own**2 * left
         shown = (own * along) ** 2
         parts = list[float]()
         for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.field.ratio, _LIGHT_SD):
             dof = scale**2 * float(ratio @ free)
             parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, TINY), dof, sd))
-        sure = cell_variances(p.nodes, inverse(self.factor))
-        share = self.robust * p.variance * grain**2 * p.repeats
-        rough = float((share * (self.error**2 + sure) / p.variance).mean())
+        # The variances of the cells, weighed and summed, are what the cells know of the field.
+        sure = len(own) - own @ left
+        rough = float(self.robust @ self.error**2 + sure) * grain**2 * p.repeats / len(self.error)
         if self.model.environment:
             at = slice(first := self.model.position_of("environment"), first + HARMONICS)
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             soft = _shrunk(float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _SOFT_SD)
         other = copy.copy(self)
-        grain = max(_shrunk(rough, len(share) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
-        other.scales = Scales(parts[0], parts[1], grain, soft)
-        other._settle(self.robust, None)
+        grain = max(_shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
+        other._settle(p.started(Scales(parts[0], parts[1], grain, soft), self.robust), False)
         return other
 
     def log_evidence(self) -> float:
@@ -288,7 +282,7 @@ class Point:
            JASA 81, 1986.
         """
         matrix = self.quadratic()[0]
-        nodes = 2 * float(np.log(np.diag(self.factor[0])).sum())
+        nodes = 2 * float(np.log(np.diag(self.known.factor[0])).sum())
         x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
         return -self.cost - 0.5 * (nodes + x)
 
@@ -299,16 +293,15 @@ class Point:
     def light_deviation(self) -> FloatArray:
         """Return (N,) the standard deviation of log light: of x, and of light that is not modelled."""
         p = self.problem
-        light = self.scales.light**2 * p.field.light_covariance
-        own = light @ p.field.precision(self.scales)
-        nodes = light - own @ light + own @ inverse(self.factor) @ own.T
-        slopes = self.slopes[:-EXTRA] - self.slopes[:-EXTRA].mean(1, keepdims=True)
+        light = self.known.scales.light**2 * p.field.light_covariance
+        own = light @ p.field.precision(self.known.scales)
+        nodes = light - own @ light + own @ inverse(self.known.factor) @ own.T
+        slopes = self.rows[:, : self.model.size] - self.rows[:, : self.model.size].mean(0)
         # What x changes, the nodes' part of light partly takes back.
-        taken = solved(self.factor, p.onto_nodes @ (slopes * self.weight).T)
-        slopes = slopes - (p.nodes @ (own @ taken)).T
+        taken = solved(self.known.factor, p.onto_nodes @ (slopes * self.known.weight[:, None]))
+        slopes = slopes - p.nodes @ (own @ taken)
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
-        variance = np.einsum("in,ij,jn->n", slopes, covariance, slopes)
-        variance += cell_variances(p.nodes, nodes)
+        variance = ((slopes @ covariance) * slopes).sum(1) + cell_variances(p.nodes, nodes)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def albedo_nodes(self) -> tuple[float, FloatArray]:
@@ -316,13 +309,13 @@ class Point:
 
         Light that no part stands for is a part of the median light, relative to the light found here.
         """
-        p, scales = self.problem, self.scales
+        p, scales = self.problem, self.known.scales
         dark = scales.light * deviation_of_light(self.light, float(np.median(self.light)))
         albedo = scales.albedo**2 * p.field.albedo_covariance
         total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
         left = self.left + self.x[-EXTRA]
-        weight, level = self.weight, 0.0
+        weight, level = self.known.weight, 0.0
         for _ in range(3):
             factor = posterior_factor(p.nodes, weight, precision)
             rows = np.column_stack([np.ones(len(left)), left])

@@ -6,6 +6,7 @@ import math
 from itertools import product
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
@@ -129,10 +130,10 @@ class ShadowLattice:
         self._least_step = _SPACING / self._side
         self._sharp: dict[tuple[int, int, int, float], Visibility] = {}
         self._known: dict[tuple[int, int, int, float, float], Visibility] = {}
-        self._spread: dict[float, list[Visibility]] = {}
+        self._spread: dict[float, tuple[Visibility, Visibility, Visibility]] = {}
         self._cell = tuple(level.cell.T)
-        self._grid, self._there = np.zeros((2, *level.cell.max(0) + 1), np.float32)
-        self._there[self._cell] = 1
+        self._grid = np.zeros(level.cell.max(0) + 1, np.float32)
+        self._height = np.einsum("nc,nc->n", level.normal, level.position)
 
     def nearest(self, coordinates: FloatArray) -> FloatArray:
         """Return the node's coordinates (..., 2) nearest to those of directions: its rays serve alone."""
@@ -150,34 +151,24 @@ class ShadowLattice:
         if self._rays is None or not lights:
             return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         nearness = float(x[model.position_of("near")]) if model.near else 0.0
-        blended = np.stack(
-            [self._blended(model, (*x[3 * k : 3 * k + 2], nearness), blur) for k in range(lights)]
-        )
-        # Contiguous whatever the number of lights: the shading is compiled for one layout.
-        return np.ascontiguousarray(blended[:, 0]), np.ascontiguousarray(blended[:, 1:])
-
-    def _blended(self, model: LightModel, light: tuple[float, float, float], blur: float) -> Visibility:
-        """Return (3, N) the visibility of a light and its derivatives by two of its three coordinates."""
-        ends, shares = list[tuple[int, ...]](), list[tuple[float, ...]]()
+        visible, slopes = np.zeros((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         # The lattice's spacing along its axes is wide for lamps whose shadows are soft.
         step = max(self._least_step, _OF_RADIUS * math.radians(model.radius_deg))
         steps = step, step, _NEARNESS * step
-        for value, side in zip(light, steps, strict=True):
-            low = round(value / side)
-            if abs(value / side - low) > _ON_NODE:
-                low = math.floor(value / side)
-                ends.append((low, low + 1))
-                shares.append((low + 1 - value / side, value / side - low))
-            else:
+        for k, (px, py, _) in enumerate(x[: 3 * lights].reshape(-1, 3).tolist()):
+            ends = list[list[tuple[int, float, float]]]()
+            for value, side in zip((px, py, nearness), steps, strict=True):
+                low = math.floor(value / side + _ON_NODE)
+                part = value / side - low
                 # On a node, such as that of distant lights, the next one has no share.
-                ends.append((low,))
-                shares.append((1.0,))
-        across, along, near = shares
-        slopes = [(-1 / step, 1 / step) if len(end) == 2 else (0.0,) for end in ends[:2]]
-        table = (across, along, near), (slopes[0], along, near), (across, slopes[1], near)
-        weights = [[a * b * c for a, b, c in product(*row)] for row in table]
-        nodes = [self._node(model, node, steps, blur) for node in product(*ends)]
-        return np.asarray(np.array(weights, np.float32) @ np.stack(nodes))
+                on_node = part < _ON_NODE
+                both = (low, 1 - part, -1 / side), (low + 1, part, 1 / side)
+                ends.append([(low, 1.0, 0.0)] if on_node else list(both))
+            for (column, across, by_x), (row, along, by_y), (layer, near, _) in product(*ends):
+                node = self._node(model, (column, row, layer), steps, blur)
+                weights = across * along * near, by_x * along * near, across * by_y * near
+                _add_node(node, *weights, visible[k], slopes[k])
+        return visible, slopes
 
     def _node(
         self, model: LightModel, node: tuple[int, ...], steps: tuple[float, ...], blur: float
@@ -186,23 +177,33 @@ class ShadowLattice:
         assert self._rays is not None
         column, row, nearness = node
         key = column, row, nearness, model.radius_deg
-        if (*key, blur) in self._known:
-            return self._known[*key, blur]
+        known = self._known.get((*key, blur))
+        if known is not None:
+            return known
         if key not in self._sharp:
             direction = model.direction(column * steps[0], row * steps[1])
             distance = model.radius_mm / (nearness * steps[2]) if nearness > 0 else math.inf
             visible = self._rays.reached(direction, distance, model.radius_deg).astype(np.float32)
             # Turned away at the node, a cell may face the light itself: no cast shadow's outline there.
-            nearer = np.einsum("nc,nc->n", self._normal, self._position) / distance
-            visible[self._normal @ direction <= nearer] = 1
+            visible[self._normal @ direction <= self._height / distance] = 1
             self._sharp[key] = visible
         if blur not in self._spread:
-            self._spread[blur] = [_gaussian(side, blur * self._side) for side in self._grid.shape]
-        down, across = self._spread[blur]
+            down, across = (_gaussian(side, blur * self._side) for side in self._grid.shape)
+            self._grid[self._cell] = 1
+            self._spread[blur] = down, across, (down @ self._grid @ across.T)[self._cell]
+        down, across, whole = self._spread[blur]
         self._grid[self._cell] = self._sharp[key]
-        blurred = down @ self._grid @ across.T
-        self._known[*key, blur] = blurred[self._cell] / (down @ self._there @ across.T)[self._cell]
+        self._known[*key, blur] = (down @ self._grid @ across.T)[self._cell] / whole
         return self._known[*key, blur]
+
+
+@njit(cache=True, nogil=True)
+def _add_node(node, weight, by_x, by_y, visible, slopes):  # type: ignore[no-untyped-def]
+    """Add a node (N,) to what is blended of a lamp: `visible` (N,), and `slopes` (2, N) by the direction."""
+    for n in range(len(node)):
+        visible[n] += weight * node[n]
+        slopes[0, n] += by_x * node[n]
+        slopes[1, n] += by_y * node[n]
 
 
 def _gaussian(count: int, sigma: float) -> Visibility:

@@ -32,23 +32,24 @@ class SoftTerms:
         return np.asarray(fill + (1 - fill) * self.transfer[:, 0])
 
     def add(self, model: LightModel, x: FloatArray, light: FloatArray, slopes: FloatArray) -> None:
-        """Turn `light` (N,), lamps under constant ambient light of 1, into I; `slopes` (P, N) follow."""
+        """Turn `light` (N,), lamps under constant ambient light of 1, into I; `slopes` (N, P) follow."""
         state, direct = model.soft(x), light - 1
         if model.environment:
             first = model.position_of("environment")
-            slopes[first : first + HARMONICS] = self.transfer[:, 1:].T
+            slopes[:, first : first + HARMONICS] = self.transfer[:, 1:]
             direct = direct + self.transfer[:, 1:] @ state.harmonics
         received = np.zeros_like(light)
         if model.bounce:
             at = model.position_of("bounce")
-            slopes[at] = 0
+            slopes[:, at] = direct
             if self.bounce is not None:
-                bounced = self.bounce(np.vstack([direct, slopes]))
-                received, slopes[:] = bounced[0], slopes + state.bounce * bounced[1:]
-                slopes[at] = received
+                bounced = self.bounce(slopes)
+                received = bounced[:, at].copy()
+                slopes += state.bounce * bounced
+            slopes[:, at] = received
         if model.occlusion:
-            slopes[model.position_of("occlusion")] = 1 - self.transfer[:, 0]
+            slopes[:, model.position_of("occlusion")] = 1 - self.transfer[:, 0]
         light[:] = self.ambient(state.fill) + direct + state.bounce * received
         dark = light < DARKEST
         light[dark] = DARKEST
-        slopes[:, dark] = 0
+        slopes[dark] = 0

@@ -21,7 +21,8 @@ from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
-from scan2albedo.lighting.environment_light import open_transfer
+from scan2albedo.lighting.environment_light import open_shading, open_transfer
+from scan2albedo.lighting.harmonics import harmonics as harmonics_of
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -85,33 +86,30 @@ def _of_solution(
     scale = np.ones(len(surface[0]))
     if image.specular_scale is not None:
         scale = image.specular_scale[mask].astype(np.float64)
-    view = image.toward_camera(scene.view)
     colors = colours.in_order(order)
 
     def shading(seen: NDArray) -> Shading:
-        return shade_rows(*surface, seen, state.rows[order], view, reflectance, scale, colors.lamps)
+        return shade_rows(*surface, seen, state.rows[order], scene.toward, reflectance, scale, colors.lamps)
 
-    shaded = shading(visible)
+    whole = shading(np.ones_like(visible)).lamps
     softly = point is not None or any(solution.model.has(part) for part in SOFT_PARTS)
     environment, soft = (
-        _soft_light(scene, solution, shaded.lamps, colors) if softly else (None, np.zeros((1, 3)))
+        _soft_light(scene, solution, visible * whole, colors) if softly else (None, np.zeros((1, 3)))
     )
+    known = None if point is None else _Expected.at(scene, point)
+    if point is not None and known is not None and lights and caster is not None:
+        visible = _seen_shadows(scene, point, known, visible, facing, whole, soft.mean(-1))
+    shaded = shading(visible)
     light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST) if softly else shaded.light_linear
-    if point is not None:
-        known = _Expected.at(scene, point)
-        if lights and caster is not None:
-            whole = shading(np.ones_like(visible)).lamps
-            visible = _seen_shadows(scene, point, known, visible, facing, whole, soft.mean(-1))
-            shaded = shading(visible)
+    if point is not None and known is not None:
         for k, color in enumerate(colors.lamps):
             # A colour's mean goes into the lamp's intensity.
             mean = float(color.mean())
             red, green, blue = (color / mean).tolist()
             intensity = lights[k].intensity * mean
             lights[k] = replace(lights[k], intensity=intensity, color_linear=(red, green, blue))
-        light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST)
         stray = _unmodelled(scene, point, known, light[:, point.problem.lead], shaded.specular / unit)
-        light *= np.exp(known.nodes @ colours.cast + stray[:, None])
+        light *= np.exp(known.nodes @ colors.cast + stray[:, None])
     return TexelLight(
         light,
         shaded.specular_linear,
@@ -139,7 +137,8 @@ class _Expected:
         weights = field.weights(places)
         # Texels beyond the nodes in use have those that are near.
         weights = sparse.diags(1 / np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)) @ weights
-        mean, deviation = field.prior.mean_at(places)[:, 0], field.prior.deviation_at(places)[:, 0]
+        prior, first = field.prior, slice(1)
+        mean, deviation = prior.mean_at(places, first)[:, 0], prior.deviation_at(places, first)[:, 0]
         return cls(mean, deviation, weights.tocsr())
 
 
@@ -206,7 +205,7 @@ def _unmodelled(
     grain = np.maximum(known.deviation, measured) ** 2
     # A brow, a mole, hair: Student's t, whose variance grows with what is seen. Little is that bright.
     grain = (FREEDOM * grain + np.minimum(left, 0.0) ** 2) / FREEDOM
-    stray = point.scales.light * deviation_of_light(light, float(np.median(light[usable])))
+    stray = point.known.scales.light * deviation_of_light(light, float(np.median(light[usable])))
     unknown = stray**2 + (HALF_STEP / value) ** 2
     return np.asarray(left * unknown / (grain + unknown))
 
@@ -224,7 +223,7 @@ def _soft_light(
     environment = EnvironmentLight(
         harmonics, occluded=caster is not None, fill=state.fill, bounce=state.bounce
     )
-    light = open_transfer(scene.image.normal[mask]) @ harmonics
+    light = harmonics_of(scene.image.normal[mask], 2) @ open_shading(environment)
     if caster is None:
         return environment, light
     # What the surface hides and what it throws back changes slowly along it, and comes from cells.

@@ -154,7 +154,7 @@ class GeometryImage:
         camera = self.camera[self.mask]
         known = camera != NO_CAMERA
         away = self.camera_positions[camera[known]] - position[known]
-        toward[known] = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), _LENGTH)
+        toward[known] = away / np.maximum(np.sqrt(np.einsum("nc,nc->n", away, away)), _LENGTH)[:, None]
         return toward
 
     def check_normals(self) -> None:

@@ -83,5 +83,5 @@ def environment_light_on(
     if environment.bounce and shadows.caster is not None:
         direct = light - transfer[:, :1] * environment.coefficients[0]
         bounce = Patches.among(shadows).seen_from(shadows.position, shadows.normal)
-        light += environment.bounce * bounce(direct.T).T
+        light += environment.bounce * bounce(direct)
     return np.maximum(light, 0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
@@ -55,14 +54,13 @@ class Bounce:
        diffuse surfaces", SIGGRAPH 1984.
     """
 
-    factors: NDArray[np.float32]
+    factors: sparse.csr_matrix
     up: sparse.csr_matrix
     down: sparse.csr_matrix
 
     def __call__(self, light: FloatArray) -> FloatArray:
-        """Return the bounced light (..., N) of `light` (..., N)."""
-        patches = (self.down @ light.T).astype(np.float32)
-        return np.asarray((self.up @ (self.factors @ patches).astype(np.float64)).T)
+        """Return the bounced light (N, ...) of `light` (N, ...)."""
+        return np.asarray(self.up @ (self.factors @ (self.down @ light)))
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Patches:
     """M patches of a surface: their `surface_keys` and the form factors between them."""
 
     keys: FloatArray
-    factors: NDArray[np.float32]
+    factors: FloatArray
 
     @classmethod
     def among(cls, shadows: ShadowMap) -> Patches:
@@ -98,11 +96,11 @@ class Patches:
             # Light leaves the outer side alone: a ray that meets the inner side passed a hole.
             outer = normal[column] @ direction < 0
             np.add.at(factors, (rows[outer], column[outer]), cosine[rows[outer]] * 4 / _DIRECTIONS)
-        return cls(surface_keys(position, normal), factors.astype(np.float32))
+        return cls(surface_keys(position, normal), factors)
 
     def seen_from(self, position: FloatArray, normal: FloatArray) -> Bounce:
         """Return the bounce onto and from N points."""
         up = surface_weights(self.keys, surface_keys(position, normal))
         # What averages values at the points around each patch.
         total = np.maximum(np.asarray(up.sum(0)).ravel(), 1e-9)
-        return Bounce(self.factors, up, sparse.diags(1 / total) @ up.T)
+        return Bounce(sparse.csr_matrix(self.factors), up, sparse.diags(1 / total) @ up.T)

@@ -63,7 +63,7 @@ def lamp_factors(  # type: ignore[no-untyped-def]
             lobe[i] = energy * r_v**exponent
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def shade_with_derivatives(  # type: ignore[no-untyped-def]
     position,
     normal,
@@ -98,7 +98,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     float32 its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is
     unit,
     `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
-    `light_out`, `specular_out` (N,) and `light_slope`, `specular_slope` (>= P, N) are filled; all float64
+    `light_out`, `specular_out` (N,) and `light_slope`, `specular_slope` (N, >= P) are filled; all float64
     where nothing else is said.
     """
     a, b = oren_nayar_coefficients(roughness)
@@ -110,8 +110,8 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     size = at_gloss + 2 * int(glossy)
     for i in range(position.shape[0]):
         for j in range(size):
-            light_slope[j, i] = 0.0
-            specular_slope[j, i] = 0.0
+            light_slope[i, j] = 0.0
+            specular_slope[i, j] = 0.0
         n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
         v0, v1, v2 = view[i, 0], view[i, 1], view[i, 2]
         n_v = n0 * v0 + n1 * v1 + n2 * v2
@@ -168,25 +168,45 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                         turned = a * n_l_slope + b * s_slope
                     else:
                         turned = n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger
-                light_slope[j, i] += seen * energy * (turned - 2.0 * diffuse * stretch)
+                light_slope[i, j] += seen * energy * (turned - 2.0 * diffuse * stretch)
                 if q < 2:
-                    light_slope[j, i] += visible_slope[k, q, i] * energy * diffuse
+                    light_slope[i, j] += visible_slope[k, q, i] * energy * diffuse
                 if r_v > 0.0:
                     lobe_slope = exponent * lobe / max(r_v, 1e-9) * (2.0 * n_v * n_l_slope - l_v_slope)
-                    specular_slope[j, i] += strength * seen * energy * (lobe_slope - 2.0 * lobe * stretch)
+                    specular_slope[i, j] += strength * seen * energy * (lobe_slope - 2.0 * lobe * stretch)
                     if q < 2:
-                        specular_slope[j, i] += strength * visible_slope[k, q, i] * energy * lobe
-            light_slope[3 * k + 2, i] += seen * energy * diffuse
-            specular_slope[3 * k + 2, i] += strength * seen * energy * lobe
+                        specular_slope[i, j] += strength * visible_slope[k, q, i] * energy * lobe
+            light_slope[i, 3 * k + 2] += seen * energy * diffuse
+            specular_slope[i, 3 * k + 2] += strength * seen * energy * lobe
             if rough:
                 if minnaert:
-                    light_slope[at_rough, i] += seen * energy * diffuse * np.log(n_l * floored)
+                    light_slope[i, at_rough] += seen * energy * diffuse * np.log(n_l * floored)
                 else:
-                    light_slope[at_rough, i] += seen * energy * n_l * (a_slope + b_slope * s / larger)
+                    light_slope[i, at_rough] += seen * energy * n_l * (a_slope + b_slope * s / larger)
             if glossy and r_v > 0.0:
-                specular_slope[at_gloss, i] += scale[i] * seen * energy * lobe
-                specular_slope[at_gloss + 1, i] += (
+                specular_slope[i, at_gloss] += scale[i] * seen * energy * lobe
+                specular_slope[i, at_gloss + 1] += (
                     strength * seen * energy * lobe * exponent * np.log(max(r_v, 1e-12))
                 )
         light_out[i] = light
         specular_out[i] = strength * gloss
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def log_rows(  # type: ignore[no-untyped-def]
+    value, mean, light, specular, light_slope, specular_slope, scale, likeness, rows
+):
+    """Fill `rows` (N, P + 3): derivatives of L = log(A I + I_s), A = exp(scale + likeness mean); log V - L.
+
+    They are by the P parameters of the light, of which `light_slope` and `specular_slope` (N, P) are the
+    derivatives, scale and likeness. `value` (N,) is log V.
+    """
+    size = light_slope.shape[1]
+    for i in range(len(value)):
+        albedo = np.exp(scale + likeness * mean[i])
+        seen = albedo * light[i] + specular[i]
+        for j in range(size):
+            rows[i, j] = (albedo * light_slope[i, j] + specular_slope[i, j]) / seen
+        rows[i, size] = albedo * light[i] / seen
+        rows[i, size + 1] = rows[i, size] * mean[i]
+        rows[i, size + 2] = value[i] - np.log(seen)

@@ -158,10 +158,10 @@ def damped_step(model: NormalEquations, damping: float) -> FloatArray:
     step = np.zeros(len(free))
     if not free.any():
         return step
-    matrix = model.matrix[np.ix_(free, free)]
-    diagonal = np.diag(matrix)
+    damped = model.matrix[np.ix_(free, free)]
+    diagonal = np.diag(damped)
     diagonal = np.maximum(diagonal, SMALLEST_DIAGONAL * max(float(diagonal.max()), 1e-30))
-    damped = matrix + damping * np.diag(diagonal)
+    damped.flat[:: len(damped) + 1] += damping * diagonal
     try:
         step[free] = -np.linalg.solve(damped, model.gradient[free])
     except np.linalg.LinAlgError:  # damping below the rounding of a singular matrix

@@ -43,7 +43,7 @@ def test_texture_alone_is_not_taken_for_additive_noise(lit):
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 def test_the_variance_of_white_noise_is_found_beside_smooth_texture(noise, rng):
     field = 1 + _smooth(rng, 3, 0.02) + noise * rng.standard_normal((SIZE, SIZE))
-    (found,) = white_variance(field[None], EVERYWHERE)
+    found = white_variance(field[..., None], EVERYWHERE)
     # The least of several estimates falls short.
     assert 0.7 * noise**2 < np.median(found) < noise**2
 
@@ -71,7 +71,7 @@ TEXTURES = {
 @pytest.mark.parametrize("kind", TEXTURES)
 def test_texture_and_correlated_noise_are_not_white(kind, rng):
     field = TEXTURES[kind](rng)
-    white = np.maximum(white_variance(field[None], EVERYWHERE), 0)
+    white = np.maximum(white_variance(field[..., None], EVERYWHERE), 0)
     # Means over the image: a window here and there finds some by chance.
     assert white.mean() < 0.03 * field.var()
 
@@ -80,16 +80,16 @@ def test_texels_that_are_not_usable_do_not_count(rng):
     field = 1 + 0.05 * rng.standard_normal((SIZE, SIZE))
     usable = rng.random((SIZE, SIZE)) > 0.3
     broken = np.where(usable, field, 100.0)
-    assert 0.7 * 0.05**2 < np.median(white_variance(broken[None], usable)[0, usable]) < 0.05**2
-    assert np.all(white_variance(broken[None], np.zeros_like(usable)) == 0)
+    assert 0.7 * 0.05**2 < np.median(white_variance(broken[..., None], usable)[usable, 0]) < 0.05**2
+    assert np.all(white_variance(broken[..., None], np.zeros_like(usable)) == 0)
 
 
 def test_fields_of_a_stack_do_not_touch_one_another(rng):
     fields = np.stack([_smooth(rng, 2, 0.1), 0.05 * rng.standard_normal((SIZE, SIZE)), np.ones((SIZE, SIZE))])
     usable = rng.random((SIZE, SIZE)) > 0.2
-    together = white_variance(fields, usable)
+    together = np.moveaxis(white_variance(np.moveaxis(fields, 0, -1), usable), -1, 0)
     for field, found in zip(fields, together, strict=True):
-        assert np.array_equal(white_variance(field[None], usable)[0], found)
+        assert np.array_equal(white_variance(field[..., None], usable)[..., 0], found)
 
 
 def test_means_over_a_window_are_the_same_for_a_field_and_its_channels(rng):

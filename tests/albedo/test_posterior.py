@@ -175,7 +175,7 @@ def test_scales_follow_the_grain_of_the_picture(scenes, posed):
         point = _start(problem, model, _x(model, scenes))
         for _ in range(3):
             point = point.rescaled()
-        scales.append((point.scales.albedo, point.scales.grain))
+        scales.append((point.known.scales.albedo, point.known.scales.grain))
     assert (np.array(scales[0]) < np.array(scales[1])).all()
     assert max(scales[0]) < 1
 
@@ -195,7 +195,7 @@ def test_the_scale_of_light_falls_where_the_light_is_right_and_not_where_it_is_w
         point = _start(problem, model, _x(model, scenes))
         for evaluations in (6, 4):
             point = descend(point, evaluations, problem.meter).rescaled().rescaled()
-        found.append(point.scales.light)
+        found.append(point.known.scales.light)
     assert found[0] < 0.8
     assert found[1] > 1.2 * found[0]
 
@@ -231,9 +231,9 @@ def test_points_with_a_factor_of_their_weights_are_the_same(ball, scenes, posed)
     model = _model(scene, 1)
     x = _start(problem, model, _x(model, scenes)).x
     known = problem.started(Scales())
-    kept = Point(problem, model, x, known.weight, Scales(), known.factor)
-    assert np.array_equal(kept.weight, known.weight)
-    fresh = Point(problem, model, x, known.weight, Scales())
+    kept = Point(problem, model, x, known, fixed=True)
+    assert kept.known is known
+    fresh = Point(problem, model, x, known)
     assert np.array_equal(kept.light, fresh.light)
     assert kept.cost == pytest.approx(fresh.cost, rel=0.05)
 

@@ -29,17 +29,19 @@ def surface(scenes):
     up = sparse.csr_matrix(up / up.sum(1))
     factors = rng.uniform(0, 0.3 / patches, (patches, patches))
     transfer = open_transfer(normal) * rng.uniform(0.5, 1, (len(normal), 1))
-    return normal, SoftTerms(transfer, Bounce(factors, up, sparse.csr_matrix((up / up.sum(0)).T)))
+    return normal, SoftTerms(
+        transfer, Bounce(sparse.csr_matrix(factors), up, sparse.csr_matrix((up / up.sum(0)).T))
+    )
 
 
 def _lit(surface, model, x):
-    """Return the light (N,) and its slopes (P, N): lamps of which the strength alone has a slope."""
+    """Return the light (N,) and its slopes (N, P): lamps of which the strength alone has a slope."""
     normal, terms = surface
-    light, slopes = np.ones(len(normal)), np.zeros((model.size, len(normal)))
+    light, slopes = np.ones(len(normal)), np.zeros((len(normal), model.size))
     for k in range(model.lights):
         px, py, log_strength = x[3 * k : 3 * k + 3]
-        slopes[3 * k + 2] = np.exp(log_strength) * np.maximum(normal @ model.direction(px, py), 0)
-        light += slopes[3 * k + 2]
+        slopes[:, 3 * k + 2] = np.exp(log_strength) * np.maximum(normal @ model.direction(px, py), 0)
+        light += slopes[:, 3 * k + 2]
     terms.add(model, x, light, slopes)
     return light, slopes
 
@@ -66,7 +68,7 @@ def test_derivatives_equal_central_differences(surface, lights, parts):
     for k in {*range(2, 3 * lights, 3), *range(3 * lights, model.size)}:
         step = np.eye(model.size)[k] * STEP
         ahead, behind = (_lit(surface, model, x + s)[0] for s in (step, -step))
-        assert slopes[k] == pytest.approx((ahead - behind) / (2 * STEP), abs=1e-5), k
+        assert slopes[:, k] == pytest.approx((ahead - behind) / (2 * STEP), abs=1e-5), k
 
 
 @pytest.mark.parametrize("part", ["occlusion", "bounce", "environment"])
@@ -84,8 +86,8 @@ def test_light_is_never_darker_than_some_and_has_no_derivative_there(surface):
     light, slopes = _lit(surface, _model(0, environment=True), x)
     dark = light == DARKEST
     assert 0 < dark.mean() < 1
-    assert not slopes[:, dark].any()
-    assert slopes[:, ~dark].any()
+    assert not slopes[dark].any()
+    assert slopes[~dark].any()
 
 
 def test_what_cannot_bounce_does_not(surface):
@@ -93,7 +95,7 @@ def test_what_cannot_bounce_does_not(surface):
     model = _model(1, bounce=True)
     x = _inner_x(model)
     alone, slopes = _lit((normal, SoftTerms(terms.transfer, None)), model, x)
-    assert not slopes[model.position_of("bounce")].any()
+    assert not slopes[:, model.position_of("bounce")].any()
     assert (alone < _lit(surface, model, x)[0]).all()
 
 
