@@ -145,8 +145,8 @@ class LightSearch:
         best = point
         for radius in _RADII_DEG:
             model = replace(point.model, radius_deg=radius)
-            start = Point(point.problem, model, point.x, point.known)
-            tried = descend(start, _STEPS, self.meter)
+            known = point.problem.started(point.known.scales, point.robust)
+            tried = descend(Point(point.problem, model, point.x, known), _STEPS, self.meter)
             if tried.cost > best.cost:
                 break
             best = tried

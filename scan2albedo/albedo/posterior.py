@@ -195,7 +195,7 @@ class Point:
             self.known = p.started(known.scales, self.robust) if again else known
             self.u = solved(self.known.factor, p.onto_nodes @ (self.known.weight * self.left))
             self.error = self.left - p.nodes @ self.u
-            self.robust = robust_weights(self.error, variance, p.repeats)
+            self.robust = known.weight if fixed else robust_weights(self.error, variance, p.repeats)
         misfit = (free + 1) / 2 * np.log1p(self.error**2 / (free * variance)).sum()
         self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
         far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
@@ -246,7 +246,8 @@ class Point:
 
     def moved(self, step: FloatArray) -> Point:
         """Return the point at x + `step`."""
-        return Point(self.problem, self.model, self.x + step, self.known)
+        known = self.problem.started(self.known.scales, self.robust)
+        return Point(self.problem, self.model, self.x + step, known)
 
     def rescaled(self) -> Point:
         """Return the point nearer to the scales at which the evidence is largest: one step of its iteration.
