@@ -29,9 +29,6 @@ bodies and daylight and across: white balance errs by two degrees [1]_.
 """
 _CAST = 0.3
 """Variance of the colour of light that no part stands for, as a part of that of its brightness."""
-_STEPS = 10
-_LONGEST = 0.4
-"""Of a step of any log."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +78,7 @@ def light_colours(point: Point, choice: bool | None) -> LightColours:
     if not np.ptp(color, axis=1).any():
         return LightColours.white(count, "the picture is grey", "no colour", nodes)
     colours = _Colours(point)
-    for _ in range(_STEPS):
+    for _ in range(10):
         colours.step()
     return colours.found()
 
@@ -146,7 +143,7 @@ class _Colours:
             inner = ratio.reduced(p, np.hstack(rows))
             matrix[np.ix_(at, at)] += inner[:-1, :-1]
             slope[at] += inner[:-1, -1]
-        self.x = self.x + np.clip(np.linalg.solve(matrix, slope), -_LONGEST, _LONGEST)
+        self.x = self.x + np.clip(np.linalg.solve(matrix, slope), -1, 1)
         self.precision = matrix
 
     def found(self) -> LightColours:

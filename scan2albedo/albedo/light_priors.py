@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.albedo.light_parameters import HARMONICS, PARTS, LightModel
+from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
@@ -49,8 +50,6 @@ ENVIRONMENT = 0.35, 0.15
 """
 LIKENESS = 1.0, 0.4
 """How much of the faces' mean pattern a face has."""
-_FLAT = 1e-9
-"""Precision of what has no prior: the scale."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def light_prior(
     away = (x[at] - mean) / deviation
     cost = 0.5 * float(away @ away) + float(np.log(deviation * math.sqrt(2 * math.pi)).sum())
     cost += model.lights * (math.log(4 * math.pi) + FEWER) - math.lgamma(model.lights + 1)
-    slope, curvature = np.zeros(len(x)), np.full(len(x), _FLAT)
+    slope, curvature = np.zeros(len(x)), np.full(len(x), TINY)
     slope[at] += away / deviation
     curvature[at] += 1 / deviation**2
     if model.has("specular"):

@@ -13,7 +13,7 @@ from scan2albedo.albedo.light_parameters import PARTS, Hypothesis, LightModel
 from scan2albedo.albedo.light_priors import INTENSITY, parts_steps
 from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import Scales
-from scan2albedo.albedo.posterior import EXTRA, NOISE, Point, Posterior, Start, descend
+from scan2albedo.albedo.posterior import EXTRA, NOISE, TEMPER, Point, Posterior, Start, descend
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
@@ -38,13 +38,6 @@ _HOPELESS = 8.0
 """Log odds against one lamp more at which no further ones are tried."""
 _RADII_DEG = 6.0, 12.0, 20.0, 30.0
 """Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
-_TEMPER = 0.25
-"""What the log odds of explanations are multiplied by where they are averaged [1]_: texels of faces that were
-left out err two to three times as much as the posterior says, as if four cells were one.
-
-.. [1] C. Holmes, S. Walker, "Assigning a value to a power likelihood in a general Bayesian model", Biometrika
-   104(2), 2017.
-"""
 
 
 class LightSearch:
@@ -88,7 +81,7 @@ class LightSearch:
         first = max(value for value, _ in self.found)
         found, others = best.solution().hypothesis, list[Alternative]()
         for value, point in wanted:
-            other, near = point.solution().hypothesis, _TEMPER * (first - value) < 1
+            other, near = point.solution().hypothesis, TEMPER * (first - value) < 1
             if near and len(other.rows) == len(found.rows) > 0 and not _alike(other, found, math.cos(0.25)):
                 others.append(Alternative(other.lights(), round(first - value, 3)))
         if not self.meter.exhausted:
@@ -118,7 +111,7 @@ class LightSearch:
                 fields.append(field)
                 if len(tints) < _KEPT:
                     tints.append(light_colours(point, self.options.choice("albedo.light_colour")).ratio)
-        weights = np.exp(_TEMPER * (np.array(values) - max(values)))
+        weights = np.exp(TEMPER * (np.array(values) - max(values)))
         weights /= weights.sum()
         beside_first, first_few = np.array(fields) - fields[0], weights[: len(tints)]
         shift = weights @ beside_first

@@ -33,7 +33,6 @@ CONE_RAD = 1.92
 """Half angle around the view direction in which lights are sought: a little behind the face."""
 _DIRECTIONS = 60
 """Directions of a lamp of which one step is tried: 22 degrees lie between neighbours."""
-_ROUNDS = 5
 _LEAST_RESIDUAL = 1e-3
 
 
@@ -201,7 +200,7 @@ def shading_direction(level: Level) -> FloatArray:
     basis = np.column_stack([np.ones(len(level.normal)), level.normal])
     weight: FloatArray = level.weight
     found: FloatArray = np.zeros(4)
-    for _ in range(_ROUNDS):
+    for _ in range(5):
         scaled = basis * weight[:, None]
         found = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ level.value, rcond=None)[0], float)
         weight = level.weight / np.maximum(np.abs(basis @ found - level.value), _LEAST_RESIDUAL)

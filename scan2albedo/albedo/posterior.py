@@ -25,7 +25,7 @@ from scan2albedo.albedo.node_field import (
     solved,
 )
 from scan2albedo.albedo.shadows import ShadowLattice
-from scan2albedo.albedo.soft_terms import SoftTerms
+from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.lighting.kernels import log_rows, shade_with_derivatives
@@ -40,6 +40,14 @@ _INDEPENDENT = 530.0
 """Cells of a whole chart that err independently. It has some 1,250 at 1/40 of its side; on path-traced faces
 that were left out light is found best where two or three count as one: what fits and lamps err by correlates
 farther than texture does."""
+TEMPER = 0.25
+"""What the log odds of explanations are multiplied by where they are averaged [1]_, and the precision of the
+light where errors are told: texels of faces that were left out err some two times as much as the posterior
+says, as if four cells were one.
+
+.. [1] C. Holmes, S. Walker, "Assigning a value to a power likelihood in a general Bayesian model", Biometrika
+   104(2), 2017.
+"""
 _ALBEDOS = 0.1, 0.8
 """Of skin, dark and pale, in red."""
 NOISE = 0.02
@@ -49,15 +57,11 @@ _LEAST_GRAIN = 0.1
 _MISFIT_SD = 0.7
 """Standard deviation of the log of two scales that the image itself tells: how far this person is from the
 prior, and how rough."""
-_LIGHT_SD, _SOFT_SD = 0.25, 0.4
-"""The same of light that no part stands for, whose usual size is known best, and of the harmonics of the
-environment: a studio has none."""
+_LIGHT_SD = 0.25
+"""The same of light that no part stands for and of the environment's harmonics, whose usual sizes are known
+better."""
 _DAMPING = Damping(first=1e-2, increase=8.0, least=1e-4, after_failure=1e-3, largest=1e4)
 _SETTLED = 1e-4
-_LONGEST = 3.0
-"""Longest step as a multiple of the model's first steps."""
-_REMAINS = 0.1
-"""Least part of V that a highlight leaves to the albedo."""
 EXTRA = 2
 """Parameters beside the light's: log scale, and how much of the faces' mean albedo this one has."""
 
@@ -199,8 +203,7 @@ class Point:
         misfit = (free + 1) / 2 * np.log1p(self.error**2 / (free * variance)).sum()
         self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
         far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
-        far += math.log(light) ** 2 / (2 * _LIGHT_SD**2)
-        far += math.log(soft) ** 2 / (2 * _SOFT_SD**2)
+        far += sum(math.log(scale) ** 2 for scale in (light, soft)) / (2 * _LIGHT_SD**2)
         sizes = 0.5 * p.field.log_determinant(known.scales) + len(self.error) / p.repeats * math.log(grain)
         rough = 0.5 * float(p.field.own(known.scales) @ (self.u @ p.field.basis) ** 2)
         self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
@@ -213,7 +216,7 @@ class Point:
     def left_of_highlight(self) -> FloatArray:
         """Return (N,) V without the highlight, which leaves some of it."""
         value = np.exp(self.problem.value)
-        return np.asarray(np.maximum(value - self.specular, _REMAINS * value))
+        return np.asarray(np.maximum(value - self.specular, DARKEST * value))
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
@@ -235,7 +238,7 @@ class Point:
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model with the bounds of a step."""
         (matrix, gradient), (lower, upper) = self.quadratic(), self.model.bounds
-        longest, free = _LONGEST * self.model.steps(), np.ones(EXTRA)
+        longest, free = 3 * self.model.steps(), np.ones(EXTRA)
         x = self.light_x
         return NormalEquations(
             matrix,
@@ -270,7 +273,9 @@ class Point:
         if self.model.environment:
             at = slice(first := self.model.position_of("environment"), first + HARMONICS)
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
-            soft = _shrunk(float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _SOFT_SD)
+            soft = _shrunk(
+                float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _LIGHT_SD
+            )
         other = copy.copy(self)
         grain = max(_shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
         other._settle(p.started(Scales(parts[0], parts[1], grain, soft), self.robust), False)

@@ -12,12 +12,14 @@ from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
+from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.environment_light import SKY
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
 Visibility = NDArray[np.float32]
@@ -34,17 +36,8 @@ FEWEST = 0.05
 _COARSE = 160
 """Longer side, in texels, of a chart that shows whether there are shadows."""
 _SPACING = 2.0
-"""Distance of the lattice's nodes in cells of the image (as a part of its longer side)."""
-_OF_RADIUS = 0.5
-"""The least distance of nodes as a part of the lamps' angular radius."""
-_NEARNESS = 2.0
-"""The distance of nodes along nearness, beside that of directions: shadows change little with it."""
-
-_ON_NODE = 1e-9
-"""Parts of the spacing that count as none."""
-
-_UNSEEN = 0.2
-"""Cosine by which a hidden direction may be above those of a sky of 96: that of 12 degrees."""
+"""Distance of the lattice's nodes in cells of the image, and how many lie in a lamp's angular radius. Along
+nearness they lie as many times farther apart: shadows change little with it."""
 
 
 def shadow_caster(
@@ -98,7 +91,7 @@ class Horizon:
         row, column = level.cell.T
         hidden, known = np.zeros((2, row.max() + 1, column.max() + 1))
         hidden[row, column], known[row, column] = sky.highest_hidden(level.normal), 1
-        above = np.where(known > 0, maximum_filter(hidden, 3) + _UNSEEN, np.inf)
+        above = np.where(known > 0, maximum_filter(hidden, 3) + math.sqrt(2 * math.pi / SKY), np.inf)
         self._above = np.pad(above, (0, 1), constant_values=np.inf)
         self._factor = level.factor
 
@@ -153,15 +146,15 @@ class ShadowLattice:
         nearness = float(x[model.position_of("near")]) if model.near else 0.0
         visible, slopes = np.zeros((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         # The lattice's spacing along its axes is wide for lamps whose shadows are soft.
-        step = max(self._least_step, _OF_RADIUS * math.radians(model.radius_deg))
-        steps = step, step, _NEARNESS * step
+        step = max(self._least_step, math.radians(model.radius_deg) / _SPACING)
+        steps = step, step, _SPACING * step
         for k, (px, py, _) in enumerate(x[: 3 * lights].reshape(-1, 3).tolist()):
             ends = list[list[tuple[int, float, float]]]()
             for value, side in zip((px, py, nearness), steps, strict=True):
-                low = math.floor(value / side + _ON_NODE)
+                low = math.floor(value / side + TINY)
                 part = value / side - low
                 # On a node, such as that of distant lights, the next one has no share.
-                on_node = part < _ON_NODE
+                on_node = part < TINY
                 both = (low, 1 - part, -1 / side), (low + 1, part, 1 / side)
                 ends.append([(low, 1.0, 0.0)] if on_node else list(both))
             for (column, across, by_x), (row, along, by_y), (layer, near, _) in product(*ends):
@@ -208,5 +201,5 @@ def _add_node(node, weight, by_x, by_y, visible, slopes):  # type: ignore[no-unt
 
 def _gaussian(count: int, sigma: float) -> Visibility:
     """Return (count, count) float32 weights of cells along a side, for a blur of `sigma` cells."""
-    apart = np.subtract.outer(np.arange(count), np.arange(count)) / max(sigma, _ON_NODE)
+    apart = np.subtract.outer(np.arange(count), np.arange(count)) / max(sigma, TINY)
     return np.asarray(np.exp(-0.5 * apart**2), np.float32)

@@ -9,16 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.albedo.posterior import NOISE, Point
+from scan2albedo.albedo.posterior import NOISE, TEMPER, Point
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 
-_LIGHT = 2.2
-"""Times the light's uncertainty that texels err by: the light is estimated as if its model were right."""
 _NOT_SKIN = 0.2
-"""Relative error of what is not skin, whose shape and reflectance are least known. Both are fitted, beside
-the `NOISE` of everything, to path-traced faces of two people under twelve kinds of light, and raw scans of
-six, so that .68 of their texels err by less."""
+"""Relative error of what is not skin, whose shape and reflectance are least known: .68 of the texels of
+path-traced faces err by less, with the light's error and the `NOISE` of everything."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ def expected_error(
     """
     squares = noise**2 + NOISE**2
     if deviation is not None:
-        squares += (_LIGHT * deviation) ** 2
+        squares += deviation**2 / TEMPER
     if skin is not None:
         squares += (_NOT_SKIN * (1 - skin)) ** 2
     said = np.where(noise >= 1, 1.0, np.minimum(np.sqrt(squares), 1.0))

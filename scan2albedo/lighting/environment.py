@@ -17,7 +17,6 @@ LightSpread = Literal["important", "even"]
 
 _EVEN_SHARE = 0.1
 """Part of `important_directions` that does not follow the light."""
-_LLOYD_STEPS = 2
 _FINEST_ROWS = 256
 """Texels of coarser maps are cut up to this many rows, so that cells of many lights keep their share."""
 
@@ -128,7 +127,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     column = np.array([np.interp(u, of_columns[r], places) for u, r in zip(across, own, strict=True)])
     toward = map_directions(row / rows * np.pi, (column / columns - 0.5) * 2 * np.pi)
     texels, share = texel_directions((rows, columns)).reshape(-1, 3), share.ravel()
-    for _ in range(_LLOYD_STEPS):
+    for _ in range(2):
         nearest = cKDTree(toward).query(texels)[1]
         moments = [np.bincount(nearest, share * texels[:, k], count) for k in range(3)]
         pulled = np.stack(moments, 1).astype(np.float64)
