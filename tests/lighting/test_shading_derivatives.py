@@ -43,8 +43,8 @@ def _shade(model, x, points, visible=None, visible_slope=None):
     count, found = len(position), model.decode(x)
     lights = np.ones((model.lights, count), np.float32) if visible is None else visible.astype(np.float32)
     slope = np.zeros((model.lights, 2, count)) if visible_slope is None else visible_slope
-    # One row too many, as when a problem's buffers served a larger model.
-    out = [np.full(count, np.nan), np.full(count, np.nan), *np.full((2, model.size + 1, count), np.nan)]
+    # One column too many, as when the buffers of a larger model serve.
+    out = [np.full(count, np.nan), np.full(count, np.nan), *np.full((2, count, model.size + 1), np.nan)]
     shade_with_derivatives(
         position,
         normal,
@@ -64,7 +64,7 @@ def _shade(model, x, points, visible=None, visible_slope=None):
         model.specular,
         *out,
     )
-    return out[0], out[1], out[2][: model.size], out[3][: model.size]
+    return out[0], out[1], out[2][:, : model.size].T, out[3][:, : model.size].T
 
 
 def _differences(model, x, points, visible_at=lambda x: None, step_length=STEP):
