@@ -55,10 +55,6 @@ class LightColours:
         """Return white light of so many lamps, and why it is white."""
         return cls(np.ones((lamps, 3)), PlanStep(STAGE, False, reason, evidence), cast=np.zeros((nodes, 3)))
 
-    def in_order(self, order: IntArray) -> LightColours:
-        """Return the colours with the lamps in another order (L,)."""
-        return replace(self, lamps=self.lamps[order])
-
 
 def light_colours(point: Point, choice: bool | None) -> LightColours:
     """Solve the colours of the light of a point, two channels beside the brightest one.
@@ -189,7 +185,7 @@ class _Ratio:
         self.variance = (grain + NOISE**2 + dark**2) / cell_trust(level)
         fields = [s**2 * p.field.of_used(p.prior.covariance(n)) for n, s in enumerate(signs, 1)]
         covariance = np.add(*fields) + _CAST * p.field.light_covariance
-        self.precision = inverse(cho_factor(covariance, lower=True))
+        self.precision = inverse(cho_factor(covariance, lower=True)[0])
         self.weight = 1 / (p.repeats * self.variance)
         self.u = np.zeros(len(covariance))
 

@@ -97,14 +97,10 @@ class LightModel:
     def _frame(self) -> FloatArray:
         return view_frame(self.view)
 
-    @cached_property
-    def _place(self) -> dict[str, int]:
-        return {name: 3 * self.lights + k for k, name in enumerate(self._tail)}
-
     @property
     def size(self) -> int:
         """Length of x."""
-        return 3 * self.lights + len(self._place)
+        return 3 * self.lights + len(self._tail)
 
     @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -168,7 +164,7 @@ class LightModel:
 
     def position_of(self, part: str) -> int:
         """Return where in x a part is, its first parameter; ValueError when it is not free."""
-        return self._place[part]
+        return 3 * self.lights + list(self._tail).index(part)
 
     def has(self, part: str) -> bool:
         """Return whether a part is free: of lamps only where there is one."""
@@ -219,5 +215,3 @@ PARTS = {
     "environment": "albedo.environment",
 }
 """Stages of the optional parts, by the name of their field of `LightModel`."""
-SOFT_PARTS = "occlusion", "bounce", "environment"
-"""Those that need no lamp."""

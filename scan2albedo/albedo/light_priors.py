@@ -18,8 +18,6 @@ Rows = list[tuple[int, float, float]]
 
 INTENSITY = math.log(1.5), 1.2
 """Log of a lamp's strength beside the ambient light: from a dim fill to a flash in a dark room."""
-FEWER = math.log(2.0)
-"""Each lamp more is half as probable."""
 NEARNESS = 0.0, 0.06
 """The face's radius by the lamp's distance: lamps stand a metre away and more."""
 ROUGHNESS = 0.1, 0.1
@@ -126,17 +124,15 @@ def parts_steps(
 def light_prior(
     model: LightModel, x: FloatArray, log_level: float, level_sd: float, skin: bool, soft: float
 ) -> PriorOfLight:
-    """Return the prior at x = [light, scale, likeness]; see `distributions`.
-
-    Lamps shine from any direction, and their order does not count.
-    """
+    """Return the prior at x = [light, scale, likeness]; see `distributions`."""
     rows = distributions(model, float(x[-2]), log_level, level_sd, skin, soft)
     rows.append((len(x) - 1, *LIKENESS))
     at = np.array([row[0] for row in rows])
     mean, deviation = np.array([row[1:] for row in rows]).T
     away = (x[at] - mean) / deviation
     cost = 0.5 * float(away @ away) + float(np.log(deviation * math.sqrt(2 * math.pi)).sum())
-    cost += model.lights * (math.log(4 * math.pi) + FEWER) - math.lgamma(model.lights + 1)
+    # Lamps shine from any direction, in any order, and each more is half as probable.
+    cost += model.lights * math.log(8 * math.pi) - math.lgamma(model.lights + 1)
     slope, curvature = np.zeros(len(x)), np.full(len(x), TINY)
     slope[at] += away / deviation
     curvature[at] += 1 / deviation**2

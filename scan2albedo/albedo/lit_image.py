@@ -162,7 +162,7 @@ class SizedImage:
     @cached_property
     def lattice(self) -> ShadowLattice:
         """Their cast shadows."""
-        return ShadowLattice(self.level, self.scene.shadows[0], ShadowMap.offset_mm)
+        return ShadowLattice(self.level, self.scene.shadows[0])
 
     @cached_property
     def _shadows(self) -> ShadowMap:

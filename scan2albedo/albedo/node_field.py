@@ -55,10 +55,8 @@ class NodeField:
         self.light_covariance = self.light_error(weights[:, self.used].T.tocsr(), dark)
         # Both covariances are diagonal in one basis, so each pair of scales has its precision at once.
         root = np.linalg.cholesky(self.albedo_covariance)
-        inner = solve_triangular(
-            root, solve_triangular(root, self.light_covariance, lower=True).T, lower=True
-        )
-        ratio, turned = eigh(inner, check_finite=False)
+        half = solve_triangular(root, self.light_covariance, lower=True)
+        ratio, turned = eigh(solve_triangular(root, half.T, lower=True), check_finite=False)
         self.ratio = np.maximum(ratio, 0.0)
         """(M,) variance of light beside one of albedo, in the basis."""
         self.basis = solve_triangular(root, turned, trans="T", lower=True)
@@ -101,12 +99,10 @@ def deviation_of_light(light: FloatArray, median: float) -> FloatArray:
     return np.minimum(UNMODELLED * median / light, _UNKNOWN)
 
 
-def posterior_factor(
-    nodes: sparse.csr_matrix, weight: FloatArray, precision: FloatArray
-) -> tuple[FloatArray, bool]:
-    """Return the Cholesky factor of the precision of M nodes, given cells (N, M) of `weight` (N,).
+def posterior_factor(nodes: sparse.csr_matrix, weight: FloatArray, precision: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor (M, M) of the `precision` of nodes and cells (N, M) of `weight` (N,).
 
-    Before, it is `precision` (M, M).
+    What stands above the diagonal is no part of it.
     """
     matrix = precision.T.copy(order="F")
     _add_cells(nodes.indptr, nodes.indices, nodes.data, weight, matrix)
@@ -114,31 +110,25 @@ def posterior_factor(
     factor, failed = dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise LinAlgError("the precision of the nodes is not positive definite")
-    return factor, True
+    return np.asarray(factor)
 
 
-def solved(factor: tuple[FloatArray, bool], values: FloatArray) -> FloatArray:
+def solved(factor: FloatArray, values: FloatArray) -> FloatArray:
     """Return the solution (M, ...) of the system with this factor."""
     if values.ndim > 1:
-        return np.asarray(dpotrs(factor[0], values, lower=1)[0])
-    return np.asarray(dtrsv(factor[0], dtrsv(factor[0], values, lower=1), lower=1, trans=1))
+        return np.asarray(dpotrs(factor, values, lower=1)[0])
+    return np.asarray(dtrsv(factor, dtrsv(factor, values, lower=1), lower=1, trans=1))
 
 
-def inverse(factor: tuple[FloatArray, bool]) -> FloatArray:
+def inverse(factor: FloatArray) -> FloatArray:
     """Return (M, M) the inverse of the matrix with this factor."""
-    low = dpotri(factor[0], lower=1)[0]
+    low = dpotri(factor, lower=1)[0]
     return np.asarray(np.tril(low) + np.tril(low, -1).T)
 
 
-def cell_variances(nodes: sparse.csr_matrix, covariance: FloatArray) -> FloatArray:
-    """Return (N,) the variances of cells, of rows of `nodes` (N, M) whose covariance is (M, M)."""
-    found: FloatArray = _cell_variances(nodes.indptr, nodes.indices, nodes.data, covariance)
-    return found
-
-
 @njit(cache=True, nogil=True)
-def _cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
-    """Return (N,) s_n^T matrix s_n of the rows s_n of a sparse matrix (N, M)."""
+def cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
+    """Return (N,) s_n^T matrix s_n of the rows s_n of a sparse matrix (N, M): its indptr, indices, data."""
     found = np.zeros(len(start) - 1)
     for n in range(len(found)):
         for i in range(start[n], start[n + 1]):

@@ -76,7 +76,7 @@ def channel_noise(
         different = np.maximum(own_white - eight_bits[..., i] - eight_bits[..., j], 0.0)
         differences[i, j] = differences[j, i] = different
     one, two = (c for c in range(3) if c != lead)
-    least = np.minimum(np.minimum(differences[lead, one], differences[lead, two]), differences[one, two])
+    least = np.min([differences[pair] for pair in pairs], axis=0)
     known, ratio = usable & (least > 0), _SHARED if usual is None else usual.ratio
     if usual is None and known.any():
         ratio = max(ratio, float(np.median(white[known] / least[known])))
@@ -160,8 +160,7 @@ def additive_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray
     second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
     inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]
     # A shadow's edge is neither noise nor texture.
-    jump = np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1]
-    chosen = inner & jump
+    chosen = inner & (np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1])
     count = int(chosen.sum()) // WINDOW**2
     if count < 2:
         return 0.0

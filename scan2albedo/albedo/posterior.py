@@ -116,7 +116,7 @@ class Start(NamedTuple):
 
     weight: FloatArray
     scales: Scales
-    factor: tuple[FloatArray, bool]
+    factor: FloatArray
 
 
 def cell_trust(level: Level) -> FloatArray:
@@ -167,7 +167,7 @@ class Point:
             model.tangents(light_x),
             model.radius_mm,
             level.toward,
-            found.reflectance.kernel_brdf,
+            model.brdf == "minnaert",
             found.reflectance.roughness,
             found.reflectance.specular_strength,
             found.reflectance.exponent,
@@ -229,7 +229,7 @@ class Point:
         """Return matrix (P, P) and gradient (P,) of the cost in x, the nodes' field following each step."""
         if self._quadratic is None:
             weighted = self.rows * self.known.weight[:, None]
-            nodes = dtrsm(1.0, self.known.factor[0], self.problem.onto_nodes @ weighted, lower=1)
+            nodes = dtrsm(1.0, self.known.factor, self.problem.onto_nodes @ weighted, lower=1)
             inner = self.rows.T @ weighted - nodes.T @ nodes
             matrix = inner[:-1, :-1] + np.diag(self.prior.curvature)
             self._quadratic = matrix, self.prior.slope - inner[:-1, -1]
@@ -238,14 +238,10 @@ class Point:
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model with the bounds of a step."""
         (matrix, gradient), (lower, upper) = self.quadratic(), self.model.bounds
-        longest, free = 3 * self.model.steps(), np.ones(EXTRA)
-        x = self.light_x
-        return NormalEquations(
-            matrix,
-            gradient,
-            np.concatenate([np.maximum(lower - x, -longest), -free]),
-            np.concatenate([np.minimum(upper - x, longest), free]),
-        )
+        x, longest, free = self.light_x, 3 * self.model.steps(), np.ones(EXTRA)
+        least = np.concatenate([np.maximum(lower - x, -longest), -free])
+        most = np.concatenate([np.minimum(upper - x, longest), free])
+        return NormalEquations(matrix, gradient, least, most)
 
     def moved(self, step: FloatArray) -> Point:
         """Return the point at x + `step`."""
@@ -260,7 +256,7 @@ class Point:
         p, (albedo, light, grain, soft) = self.problem, self.known.scales
         # The evidence is largest where what the field shows is what it is free to show [1]_.
         own, along = p.field.own(self.known.scales), self.u @ p.field.basis
-        left = (dtrsm(1.0, self.known.factor[0], p.field.basis, lower=1) ** 2).sum(0)
+        left = (dtrsm(1.0, self.known.factor, p.field.basis, lower=1) ** 2).sum(0)
         free = own - own**2 * left
         shown = (own * along) ** 2
         parts = list[float]()
@@ -273,9 +269,8 @@ class Point:
         if self.model.environment:
             at = slice(first := self.model.position_of("environment"), first + HARMONICS)
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
-            soft = _shrunk(
-                float((expected * self.prior.curvature[at]).mean()) * soft**2, HARMONICS, _LIGHT_SD
-            )
+            square = float((expected * self.prior.curvature[at]).mean()) * soft**2
+            soft = _shrunk(square, HARMONICS, _LIGHT_SD)
         other = copy.copy(self)
         grain = max(_shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
         other._settle(p.started(Scales(parts[0], parts[1], grain, soft), self.robust), False)
@@ -288,7 +283,7 @@ class Point:
            JASA 81, 1986.
         """
         matrix = self.quadratic()[0]
-        nodes = 2 * float(np.log(np.diag(self.known.factor[0])).sum())
+        nodes = 2 * float(np.log(np.diag(self.known.factor)).sum())
         x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
         return -self.cost - 0.5 * (nodes + x)
 
@@ -307,7 +302,8 @@ class Point:
         taken = solved(self.known.factor, p.onto_nodes @ (slopes * self.known.weight[:, None]))
         slopes = slopes - p.nodes @ (own @ taken)
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
-        variance = ((slopes @ covariance) * slopes).sum(1) + cell_variances(p.nodes, nodes)
+        variance = cell_variances(p.nodes.indptr, p.nodes.indices, p.nodes.data, nodes)
+        variance += ((slopes @ covariance) * slopes).sum(1)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     def albedo_nodes(self) -> tuple[float, FloatArray]:

@@ -28,7 +28,6 @@ OUTLINE_BLURS = 4 / 256, 0.5 / 256
 """How far a traced outline may lie beside the real one (standard deviations, parts of the chart's side): of a
 surface that was measured, some 3 mm of a face, most of it along the surface, where a millimetre of relief
 moves a shadow by several; and of one that is exact."""
-
 LEAST_SHADOW = 0.01
 """Part of the cells facing some light that has to lie in cast shadow for shadow rays to be used."""
 FEWEST = 0.05
@@ -109,16 +108,9 @@ class ShadowLattice:
     search rarely shoots rays. Without `caster` everything is visible.
     """
 
-    def __init__(
-        self,
-        level: Level,
-        caster: RayCaster | None,
-        offset_mm: float,
-        open_above: FloatArray | None = None,
-    ) -> None:
-        self._position, self._normal = level.position, level.normal
-        surface = level.anchor, level.normal
-        self._rays = None if caster is None else ShadowMap(caster, *surface, offset_mm, open_above)
+    def __init__(self, level: Level, caster: RayCaster | None) -> None:
+        self._normal = level.normal
+        self._rays = None if caster is None else ShadowMap(caster, level.anchor, level.normal)
         self._side = float(level.cell.max() + 1)
         self._least_step = _SPACING / self._side
         self._sharp: dict[tuple[int, int, int, float], Visibility] = {}
@@ -140,7 +132,7 @@ class ShadowLattice:
         Outlines are blurred by `blur`, a part of the chart's side. At a node the derivatives are 0. The
         derivative by nearness is left out: so small a move of an outline is mostly the mesh's edges.
         """
-        lights, cells = model.lights, len(self._position)
+        lights, cells = model.lights, len(self._normal)
         if self._rays is None or not lights:
             return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         nearness = float(x[model.position_of("near")]) if model.near else 0.0
@@ -181,7 +173,9 @@ class ShadowLattice:
             visible[self._normal @ direction <= self._height / distance] = 1
             self._sharp[key] = visible
         if blur not in self._spread:
-            down, across = (_gaussian(side, blur * self._side) for side in self._grid.shape)
+            places, sigma = map(np.arange, self._grid.shape), max(blur * self._side, TINY)
+            apart = (np.subtract.outer(at, at) / sigma for at in places)
+            down, across = (np.exp(-0.5 * far**2).astype(np.float32) for far in apart)
             self._grid[self._cell] = 1
             self._spread[blur] = down, across, (down @ self._grid @ across.T)[self._cell]
         down, across, whole = self._spread[blur]
@@ -197,9 +191,3 @@ def _add_node(node, weight, by_x, by_y, visible, slopes):  # type: ignore[no-unt
         visible[n] += weight * node[n]
         slopes[0, n] += by_x * node[n]
         slopes[1, n] += by_y * node[n]
-
-
-def _gaussian(count: int, sigma: float) -> Visibility:
-    """Return (count, count) float32 weights of cells along a side, for a blur of `sigma` cells."""
-    apart = np.subtract.outer(np.arange(count), np.arange(count)) / max(sigma, TINY)
-    return np.asarray(np.exp(-0.5 * apart**2), np.float32)

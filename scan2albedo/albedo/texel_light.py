@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
 from scan2albedo.albedo.light_colour import LightColours
-from scan2albedo.albedo.light_parameters import SOFT_PARTS, Solution
+from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, Point
@@ -86,29 +86,29 @@ def _of_solution(
     scale = np.ones(len(surface[0]))
     if image.specular_scale is not None:
         scale = image.specular_scale[mask].astype(np.float64)
-    colors = colours.in_order(order)
+    colors = replace(colours, lamps=colours.lamps[order])
 
     def shading(seen: NDArray) -> Shading:
         return shade_rows(*surface, seen, state.rows[order], scene.toward, reflectance, scale, colors.lamps)
 
     whole = shading(np.ones_like(visible)).lamps
-    softly = point is not None or any(solution.model.has(part) for part in SOFT_PARTS)
-    environment, soft = (
-        _soft_light(scene, solution, visible * whole, colors) if softly else (None, np.zeros((1, 3)))
-    )
-    known = None if point is None else _Expected.at(scene, point)
-    if point is not None and known is not None and lights and caster is not None:
-        visible = _seen_shadows(scene, point, known, visible, facing, whole, soft.mean(-1))
+    known, environment, soft = None if point is None else _Expected(scene, point), None, np.zeros((1, 3))
+    softly = known is not None or any(map(solution.model.has, ("occlusion", "bounce", "environment")))
+    if softly:
+        environment, soft = _soft_light(scene, solution, visible * whole, colors)
+    if known is not None and lights and caster is not None:
+        visible = _seen_shadows(scene, known, visible, facing, whole, soft.mean(-1))
     shaded = shading(visible)
     light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST) if softly else shaded.light_linear
-    if point is not None and known is not None:
+    if known is not None:
         for k, color in enumerate(colors.lamps):
             # A colour's mean goes into the lamp's intensity.
             mean = float(color.mean())
             red, green, blue = (color / mean).tolist()
             intensity = lights[k].intensity * mean
             lights[k] = replace(lights[k], intensity=intensity, color_linear=(red, green, blue))
-        stray = _unmodelled(scene, point, known, light[:, point.problem.lead], shaded.specular / unit)
+        lead = known.point.problem.lead
+        stray = _unmodelled(scene, known, light[:, lead], shaded.specular / unit)
         light *= np.exp(known.nodes @ colors.cast + stray[:, None])
     return TexelLight(
         light,
@@ -121,35 +121,23 @@ def _of_solution(
     )
 
 
-@dataclass(frozen=True)
 class _Expected:
-    """What is known of log albedo on N texels: the faces' `mean` (N,), the `deviation` (N,) of single texels,
-    and the weights `nodes` (N, M) of the field's nodes."""
+    """What a point knows of log albedo on N texels: the faces' `mean` (N,), the `deviation` (N,) of single
+    texels, and the weights `nodes` (N, M) of the field's nodes."""
 
-    mean: FloatArray
-    deviation: FloatArray
-    nodes: sparse.csr_matrix
-
-    @classmethod
-    def at(cls, scene: LitImage, point: Point) -> _Expected:
-        """Return it for the texels of an image."""
-        field, places = point.problem.field, scene.places
+    def __init__(self, scene: LitImage, point: Point) -> None:
+        self.point = point
+        field, places, first = point.problem.field, scene.places, slice(1)
+        self.mean = field.prior.mean_at(places, first)[:, 0]
+        self.deviation = field.prior.deviation_at(places, first)[:, 0]
         weights = field.weights(places)
         # Texels beyond the nodes in use have those that are near.
-        weights = sparse.diags(1 / np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)) @ weights
-        prior, first = field.prior, slice(1)
-        mean, deviation = prior.mean_at(places, first)[:, 0], prior.deviation_at(places, first)[:, 0]
-        return cls(mean, deviation, weights.tocsr())
+        whole = np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)
+        self.nodes = (sparse.diags(1 / whole) @ weights).tocsr()
 
 
 def _seen_shadows(
-    scene: LitImage,
-    point: Point,
-    known: _Expected,
-    visible: NDArray,
-    facing: NDArray,
-    lamps: FloatArray,
-    soft: FloatArray,
+    scene: LitImage, known: _Expected, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
 ) -> NDArray[np.float32]:
     """Return (L, N) how probably each lamp reaches each texel.
 
@@ -157,7 +145,7 @@ def _seen_shadows(
     those of the texel's brightness, under the albedo that is expected there, with the lamp and without.
     `lamps` (L, N) is the light of each lamp where nothing hides it, `soft` (N,) all other light.
     """
-    usable, mask, side = scene.usable, scene.image.mask, max(scene.image.shape)
+    point, mask, side = known.point, scene.image.mask, max(scene.image.shape)
     scale, likeness = point.x[-EXTRA:]
     expected = scale + likeness * known.mean + known.nodes @ point.u
     value = np.log(np.maximum(scene.value[mask] / point.problem.level.unit, 1e-3)) - expected
@@ -169,7 +157,7 @@ def _seen_shadows(
 
     blur = point.problem.blur
     whole = blurred(np.ones(len(value)), blur)
-    seen, judged = visible.astype(np.float64), usable[mask].astype(np.float64)
+    seen, judged = visible.astype(np.float64), scene.usable[mask].astype(np.float64)
     away = facing == 0
     priors = [
         np.clip(blurred(np.where(hid, 1.0, v), blur) / whole, _LEAST, 1 - _LEAST)
@@ -187,15 +175,13 @@ def _seen_shadows(
     return np.where(away, 0.0, seen).astype(np.float32)
 
 
-def _unmodelled(
-    scene: LitImage, point: Point, known: _Expected, light: FloatArray, specular: FloatArray
-) -> FloatArray:
+def _unmodelled(scene: LitImage, known: _Expected, light: FloatArray, specular: FloatArray) -> FloatArray:
     """Return (N,) the log of light that no part stands for, as the posterior has it at each texel.
 
     Log V is the sum of log light, of what is known of log albedo here, of grain, and of this: it takes the
     part of what is left that its variance, large where light ends, has of the variance of both.
     """
-    p, mask = point.problem, scene.image.mask
+    point, p, mask = known.point, known.point.problem, scene.image.mask
     level, nodes = point.albedo_nodes()
     value = np.maximum(scene.value[mask] / p.level.unit - specular, HALF_STEP)
     left = np.log(value / light) - level - point.x[-1] * known.mean - known.nodes @ nodes

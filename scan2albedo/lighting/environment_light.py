@@ -37,9 +37,8 @@ def open_shading(environment: EnvironmentLight) -> FloatArray:
 
 def environment_of_shading(coefficients: FloatArray) -> EnvironmentLight:
     """Return the environment that nothing hides of such coefficients (9, 3): `open_shading` inverted."""
-    return EnvironmentLight(
-        coefficients * (harmonics([0.0, 0.0, 1.0], 0) / _COSINE_LOBE)[:, None], occluded=False
-    )
+    of_radiance = coefficients * (harmonics([0.0, 0.0, 1.0], 0) / _COSINE_LOBE)[:, None]
+    return EnvironmentLight(of_radiance, occluded=False)
 
 
 def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) -> FloatArray:
@@ -74,8 +73,7 @@ def environment_light_on(
     with the transfer t of each point, and B of `interreflection.Bounce`. What the surface throws back of the
     constant light is part of the fill.
     """
-    occluded = environment.occluded
-    transfer = shadowed_transfer(shadows) if occluded else open_transfer(shadows.normal)
+    transfer = shadowed_transfer(shadows) if environment.occluded else open_transfer(shadows.normal)
     transfer[:, 0] += environment.fill * (1 - transfer[:, 0])
     light = transfer @ environment.coefficients
     if lamps is not None:

@@ -96,10 +96,8 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     unit direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) the derivatives of
     each direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N)
     float32 its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is
-    unit,
-    `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
-    `light_out`, `specular_out` (N,) and `light_slope`, `specular_slope` (N, >= P) are filled; all float64
-    where nothing else is said.
+    unit, `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
+    `light_out`, `specular_out` (N,), `light_slope`, `specular_slope` (N, >= P), all float64, are filled.
     """
     a, b = oren_nayar_coefficients(roughness)
     variance = roughness * roughness
@@ -149,11 +147,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
             for q in range(3 if near else 2):
                 if q == 2:
                     j = at_near
-                    t0, t1, t2 = (
-                        -position[i, 0] / radius,
-                        -position[i, 1] / radius,
-                        -position[i, 2] / radius,
-                    )
+                    t0, t1, t2 = -position[i, 0] / radius, -position[i, 1] / radius, -position[i, 2] / radius
                 else:
                     j = 3 * k + q
                     t0, t1, t2 = tangents[k, q, 0], tangents[k, q, 1], tangents[k, q, 2]
@@ -177,7 +171,8 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                     if q < 2:
                         specular_slope[i, j] += strength * visible_slope[k, q, i] * energy * lobe
             light_slope[i, 3 * k + 2] += seen * energy * diffuse
-            specular_slope[i, 3 * k + 2] += strength * seen * energy * lobe
+            shine = strength * seen * energy * lobe
+            specular_slope[i, 3 * k + 2] += shine
             if rough:
                 if minnaert:
                     light_slope[i, at_rough] += seen * energy * diffuse * np.log(n_l * floored)
@@ -185,9 +180,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                     light_slope[i, at_rough] += seen * energy * n_l * (a_slope + b_slope * s / larger)
             if glossy and r_v > 0.0:
                 specular_slope[i, at_gloss] += scale[i] * seen * energy * lobe
-                specular_slope[i, at_gloss + 1] += (
-                    strength * seen * energy * lobe * exponent * np.log(max(r_v, 1e-12))
-                )
+                specular_slope[i, at_gloss + 1] += shine * exponent * np.log(max(r_v, 1e-12))
         light_out[i] = light
         specular_out[i] = strength * gloss
 

@@ -40,11 +40,6 @@ class Reflectance:
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number, 0 or more")
 
-    @property
-    def kernel_brdf(self) -> bool:
-        """What the kernels call the diffuse model: whether it is Minnaert's."""
-        return self.brdf == "minnaert"
-
 
 @dataclass(frozen=True)
 class Shading:
@@ -166,7 +161,7 @@ def lamp_factors(
         np.ascontiguousarray(direction),
         float(nearness),
         view,
-        reflectance.kernel_brdf,
+        reflectance.brdf == "minnaert",
         float(reflectance.roughness),
         float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0,
         factors[0],

@@ -14,7 +14,6 @@ from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
-
 _DISC = 16
 """Points that stand for a lamp of some size."""
 

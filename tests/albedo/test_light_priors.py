@@ -8,7 +8,7 @@ import pytest
 
 from scan2albedo.albedo import EstimateOptions
 from scan2albedo.albedo.light_parameters import LightModel
-from scan2albedo.albedo.light_priors import FEWER, FILL, distributions, light_prior, parts_steps
+from scan2albedo.albedo.light_priors import FILL, distributions, light_prior, parts_steps
 
 VIEW = (0.0, 0.0, 1.0)
 PARTS = ("near", "rough", "specular", "occlusion", "bounce", "environment")
@@ -53,7 +53,7 @@ def test_lamps_of_any_direction_are_alike_and_each_more_is_less_probable():
     ]
     # Density over the sphere and of the strength, half as probable; lamps may stand in either order.
     each = costs[1] - costs[0]
-    assert each > FEWER + math.log(4 * math.pi)
+    assert each > math.log(2) + math.log(4 * math.pi)
     assert costs[2] - costs[1] == pytest.approx(each - math.log(2))
 
 

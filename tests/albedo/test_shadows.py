@@ -135,7 +135,7 @@ def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own(make_image):
 @pytest.fixture(scope="module")
 def lattice(make_image):
     image = make_image("bumps")
-    return ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()), 0.2)
+    return ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()))
 
 
 MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, near=True)
@@ -164,7 +164,7 @@ def test_visibility_has_the_derivatives_by_direction(lattice):
 
 def test_at_a_node_the_rays_of_one_node_serve(make_image, monkeypatch):
     image, traced = make_image("bumps"), []
-    lattice = ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()), 0.2)
+    lattice = ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()))
     reached = ShadowMap.reached
 
     def counted(self, direction, *arguments):
@@ -193,7 +193,7 @@ def test_blurred_outlines_are_means_over_the_cells_that_are_there(make_image):
     """Weights are normalised: the rim, beyond which nothing is known, is no darker."""
     image, blur = make_image("bumps"), 0.05
     level = build_level(image, image.mask & (np.hypot(*np.indices((64, 64)) - 31.5) < 28), 32)
-    lattice = ShadowLattice(level, RayCaster(*image.occluder_mesh()), 0.2)
+    lattice = ShadowLattice(level, RayCaster(*image.occluder_mesh()))
     at = np.array([*lattice.nearest(np.array([0.71, 0.13])), 0.0, 0.0])
     sharp, blurred = (lattice.visibility(MODEL, at, width)[0][0] for width in (0.0, blur))
     apart = np.linalg.norm(level.cell[:, None] - level.cell[None], axis=2)
@@ -201,14 +201,14 @@ def test_blurred_outlines_are_means_over_the_cells_that_are_there(make_image):
     assert blurred == pytest.approx(weight @ sharp / weight.sum(1), abs=1e-4)
     assert ((blurred > 0.2) & (blurred < 0.8)).sum() > 10
     ball = make_image("hemisphere")
-    convex = ShadowLattice(build_level(ball, ball.mask, 32), RayCaster(*ball.occluder_mesh()), 0.2)
+    convex = ShadowLattice(build_level(ball, ball.mask, 32), RayCaster(*ball.occluder_mesh()))
     open_light = convex.visibility(MODEL, np.zeros(4), blur)[0]
     assert open_light == pytest.approx(np.ones_like(open_light), abs=1e-5)
 
 
 def test_nothing_is_hidden_where_nothing_casts_shadows(make_image):
     image = make_image("hemisphere")
-    open_sky = ShadowLattice(build_level(image, image.mask, 32), None, 0.2)
+    open_sky = ShadowLattice(build_level(image, image.mask, 32), None)
     seen, slopes = open_sky.visibility(MODEL, np.array([0.5, 0.1, 0.0, 0.2]))
     assert np.all(seen == 1)
     assert np.all(slopes == 0)

@@ -54,7 +54,7 @@ def _shade(model, x, points, visible=None, visible_slope=None):
         model.tangents(x),
         model.radius_mm,
         view,
-        found.reflectance.kernel_brdf,
+        model.brdf == "minnaert",
         found.reflectance.roughness,
         found.reflectance.specular_strength,
         found.reflectance.exponent,
