@@ -139,21 +139,13 @@ class LightModel:
     def decode(self, x: FloatArray) -> Hypothesis:
         """Return the hypothesis that x stands for (x clipped to the bounds)."""
         x = np.clip(x, *self.bounds)
-        tail, rows = self._values(x), np.zeros((self.lights, 5))
-        for k in range(self.lights):
-            px, py, log_intensity = x[3 * k : 3 * k + 3].tolist()
-            rows[k, :3] = self.direction(px, py)
-            rows[k, 3] = tail.get("near", 0.0) / self.radius_mm
-            rows[k, 4] = math.exp(log_intensity)
-        minnaert = self.brdf == "minnaert"
-        rough = tail.get("rough", 1.0 if minnaert else 0.0)
-        reflectance = Reflectance(
-            self.brdf,
-            rough if minnaert else math.sqrt(rough),
-            tail.get("specular", 0.0),
-            math.exp(tail.get("exponent", math.log(Reflectance.exponent))),
-        )
-        return Hypothesis(rows, reflectance, self.radius_deg)
+        tail, lamps = self._values(x), x[: 3 * self.lights].reshape(-1, 3).tolist()
+        nearness = tail.get("near", 0.0) / self.radius_mm
+        rows = [[*self.direction(px, py), nearness, math.exp(log_e)] for px, py, log_e in lamps]
+        roughness = tail.get("rough", 1.0) if self.brdf == "minnaert" else math.sqrt(tail.get("rough", 0.0))
+        exponent = math.exp(tail.get("exponent", math.log(Reflectance.exponent)))
+        reflectance = Reflectance(self.brdf, roughness, tail.get("specular", 0.0), exponent)
+        return Hypothesis(np.reshape(rows, (-1, 5)), reflectance, self.radius_deg)
 
     def soft(self, x: FloatArray) -> SoftState:
         """Return the state of soft light that x stands for."""

@@ -216,9 +216,8 @@ class LightSearch:
         """Yield starts of one lamp more beside the light that is there, or a strong one in a dark room."""
         count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
-        tail = (
-            self.scene.model(count).extend(head, model) if dark else base.model.extend(base.light_x, model)
-        )[3 * count :]
+        beside = self.scene.model(count) if dark else base.model
+        tail = beside.extend(base.x[: beside.size], model)[3 * count :]
         strength = math.log(_DARK_STRENGTH) if dark else INTENSITY[0]
         for direction in self.scene.directions:
             if count and (rows @ direction).max() > _SAME_COSINE:

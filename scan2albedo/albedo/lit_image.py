@@ -198,8 +198,7 @@ def shading_direction(level: Level) -> FloatArray:
     .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
     """
     basis = np.column_stack([np.ones(len(level.normal)), level.normal])
-    weight: FloatArray = level.weight
-    found: FloatArray = np.zeros(4)
+    weight, found = level.weight, np.zeros(4)
     for _ in range(5):
         scaled = basis * weight[:, None]
         found = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ level.value, rcond=None)[0], float)
