@@ -82,6 +82,10 @@ def estimate_albedo(
     on_progress : callable, optional
         Called with each trace row.
 
+    Returns
+    -------
+    AlbedoEstimate
+
     Raises
     ------
     LightingError

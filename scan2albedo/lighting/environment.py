@@ -50,9 +50,15 @@ class DistantLights:
     ) -> DistantLights:
         """Return `count` lights that together shine like an environment map (H, W, 3).
 
-        `spread` "even" is `distant_directions`, the same for all maps, so that the light of two maps adds up;
-        "important" is `important_directions`, which give fewer errors for the count, in that map alone.
-        ValueError when it is neither.
+        Parameters
+        ----------
+        environment_linear : (H, W, 3) array_like of float
+            Equirectangular.
+        count : int
+        spread : {"even", "important"}
+            "even" is `distant_directions`, the same for all maps, so that the light of two maps adds up;
+            "important" is `important_directions`, which give fewer errors for the count, in that map alone.
+            ValueError when it is neither.
         """
         if spread not in get_args(LightSpread):
             raise ValueError(f"spread is {spread!r}, expected one of {get_args(LightSpread)}")
