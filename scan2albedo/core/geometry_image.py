@@ -29,6 +29,7 @@ _SHAPES = {
     "specular_scale": (np.float32, None),
     "inpaint": (np.bool_, None),
     "skin": (np.float32, None),
+    "labels": (np.uint8, None),
     "camera": (np.uint8, None),
     "face_chart": (np.float32, 2),
 }
@@ -68,6 +69,8 @@ class GeometryImage:
     skin: NDArray[np.float32] | None = None
     """(H, W): how surely a texel is skin, 0 to 1; 0 on hair, brows, eyes, lips, cloth and glasses, and where
     nothing was seen. When None it was not computed: every seen texel counts as 1."""
+    labels: NDArray[np.uint8] | None = None
+    """(H, W): what each texel is, by number in `scan2albedo.sampling.appearance.CLASSES`; 0 is unseen."""
     camera: NDArray[np.uint8] | None = None
     """(H, W): number of the camera that took each texel; `NO_CAMERA` where it is not known."""
     camera_positions: NDArray[np.float64] | None = None
@@ -75,6 +78,9 @@ class GeometryImage:
     face_chart: NDArray[np.float32] | None = None
     """(H, W, 2): place (row, column, from 0 to 1) of each texel on the default model's chart, where facial
     features have known places; None: the image is not of a face."""
+    texture_log_odds: float = 0.0
+    """Natural logarithm of the odds that the texture belongs to this shape, by where brows, eyes and lips
+    are; 0: nothing speaks for or against it."""
 
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, bool)

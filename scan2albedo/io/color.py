@@ -52,3 +52,11 @@ def encode_srgb_bytes(linear: ArrayLike) -> NDArray[np.uint8]:
         block = linear_to_srgb(np.clip(array[row : row + 256], 0, 1))
         encoded[row : row + 256] = np.round(block * 255)
     return encoded
+
+
+def label_colors() -> NDArray[np.uint8]:
+    """Return (11, 3) sRGB colours of labels: 0 black, the others those of matplotlib's tab10."""
+    from matplotlib import colormaps
+
+    colors = np.array([(0.0, 0.0, 0.0), *colormaps["tab10"].colors])  # type: ignore[attr-defined]
+    return (255 * colors).round().astype(np.uint8)

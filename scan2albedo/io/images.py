@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.errors import OutputError, ScanError, needs_extra
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
-from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes
+from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes, label_colors
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
@@ -170,6 +170,16 @@ def write_exr(path: str | Path, linear: ArrayLike) -> None:
 def write_png(path: str | Path, image: ArrayLike) -> None:
     """Write a PNG atomically; see `encode_image` for what each dtype means, `write_image` for errors."""
     write_bytes(path, encode_image(image, ".png"))
+
+
+def write_indexed_png(path: str | Path, labels: NDArray[np.uint8]) -> None:
+    """Write labels (H, W) as a PNG whose palette are `label_colors`, atomically."""
+    from PIL import Image
+
+    picture, file = Image.fromarray(labels), BytesIO()
+    picture.putpalette(label_colors().ravel().tolist())
+    picture.save(file, "PNG")
+    write_bytes(path, file.getvalue())
 
 
 def write_image(path: str | Path, image: ArrayLike) -> None:

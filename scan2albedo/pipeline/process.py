@@ -38,6 +38,7 @@ from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_an
 from scan2albedo.registration import Registration, register
 from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
+from scan2albedo.sampling.texture_check import texture_doubt
 from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9, "unlit": 0.3}
@@ -266,6 +267,8 @@ def _processed(
         evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
     chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
     plan["geometry_image"] = [PlanStep("geometry_image", True, chart, evidence)]
+    if fitted is not None and (doubt := texture_doubt(fitted, scan, image)):
+        plan["geometry_image"] = [*plan["geometry_image"], doubt]
     if image.texture_linear is not None and "albedo" not in options.skip:
         with clock.timed("albedo"):
             # The preset's options with the steps that the caller skips or forces.

@@ -16,7 +16,7 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import encode_image, write_exr, write_png
+from scan2albedo.io.images import encode_image, write_exr, write_indexed_png, write_png
 from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import write_record
@@ -50,6 +50,7 @@ FILES = OwnFiles(
         "specular.exr",
         "shadow.png",
         "skin.png",
+        "labels.png",
         "fitted.glb",
         *TEMPLATE_FILES,
         *UNLIT_FILES,
@@ -65,7 +66,9 @@ FILES = OwnFiles(
 """Every file a result may have."""
 
 _PICTURES = frozenset({"overview.png", "error_vs_time.png"})
-_LEFT_OUT = _PICTURES | {"geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png"}
+_LEFT_OUT = _PICTURES | {
+    *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png")
+}
 """What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
 
 SURE = 0.5
@@ -189,6 +192,8 @@ def write_result(
         write("geometry_image.exr", write_geometry_image_exr, image)
         if image.skin is not None:
             write("skin.png", write_png, _gray_bytes(np.where(image.mask, image.skin, 0)))
+        if image.labels is not None:
+            write("labels.png", write_indexed_png, image.labels)
         if estimate is not None and preview is not None:
             seen = np.where(image.seen, np.uint8(255), np.uint8(0))
             write("albedo.exr", write_exr, estimate.albedo_linear)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb
+from scan2albedo.io.color import encode_srgb_bytes, label_colors, linear_to_srgb
 from scan2albedo.rendering.views import View, heat_colors, render_mesh
 
 if TYPE_CHECKING:
@@ -98,6 +98,8 @@ def result_panels(
         panels.append(Panel("texture (dark: badly seen)", preview_srgb(dimmed, mask)))
     if image.skin is not None:
         panels.append(Panel("skin (white): the light is found there", _chart(image.skin, mask)))
+    if image.labels is not None:
+        panels.append(Panel("skin, brows, eyes, lips ... (docs/files.md)", label_colors()[image.labels]))
     if estimate is not None and albedo_srgb is not None:
         lights = {"diffuse light + ambient": estimate.shading, "highlights": estimate.specular}
         for title, light in lights.items():

@@ -17,7 +17,7 @@ from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.sampling.skin import skin_weight
+from scan2albedo.sampling.appearance import appearance
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
 if TYPE_CHECKING:
@@ -69,8 +69,8 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
     """Sample a fitted face on a regular grid over its chart [1]_.
 
     Position and normal come from the fitted limit surface, the texture from the closest point of the raw
-    scan, low-pass filtered over each texel's footprint; `skin` from the annotation, the texture and the fit's
-    residual. O(size^2 log F) for F scan faces.
+    scan, low-pass filtered over each texel's footprint; `skin` and `labels` from the chart, the texture and
+    the fit's residual. O(size^2 log F) for F scan faces.
 
     Parameters
     ----------
@@ -145,6 +145,15 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         refined = linear_refinement(len(face_uv), fitted.model.control_faces, fitted.levels) @ face_uv
         place = interpolate(raster, fitted.faces, np.column_stack([1 - refined[:, 1], refined[:, 0]]))
         face_chart = place.astype(np.float32)
+    looks = appearance(
+        position,
+        normal,
+        raster.covered if texture.seen is None else texture.seen,
+        texture.linear,
+        place=face_chart,
+        share=_annotation(fitted, region, "skin_share"),
+        residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
+    )
     # Embree would ignore collapsed triangles anyway.
     solid = fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]
     return GeometryImage(
@@ -157,15 +166,9 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         texture_valid=texture.seen,
         specular_scale=np.where(inside, blurred / np.maximum(weight, 1e-6), np.float32(0)),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
-        skin=skin_weight(
-            position,
-            normal,
-            raster.covered if texture.seen is None else texture.seen,
-            texture.linear,
-            prior=_annotation(fitted, region, "skin_share"),
-            anchor=_annotation(fitted, region, "shows_skin") > 0,
-            residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
-        ),
+        skin=looks.skin,
+        labels=looks.labels,
+        texture_log_odds=looks.log_odds,
         camera=texture.camera,
         camera_positions=None if cameras is None else transform_points(fitted.model_from_scan, cameras),
         face_chart=face_chart,

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from scan2albedo.sampling.skin import skin_weight
+from scan2albedo.sampling.appearance import CLASSES, appearance
 
 SIZE, SIDE_MM = 120, 168.0
 PALE, BROWN, DARK = (0.55, 0.33, 0.24), (0.25, 0.13, 0.08), (0.09, 0.045, 0.03)
@@ -39,7 +38,7 @@ class Face:
         return (self.albedo * (light + np.array(ambient))).astype(np.float32)
 
     def skin(self, texture, **sources):
-        return skin_weight(self.position, self.normal, self.mask, texture, **sources)
+        return appearance(self.position, self.normal, self.mask, texture, **sources).skin
 
     def stubble(self, where, contrast=0.25):
         factor = np.exp(contrast * self.random.standard_normal(where.shape))
@@ -96,7 +95,7 @@ def test_hair_and_stubble_are_not_skin(lamps):
 def test_cloth_over_half_the_face_is_not_taken_for_it(cloth):
     face = Face()
     covered = face.y < 5
-    skin = face.paint(covered, cloth).skin(face.texture(), anchor=np.abs(face.y) < 40)
+    skin = face.paint(covered, cloth).skin(face.texture())
     assert skin[face.mask & (face.y < -2)].mean() < 0.2
     assert skin[face.mask & (face.y > 12)].mean() > 0.9
 
@@ -116,7 +115,7 @@ def test_brows_of_the_same_hue_are_found_where_brows_are_annotated():
     region = (np.abs(face.y - 28) < 10) & (np.abs(face.x) < 55)
     face.stubble(brow, 0.5)
     face.albedo = np.where(brow[..., None], 0.6 * face.albedo, face.albedo)
-    skin = face.skin(face.texture(), prior=np.where(region, 0.8, 1.0))
+    skin = face.skin(face.texture(), share=np.where(region, 0.8, 1.0))
     assert skin[brow].mean() < 0.45
     assert skin[face.mask & ~region].mean() > 0.97
 
@@ -134,7 +133,7 @@ def test_without_texture_region_and_residual_decide():
     region = face.y > 40
     residual = np.where(face.x > 20, 5.0, 0.2)
     residual[face.x < -60] = np.nan
-    skin = face.skin(None, prior=np.where(region, 0.3, 1.0), residual_mm=residual)
+    skin = face.skin(None, share=np.where(region, 0.3, 1.0), residual_mm=residual)
     assert skin[face.mask & (face.x > 20)].max() == 0
     assert skin[face.mask & (face.x < -60)].max() == 0
     kept = face.mask & (face.x < 15) & (face.x > -55)

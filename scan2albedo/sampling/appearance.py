@@ -1,0 +1,367 @@
+"""What each texel of a face is: skin, a brow, an eye, a lip, a nostril, beard, hair, or a thing before it.
+
+Texels of about a millimetre have four features, all relative to this face's own skin: how much darker,
+redder and bluer they are (logarithms), and how much stronger their grain is. Of each class there are the
+distribution of the features and the places on a face's chart, learned by ``tools/fit_appearance.py`` from
+heads in many lights. The colour of the skin turns with the light: it is a quadratic in the normal [1]_,
+fitted together with the classes by expectation maximisation. Neighbours are likely of one class (mean field
+of a Potts model).
+
+.. [1] R. Ramamoorthi, P. Hanrahan, "An efficient representation for irradiance environment maps",
+   SIGGRAPH 2001.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, median_filter, uniform_filter
+
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.geometry.area_mean import area_mean
+
+CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")
+"""By number in `Appearance.labels`. Cloth is whatever else lies before a face: a cap, a mask, glints."""
+SURE = 0.95
+"""Share of skin where nothing is known of a place."""
+TEXEL_MM = 1.4
+"""Pores and a picture's noise are averaged at this size, hairs are not."""
+TYPICAL_CHROMA, TYPICAL_SPREAD = np.array([0.5, -0.35]), np.array([0.35, 0.4])
+"""log R/G and log B/G (linear) of skin, pale to dark, under lamps, skies, in rooms; standard deviations."""
+ANY_SPREAD = 0.7
+"""Standard deviation of the chroma of things."""
+_SAME_MATERIAL = 0.12
+"""Chroma [log] within which texels are one material under one light."""
+_LIGHT_SD = np.array([3.0] + [1.0] * 8), np.array([3.0] + [0.3] * 3 + [0.15] * 5)
+"""Standard deviations of how skin's log brightness and chroma turn with the normal; first their own."""
+_FREEDOM, _POWER, _AGREEMENT, _ROUNDS = 15.0, 0.6, 2.0, 5
+"""Degrees of freedom of the features' t distributions; power of their likelihood, for features of one texel
+are not independent of its neighbours'; log odds for the class that all neighbours have; mean-field rounds."""
+_EVENTS = 1.0
+_WIDER = (2.0, 1.5, 1.0, 1.0, 1.0)
+"""By what skin is wider in each round of expectation maximisation: light is known the less at first."""
+PATCH_MM, _HIDDEN = 30.0, 0.1
+"""Texels nearer than this speak together, not each for itself, of the whole face. Probability of a feature
+that a face does not show in its colours, and of a face that shows none."""
+_FEWEST_TEXELS, _DARKEST, _GRAIN_MM, _FAINT = 64, 1e-3, 7.0, 0.004
+"""Parts of white below which there is no colour; side over which grain is averaged; contrast of an even
+skin."""
+_CLOSE_MM, _FAR_MM, _RELIEF_MM, _SMOOTH_MM = 1.0, 3.0, 12.0, 0.05
+"""Residuals of a good fit, and of hair or glasses over it; side of the squares over which they are averaged
+to relief, and that of skin without noise."""
+_TOLERATED_RELIEF, _PER_RELIEF = 1.5, 2.0
+"""What skin itself shows, relative to its median, and the log odds against skin of what goes beyond."""
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class AppearanceModel:
+    """Of the classes but the first: `share` (C, n, n) by place on the chart, `mean` (C, 4) and `covariance`
+    (C, 4, 4) of the features."""
+
+    share: FloatArray
+    mean: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    @cache
+    def default(cls) -> AppearanceModel:
+        """Return the one that the package ships."""
+        with files("scan2albedo.sampling").joinpath("data/appearance.npz").open("rb") as file:
+            arrays = np.load(file)
+            return cls(*(arrays[name].astype(np.float64) for name in ("share", "mean", "covariance")))
+
+    def log_likelihood(self, features: FloatArray, wider: float = 1.0) -> FloatArray:
+        """Return (C, N) of features (N, 4), where the skin's spread is `wider` times as large."""
+        found = []
+        for k, (mean, covariance) in enumerate(zip(self.mean, self.covariance, strict=True)):
+            spread = covariance * (wider**2 if k == 0 else 1.0)
+            square = _square(features - mean, spread)
+            width = np.linalg.slogdet(spread)[1] + (_FREEDOM + len(mean)) * np.log1p(square / _FREEDOM)
+            found.append(-width / 2)
+        return np.array(found)
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """What the texels (H, W) of an image are."""
+
+    skin: Image
+    """How surely skin, 0 to 1; 0 where the surface was not seen."""
+    labels: NDArray[np.uint8]
+    """The likeliest of `CLASSES`."""
+    log_odds: float
+    """Of a texture that belongs to the places where it lies on a face, against one that does not; 0 where
+    there is no colour or no place."""
+
+
+def appearance(
+    position: FloatArray,
+    normal: FloatArray,
+    seen: BoolArray,
+    texture_linear: NDArray[np.float32] | None = None,
+    *,
+    place: NDArray[np.floating] | None = None,
+    share: NDArray[np.floating] | None = None,
+    residual_mm: FloatArray | None = None,
+    model: AppearanceModel | None = None,
+) -> Appearance:
+    """Return what the texels of a sampled surface are.
+
+    O(H W); 0.1 s at 512 x 512.
+
+    Parameters
+    ----------
+    position, normal : (H, W, 3) float64
+        mm, and of length 1.
+    seen : (H, W) bool
+        Texels of the surface with texture, or with scan near; the others are not read.
+    texture_linear : (H, W, 3) float32, optional
+        Linear colour; without it places and relief decide.
+    place : (H, W, 2) float, optional
+        Row and column, 0 to 1, on the default model's chart: `GeometryImage.face_chart`.
+    share : (H, W) float, optional
+        Part of each texel's region that is skin; used without `place`. 1 when None.
+    residual_mm : (H, W) float64, optional
+        Distance of the surface to the scan, NaN where there is no scan.
+    model : AppearanceModel, optional
+        The package's own when None.
+    """
+    learned = AppearanceModel.default() if model is None else model
+    seen = seen if residual_mm is None else seen & np.isfinite(residual_mm)
+    if not seen.any():
+        return Appearance(np.zeros(seen.shape, np.float32), np.zeros(seen.shape, np.uint8), 0.0)
+    grid = _Grid.of(position, seen)
+    known = grid.part > 0.25
+    if place is not None:
+        spot = (np.moveaxis(grid.mean(place), -1, 0) * len(learned.share[0])) - 0.5
+        prior = np.array([map_coordinates(one, spot, order=1, mode="nearest") for one in learned.share])
+    else:
+        skin = SURE * (np.ones(known.shape) if share is None else np.clip(grid.mean(share), 0.05, 1.0))
+        others = len(learned.share) - 1
+        prior = np.concatenate([skin[None], np.repeat((1 - skin)[None] / others, others, axis=0)])
+    log_prior = np.log(np.maximum(prior, 1e-6) / np.maximum(prior, 1e-6).sum(0))
+    colors, log_odds = np.zeros_like(log_prior), 0.0
+    if np.count_nonzero(known) >= _FEWEST_TEXELS:
+        if texture_linear is not None:
+            color, turned = grid.mean(texture_linear), grid.mean(normal)
+            found, log_odds = _explained(grid, known, color, turned, log_prior, learned)
+            colors = found
+            if place is not None:
+                log_odds += _belonging(log_prior[:, known], colors[:, known], grid.independent)
+        if residual_mm is not None:
+            # How rough the scan is around, in parts of the face's own skin: the fitted surface is smooth.
+            rough = grid.around(grid.mean(np.minimum(residual_mm, _CLOSE_MM)), _RELIEF_MM)
+            usual_mm = max(float(np.median(rough[known & (prior[0] >= np.median(prior[0]))])), _SMOOTH_MM)
+            colors[0] -= _PER_RELIEF * np.maximum(rough / usual_mm - _TOLERATED_RELIEF, 0)
+    shares = _agreed(log_prior + colors, grid.part)
+    likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
+    weight = np.where(seen, np.minimum(likeliest / SURE, 1), np.float32(0))
+    for number, one in enumerate(shares[1:].astype(np.float32), 2):
+        fine = _resized(one, seen.shape)
+        labels[seen & (fine > likeliest)] = number
+        likeliest = np.maximum(likeliest, fine)
+    if residual_mm is not None:
+        weight *= np.clip((_FAR_MM - np.nan_to_num(residual_mm)) / (_FAR_MM - _CLOSE_MM), 0, 1)
+    return Appearance(weight.astype(np.float32), labels, log_odds)
+
+
+def _belonging(log_prior: FloatArray, colors: FloatArray, independent: float) -> float:
+    """Return the log odds of log likelihoods (C, N) of the classes where they are, against the same anywhere.
+
+    Each feature speaks once, and may as well be one that this face does not show; or all is one material.
+    """
+    anywhere = np.logaddexp.reduce(np.log(np.exp(log_prior).mean(1))[:, None] + colors)
+    told = np.logaddexp.reduce(log_prior + colors) - anywhere
+    features = np.bincount(log_prior.argmax(0), told) * independent
+    shown, hidden = np.log1p(-_HIDDEN), np.log(_HIDDEN)
+    even = float((colors[0] - anywhere).sum()) * independent
+    return float(np.logaddexp(shown + np.logaddexp(hidden, shown + features).sum(), hidden + even))
+
+
+def features_of(
+    texture_linear: Image, normal: Image, part: Image, weight: FloatArray, texel_mm: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return log brightness, log R/G and log B/G (H, W, 3), and log grain (H, W) relative to the skin's.
+
+    `part` (H, W) of each texel is seen; `weight` (H, W) says how surely it is skin.
+    """
+    known = part > 0.25
+    white = float(np.percentile(texture_linear[known].max(-1), 95))
+    logarithm = np.log(np.maximum(texture_linear, max(_DARKEST * white, 1e-9))).astype(np.float64)
+    bright = np.where(known, logarithm.max(-1), 0)
+    colors = np.stack([bright, *(logarithm[..., c] - logarithm[..., 1] for c in (0, 2))], axis=-1)
+    # Contrast is against the mean and the median around: edges, of shadows or of moles, have it against one.
+    filled = np.where(known, bright, local_mean(bright, part, odd_side(3 * _GRAIN_MM / texel_mm)))
+    edgeless = np.abs(filled - median_filter(filled, 5, mode="nearest"))
+    contrast = np.minimum(edgeless, np.abs(filled - local_mean(filled, part, 3)))
+    skin = known & (weight > np.median(weight[known]) - 1e-9)
+    own = float(np.median(contrast[skin]))
+    grain = local_mean(np.minimum(contrast, 0.5), part, odd_side(_GRAIN_MM / texel_mm))
+    return colors, np.log((grain + _FAINT) / (1.3 * np.clip(own, _FAINT, 0.06) + _FAINT))
+
+
+def light_basis(normal: NDArray[np.floating]) -> FloatArray:
+    """Return (..., 9) the constant, linear and quadratic functions of normals (..., 3)."""
+    x, y, z = np.moveaxis(np.asarray(normal, np.float64), -1, 0)
+    one = np.ones_like(x)
+    return np.stack([one, x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
+
+
+def skin_in_light(basis: FloatArray, colors: FloatArray, weight: FloatArray, start: FloatArray) -> FloatArray:
+    """Return (9, 3): what `colors` (N, 3) of skin owe to the light, by ridge regression about `start` (3,)."""
+    found = np.zeros((basis.shape[1], 3))
+    for c, scale in enumerate((_LIGHT_SD[0], _LIGHT_SD[1], _LIGHT_SD[1])):
+        ridge = np.diag(scale**-2.0)
+        found[:, c] = np.linalg.solve(
+            (basis.T * weight) @ basis + ridge, basis.T @ (weight * (colors[:, c] - start[c]))
+        )
+    found[0] += start
+    return found
+
+
+def _explained(
+    grid: _Grid,
+    known: BoolArray,
+    texture: Image,
+    normal: Image,
+    log_prior: FloatArray,
+    model: AppearanceModel,
+) -> tuple[FloatArray, float]:
+    """Return (C, h, w) the log likelihood of the classes, and the log odds of the skin's colour (`_hue_odds`).
+
+    That is the colour of skin which explains most.
+    """
+    weight = np.exp(log_prior[0])
+    colors, grain = features_of(texture, normal, grid.part, weight, grid.texel_mm)
+    basis, values, prior = light_basis(normal)[known], colors[known], log_prior[:, known]
+    independent, precision = grid.independent, np.linalg.inv(model.covariance[0])
+
+    def likelihood(light: FloatArray, wider: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        features = np.column_stack([values - basis @ light, grain[known]])
+        return model.log_likelihood(features, wider), features
+
+    best, most, odds = None, -np.inf, 0.0
+    for start in _starts(values, weight[known]):
+        light = np.zeros((basis.shape[1], 3))
+        light[0], often = start, prior
+        for wider in _WIDER:
+            logs, features = likelihood(light, wider)
+            logs = often + _POWER * logs
+            shares = np.exp(logs - np.logaddexp.reduce(logs))
+            # A cap or a beard is one event, however large: its share is learned from this face.
+            found_, usual = (independent * one.sum(1) + _EVENTS for one in (shares, np.exp(prior)))
+            often = prior + np.log(found_ / usual)[:, None]
+            often = often - np.logaddexp.reduce(often)
+            share = shares[0]
+            square = _square(features - model.mean[0], wider**2 * model.covariance[0])
+            trust = share * (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
+            light = skin_in_light(basis, values, trust * independent * precision[1, 1], start)
+        logs = often - prior + _POWER * likelihood(light)[0]
+        hue = _hue_odds(light[0, 1:])
+        turned = sum(float((light[1:, c] ** 2 / _LIGHT_SD[c > 0][1:] ** 2).sum()) for c in range(3))
+        evidence = np.logaddexp.reduce(prior + logs).sum() * independent + hue - turned / 2
+        if evidence > most:
+            best, most, odds = logs, evidence, hue
+    found = np.zeros_like(log_prior)
+    found[:, known] = best
+    return found, odds
+
+
+def _hue_odds(chroma: FloatArray) -> float:
+    """Return how much likelier log R/G and log B/G (2,) are of skin in some light than of any thing."""
+    skin = _square(chroma - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
+    thing = _square(chroma, np.eye(2) * ANY_SPREAD**2)
+    return float((thing - skin) / 2 + np.log(ANY_SPREAD**2 / TYPICAL_SPREAD.prod()))
+
+
+def _starts(colors: FloatArray, weight: FloatArray) -> list[FloatArray]:
+    """Return brightness and chroma (3,) that most texels have which may be skin, and the next ones apart."""
+    candidates = colors[np.argsort(-weight, kind="stable")[: max(len(weight) // 2, 1)]]
+    candidates = candidates[:: -(-len(candidates) // 32)]
+    some = slice(None, None, -(-len(colors) // 4000))
+    chroma = colors[some, 1:]
+    near = np.exp(-0.5 * ((candidates[:, None, 1:] - chroma) ** 2).sum(-1) / _SAME_MATERIAL**2) * weight[some]
+    typical = _square(candidates[:, 1:] - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
+    order = np.argsort(-near.sum(1) * np.exp(-0.5 * typical))
+    apart = np.linalg.norm(candidates[order, 1:] - candidates[order[0], 1:], axis=1) > 3 * _SAME_MATERIAL
+    chosen = [order[0], *order[apart][:1]]
+    bright = [np.average(colors[some, 0], weights=near[k] + 1e-9) for k in chosen]
+    return [np.array([level, *candidates[k, 1:]]) for level, k in zip(bright, chosen, strict=True)]
+
+
+def _agreed(logs: FloatArray, part: Image) -> FloatArray:
+    """Return the shares (C, h, w) of the classes, for neighbours that likely agree."""
+    shares = np.exp(logs - np.logaddexp.reduce(logs))
+    for _ in range(_ROUNDS):
+        around = np.stack([local_mean(one, part, 3) for one in shares])
+        agreeing = logs + _AGREEMENT * around
+        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
+    return np.asarray(shares)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A grid of texels of about `TEXEL_MM` over an image: `part` (h, w) of each that is seen."""
+
+    seen: BoolArray
+    part: Image
+    texel_mm: float
+
+    @property
+    def independent(self) -> float:
+        """As how much of an independent one each texel counts."""
+        return (self.texel_mm / PATCH_MM) ** 2
+
+    @classmethod
+    def of(cls, position: FloatArray, seen: BoolArray) -> _Grid:
+        every = max(1, len(seen) // 32)
+        both = seen[::every, 1:] & seen[::every, :-1]
+        steps = (position[::every, 1:] - position[::every, :-1])[both]
+        side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
+        factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
+        shape = tuple(-(-texels // factor) for texels in seen.shape)
+        return cls(seen, _resized(seen.astype(np.float32), shape), side * factor)
+
+    def mean(self, field: NDArray[np.floating]) -> Image:
+        """Return the means over the seen texels of each coarse one; 0 where there is none."""
+        flat = field.ndim == 2
+        kept = np.where(self.seen if flat else self.seen[..., None], field, 0).astype(np.float32)
+        weight = np.maximum(self.part, np.float32(1e-6))
+        return np.asarray(
+            _resized(kept, self.part.shape) / (weight if flat else weight[..., None]), np.float32
+        )
+
+    def around(self, field: Image, side_mm: float) -> Image:
+        """Return the means over squares of `side_mm`."""
+        return local_mean(field, self.part, odd_side(side_mm / self.texel_mm))
+
+
+def _square(off: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the squared Mahalanobis distance of `off` (..., K)."""
+    return np.asarray(np.einsum("...i,ij,...j->...", off, np.linalg.inv(covariance), off))
+
+
+def _resized(field: Image, shape: tuple[int, ...]) -> Image:
+    """Return the means of `field` (H, W) or (H, W, C) over the texels of a coarser grid, or between those."""
+    from skimage.transform import resize
+
+    if shape[0] < field.shape[0]:
+        return area_mean(field, (shape[0], shape[1])).astype(np.float32)
+    return np.asarray(resize(field, shape[:2], order=1, mode="edge", anti_aliasing=False), np.float32)
+
+
+def odd_side(texels: float) -> int:
+    """Return the odd number of texels nearest to `texels`, at least 3."""
+    return max(3, 2 * round((texels - 1) / 2) + 1)
+
+
+def local_mean(field: NDArray[np.floating], weight: Image, side: int) -> FloatArray:
+    """Return the weighted mean of `field` (H, W) over squares of `side` texels; 0 without any weight."""
+    sums, total = (uniform_filter(f, side, mode="constant") for f in (field * weight, weight))
+    return np.asarray(sums / np.maximum(total, np.float32(1e-6 / side**2)))
