@@ -55,8 +55,6 @@ def accepted(
             if odds:
                 side = "for" if odds > 0 else "against"
                 figures += f", its {cue} speak {side} it by {abs(odds):.1f} in the log odds"
-        unlike = np.exp(np.abs(found.proportions)).max()
-        figures += f", proportions of width, height and depth {unlike:.2f} times the model's"
     if not meter.exhausted:
         # Fitting and shading go wrong where all triangles face inward. The reversed scan is searched
         # where the best pose is in doubt and the surface does not bulge outward: sum a n.(p - c) / sum a
@@ -132,9 +130,9 @@ def _distance_mm(candidate: Candidate, other: Candidate) -> float:
 
 
 def probability(candidates: Candidates) -> float:
-    """Return the probability that the best candidate is the pose of a person's face, 0 ... 1.
+    """Return the probability that the best candidate is the pose of a face, 0 ... 1.
 
-    Against it stand that there is no face, every other pose of it, and strange proportions.
+    Against it stand that there is no face, and every other pose of it.
     """
     best = candidates[0]
     rivals = [
@@ -142,4 +140,4 @@ def probability(candidates: Candidates) -> float:
         for other in candidates[1:]
         if other.is_apart(best) and _distance_mm(other, best) <= _OTHER_FACE_MM
     ]
-    return float(best.person * expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
+    return float(expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
