@@ -1,4 +1,4 @@
-"""Learn which proportions people's faces have (`scan2albedo.registration.proportions`).
+"""Learn which proportions people's faces have (`scan2albedo.registration.acceptance`).
 
     python tools/fit_proportions.py ../shared/data -o scan2albedo/registration/data/proportions.npz
 
@@ -27,9 +27,9 @@ from scan2albedo.core import Meter, RawScan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import Similarity, transform_points
 from scan2albedo.io.npz import write_npz
+from scan2albedo.registration.acceptance import CONTRASTS, NAMES
 from scan2albedo.registration.icp import shaped_icp, stretch
 from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.proportions import CONTRASTS, NAMES
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, person

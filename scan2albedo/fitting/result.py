@@ -105,8 +105,6 @@ def fitted_face(
     exact = not deformation.meter.out_of_time
     residual = residuals_mm(deformation.scan, vertices, faces, RESIDUAL_GATE_MM, exact=exact)
     area, seen = vertex_areas(vertices, faces), ~np.isnan(residual)
-    # Vertices of a coarser refinement come first.
-    coarse = model.surface(1)[0]
     known = residual[seen] if seen.any() else np.array([np.nan])
     # The strain is the RMS logarithm of how the edges of the control mesh were stretched.
     edges, _ = edges_with_faces(model.control_faces)
@@ -131,7 +129,6 @@ def fitted_face(
         "strain": strain,
         "flipped_faces": float(len(deformation.folds.find(vertices))),
         "scale": scale,
-        "mirror_mm": mirror_distance_mm(deformation.scan, vertices[: len(coarse)][seen[: len(coarse)]]),
     }
     if metrics["coverage"] < MIN_COVERAGE:
         raise FitError(
@@ -139,6 +136,9 @@ def fitted_face(
             f"{RESIDUAL_GATE_MM:.0f} mm, at least {100 * MIN_COVERAGE:.0f} % needed; "
             "the pose is wrong, or the scan holds too little of a face"
         )
+    # Vertices of a coarser refinement come first.
+    coarse = slice(len(model.surface(1)[0]))
+    metrics["mirror_mm"] = mirror_distance_mm(deformation.scan, vertices[coarse][seen[coarse]])
     plan = Plan()
     if strain > MOST_STRAIN:
         reason = (
@@ -177,7 +177,7 @@ def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
     """Return the median distance, mm, of the mirror image of a scan to it.
 
     The image of the scan next to points (N, 3), in the frame of a model whose plane of symmetry is x = 0, is
-    laid on the scan, along its normals; infinite without points.
+    laid on the scan, along its normals.
     """
 
     def pairs(now: Alignment, image: FloatArray) -> Pairs:
@@ -187,8 +187,6 @@ def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
         spread = np.median(plane_mm**2) + np.finfo(float).eps
         return Pairs(offset, normal, (spread / (spread + plane_mm**2)) ** 2)
 
-    if not len(points):
-        return np.inf
     image = scan.nearest.query(points).points * [-1.0, 1.0, 1.0]
     laid = align(image, np.ones(len(image)), pairs, steps=_MIRROR_STEPS, scale_range=(1.0, 1.0))
     return float(np.median(scan.nearest.query(laid.pose.apply(image)).distance))

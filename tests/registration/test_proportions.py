@@ -7,7 +7,7 @@ import pytest
 
 from scan2albedo import RawScan, register
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.registration.proportions import (
+from scan2albedo.registration.acceptance import (
     CONTRASTS,
     NAMES,
     people,
