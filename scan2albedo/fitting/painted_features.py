@@ -112,7 +112,6 @@ class _Cue:
     light: FloatArray
     independent: float
     red: bool = False
-    sign: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -135,6 +134,24 @@ class _Template:
         motions = mean + _draws() @ np.linalg.cholesky(covariance).T
         return self.marks.moved(motions * self.mirror, self.middle)
 
+    def log_likelihood(self, channels: FloatArray, picture: FrontPicture, motions: FloatArray) -> FloatArray:
+        """Return (M,): of motions (M, 7)."""
+        moved = self.points.moved(motions * self.mirror, self.middle)
+        total = np.zeros(len(motions))
+        for cue in self.cues:
+            used = np.flatnonzero(np.isfinite(cue.label))
+            label, channel = cue.label[used], int(cue.red)
+            share = np.where(label > 0, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1))
+            low, step_mm, light = picture.low, picture.step_mm, cue.light[used]
+            gram = _grams(channels, moved, used, low, step_mm, channel, light, label, share)
+            # Points count as far as they are seen, on the feature and beside it.
+            least = 2 * np.minimum(gram[:, 0, 3], gram[:, 0, 0] - gram[:, 0, 3])
+            gram[:, 4, 4] += _FLOOR[channel] ** 2 * gram[:, 0, 0]
+            inverse = np.linalg.inv(gram + 1e-9 * np.eye(5))
+            rho = -inverse[:, 3, 4] / np.sqrt(inverse[:, 3, 3] * inverse[:, 4, 4])
+            total -= cue.independent * least / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
+        return total
+
 
 def painted_pull(
     scan: RawScan, frame_from_scan: FloatArray, model: AnnotatedSurface, control_points: FloatArray
@@ -145,15 +162,13 @@ def painted_pull(
     if landmarks is None or model.landmark_points is None or not found:
         return None
     numbers = [number for feature in found for number in feature.numbers]
-    sigma_mm = np.concatenate([feature.sigma_mm for feature in found])
     places = np.concatenate([feature.places for feature in found])
-    count = len(numbers)
     return LandmarkPull(
-        numbers=np.full(count, SHOWN_BY_COLOR),
+        numbers=np.full(len(numbers), SHOWN_BY_COLOR),
         matrix=model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)[numbers],
         targets=np.column_stack([places, landmarks[numbers, 2]]),
-        sigma_mm=sigma_mm,
-        wrong_mm=np.full(count, np.inf),
+        sigma_mm=np.concatenate([feature.sigma_mm for feature in found]),
+        wrong_mm=np.full(len(numbers), np.inf),
         axes=np.concatenate([np.tile([*_axes(f.name), 0.0], (len(f.numbers), 1)) for f in found]),
         still=np.isin(numbers, STILL),
     )
@@ -216,10 +231,9 @@ def _eye(landmarks: FloatArray, first: int) -> _Template:
     points = _around(lids, 9.0)
     away, inside = polyline_distance(points, _closed(lids)), inside_polygon(points, lids)
     used = (inside | (away < 6.0)) & (away > 0.4)
-    label = inside[used].astype(float)
+    label, light = inside[used].astype(float), _place(points[used])
     # The eyeball is less red than skin; iris, pupil and lashes are dark.
-    light = _place(points[used])
-    cues = (_Cue(label, light, 20.0, red=True, sign=-1.0), _Cue(label, light, 12.0))
+    cues = (_Cue(1 - label, light, 20.0, red=True), _Cue(label, light, 12.0))
     return _template("eye", numbers, landmarks, lids[[0, 3]], points[used], cues)
 
 
@@ -235,11 +249,9 @@ def _lips(landmarks: FloatArray) -> _Template:
     # Lamps stand above: the upper lip is darker than the lower one.
     up = _Places.of(points[used], line).up
     shut = np.exp(-np.sum((inner[2] - inner[6]) ** 2) / _OPEN_MM**2)
-    cues = (
-        _Cue(inside[used].astype(float), _place(points[used]), 40.0, red=True),
-        _Cue(label, np.stack([up / 2, np.sign(up)], axis=1), 12.0 * shut),
-    )
-    return _template("lips", tuple(range(48, 68)), landmarks, line, points[used], cues)
+    lips = _Cue(inside[used].astype(float), _place(points[used]), 40.0, red=True)
+    between = _Cue(label, np.stack([up / 2, np.sign(up)], axis=1), 12.0 * shut)
+    return _template("lips", tuple(range(48, 68)), landmarks, line, points[used], (lips, between))
 
 
 def _template(
@@ -277,11 +289,8 @@ def _shared(one: _Template, other: _Template) -> FloatArray:
     surer of them is. Lips move by themselves.
     """
     variance = np.minimum(_DEVIATIONS[one.name], _DEVIATIONS[other.name]) ** 2
-    if one is other:
-        return variance + _ALONE**2
-    return variance * (
-        (one.name == other.name) | (("lips" not in (one.name, other.name)) & (np.arange(_MOTIONS) < 2))
-    )
+    place = (np.arange(_MOTIONS) < 2) & ("lips" not in (one.name, other.name))
+    return np.asarray(variance * (place | (one.name == other.name)) + _ALONE**2 * (one is other))
 
 
 def _posterior(
@@ -327,7 +336,7 @@ def _posterior(
             # The density of the prior and all others, by that of the draws.
             density = np.sum(draws**2, axis=1) - np.einsum("mi,ij,mj->m", off, others, off)
             density = (density + np.linalg.slogdet(others)[1] - np.linalg.slogdet(precision)[1]) / 2
-            likelihood = _log_likelihood(side, shown, picture, motions)
+            likelihood = side.log_likelihood(shown, picture, motions)
             evidence[k] = logsumexp(likelihood + density) - np.log(_SAMPLES)
             # Both sides of a pair are seen, or neither.
             pair = sum(evidence[j] for j in range(count) if j != k and sides[j].name == side.name)
@@ -351,35 +360,13 @@ def _draws() -> FloatArray:
     return np.asarray(np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T)
 
 
-def _log_likelihood(
-    template: _Template, channels: FloatArray, picture: FrontPicture, motions: FloatArray
-) -> FloatArray:
-    """Return (M,): of motions (M, 7), given as those of the right side."""
-    moved = template.points.moved(motions * template.mirror, template.middle)
-    total = np.zeros(len(motions))
-    for cue in template.cues:
-        used = np.flatnonzero(np.isfinite(cue.label))
-        label, channel = cue.label[used], int(cue.red)
-        share = np.where(label > 0, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1))
-        light, step_mm = cue.light[used], picture.step_mm
-        gram = _grams(channels, moved, used, picture.low, step_mm, channel, light, label, share)
-        # Points count as far as they are seen, on the feature and beside it.
-        least = 2 * np.minimum(gram[:, 0, 3], gram[:, 0, 0] - gram[:, 0, 3])
-        gram[:, 4, 4] += _FLOOR[channel] ** 2 * gram[:, 0, 0]
-        inverse = np.linalg.inv(gram + 1e-9 * np.eye(5))
-        rho = -inverse[:, 3, 4] / np.sqrt(inverse[:, 3, 3] * inverse[:, 4, 4])
-        total -= cue.independent * least / 2 * np.log(1 - np.clip(cue.sign * rho, 0, 0.999) ** 2)
-    return total
-
-
 @njit(cache=True, nogil=True)
 def _grams(channels, moved, used, low, step_mm, channel, light, label, share):  # type: ignore[no-untyped-def]
     """Return (M, 5, 5), sums over the points seen of products of 1, light (2), label and colour."""
-    count, points = len(moved), len(used)
     rows, columns = channels.shape[:2]
-    gram, values = np.zeros((count, 5, 5)), np.ones(5)
-    for m in range(count):
-        for n in range(points):
+    gram, values = np.zeros((len(moved), 5, 5)), np.ones(5)
+    for m in range(len(moved)):
+        for n in range(len(used)):
             column = (moved[m, used[n], 0] - low[0]) / step_mm
             row = (moved[m, used[n], 1] - low[1]) / step_mm
             if not (0 <= column < columns - 1 and 0 <= row < rows - 1):
