@@ -136,21 +136,23 @@ class _Template:
 
     def log_likelihood(self, channels: FloatArray, picture: FrontPicture, motions: FloatArray) -> FloatArray:
         """Return (M,): of motions (M, 7)."""
-        moved = self.points.moved(motions * self.mirror, self.middle)
-        total = np.zeros(len(motions))
+        motions = np.vstack([np.zeros(_MOTIONS), motions * self.mirror])
+        moved, total = self.points.moved(motions, self.middle), np.zeros(len(motions))
         for cue in self.cues:
             used = np.flatnonzero(np.isfinite(cue.label))
             label, channel = cue.label[used], int(cue.red)
             share = np.where(label > 0, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1))
             low, step_mm, light = picture.low, picture.step_mm, cue.light[used]
             gram = _grams(channels, moved, used, low, step_mm, channel, light, label, share)
-            # Points count as far as they are seen, on the feature and beside it.
+            # Points count as far as they are seen, on the feature and beside it, here and at the model's own
+            # place: the scan may have a hole for an eye, and nothing beside the hole is one.
             least = 2 * np.minimum(gram[:, 0, 3], gram[:, 0, 0] - gram[:, 0, 3])
             gram[:, 4, 4] += _FLOOR[channel] ** 2 * gram[:, 0, 0]
             inverse = np.linalg.inv(gram + 1e-9 * np.eye(5))
             rho = -inverse[:, 3, 4] / np.sqrt(inverse[:, 3, 3] * inverse[:, 4, 4])
-            total -= cue.independent * least / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
-        return total
+            counted = cue.independent * least * least[0]
+            total -= counted / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
+        return total[1:]
 
 
 def painted_pull(
@@ -180,10 +182,8 @@ def painted_features(
     """Return what a scan's colours show of brows, eyes and lips, near landmarks (68, 3) of the model."""
     if not scan.has_color:
         return []
-    inner = landmarks[17:, :2]
-    picture = front_picture(
-        scan, frame_from_scan, inner.min(0) - _MARGIN_MM, inner.max(0) + _MARGIN_MM, _STEP_MM
-    )
+    low, high = landmarks[17:, :2].min(0) - _MARGIN_MM, landmarks[17:, :2].max(0) + _MARGIN_MM
+    picture = front_picture(scan, frame_from_scan, low, high, _STEP_MM)
     color, seen = picture.color, picture.seen
     if not seen.any() or not np.median(color[seen]) > 0:
         return []
