@@ -85,7 +85,10 @@ def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
 
 def face_coverage(fitted: FittedFace) -> float:
     """Return the part of the face with scan near it; of a whole head only what is annotated counts."""
-    area = face_areas(fitted.vertices, fitted.faces) * fitted.model.face_regions()[fitted.region]
+    counted = fitted.model.face_regions()[fitted.region]
+    if counted.all():
+        return fitted.metrics["coverage"]
+    area = face_areas(fitted.vertices, fitted.faces) * counted
     seen = (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1)
     return float(area @ seen / max(area.sum(), 1e-300))
 
