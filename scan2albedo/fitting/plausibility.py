@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.face_model.annotation import FILLED_REGION, MOUTH_REGION, REST_REGION
+from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -73,10 +73,8 @@ def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
 
 def face_coverage(fitted: FittedFace) -> float:
     """Return the part of the face with scan near it; of a whole head only what is annotated counts."""
-    model = fitted.model
-    rest = [model.regions[name].index for name in (REST_REGION, FILLED_REGION) if name in model.regions]
-    counted = ~np.isin(fitted.region, rest)
-    if model.template_points is None or not counted.any():
+    counted = fitted.model.face_regions()[fitted.region]
+    if counted.all():
         return fitted.metrics["coverage"]
     area = face_areas(fitted.vertices, fitted.faces) * counted
     seen = (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1)
