@@ -5,9 +5,8 @@
 Of each kind of scan, so many are drawn: people in raw stereo, as measured and worse, clean people, and as
 what is not a face scraps, reliefs, bodies, heaps of solids and gratings. The best poses of the search are
 judged by the truth, and `scan2albedo.registration.evidence` gets the weights that this prints: those of a
-logistic regression whose signs are given. Every second scan judges the weights fitted to the others. The
-proportions of people are printed beside those of people stretched 1.4 to 1.6 times along one axis. No scan is
-among those of tools/bench_door.py; but the weight of scraps, and how noise counts (`relief`), were chosen
+logistic regression whose signs are given. Every second scan judges the weights fitted to the others. No scan
+is among those of tools/bench_door.py; but the weight of scraps, and how noise counts (`relief`), were chosen
 with the first 140 of its parts in sight.
 """
 
@@ -64,7 +63,6 @@ class Row:
     kind: str
     seed: int
     cues: tuple[float, ...]
-    proportion: float
     right: bool | None
 
 
@@ -90,13 +88,6 @@ def _hard_person(seed: int, rng: np.random.Generator) -> Case:
 def _clean_person(seed: int, rng: np.random.Generator) -> Case:
     scanner = StereoScanner(spacing_mm=(2.0, 3.5), noise_mm=(0.05, 0.5), stray=(0.001, 0.01), pieces=(1, 5))
     return _sized(face_case(*stereo_scan(seed, features=(), scanner=scanner)), rng)
-
-
-def _stretched(seed: int, rng: np.random.Generator) -> Case:
-    case = (_clean_person if seed % 2 else _person)(seed, rng)
-    points = transform_points(case.model_from_scan, case.scan.vertices)
-    points[:, rng.integers(3)] *= rng.uniform(1.4, 1.6) ** float(rng.choice([-1, 1]))
-    return Case(RawScan(points, case.scan.faces, name="stretched"), ())
 
 
 def _scrap(seed: int, rng: np.random.Generator) -> Case:
@@ -143,9 +134,6 @@ def _waves(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
     return vertices, faces
 
 
-STRETCHED = "stretched"
-
-
 def _grating(rng: np.random.Generator) -> tuple[FloatArray, np.ndarray]:
     """Return a sheet with regular waves, bumps or ridges, whose hollows repeat as eyes and mouths do."""
     vertices, faces = random_relief(rng)
@@ -160,7 +148,6 @@ KINDS: dict[str, Callable[[int, np.random.Generator], Case]] = {
     "person": _person,
     "hard person": _hard_person,
     "clean person": _clean_person,
-    STRETCHED: _stretched,
     "scrap": _scrap,
     "relief": _object(_waves),
     "body": _object(random_body),
@@ -189,8 +176,7 @@ def rows_of(task: tuple[str, int]) -> list[Row]:
         if candidate.evidence is not None:
             pose = invert_rigid(candidate.pose.rigid(_template().front)) @ prepared.prepared_from_scan
             cues = tuple(candidate.evidence.cues[name] for name in SIGNS)
-            proportion = float(np.abs(candidate.evidence.proportions).max())
-            rows.append(Row(kind, seed, cues, proportion, _is_right(pose, case)))
+            rows.append(Row(kind, seed, cues, _is_right(pose, case)))
     return rows
 
 
@@ -246,18 +232,8 @@ def by_scan(odds: FloatArray, right: BoolArray, scans: list[tuple[str, int]]) ->
     return float(slope), float(shift)
 
 
-def _print_proportions(rows: list[Row]) -> None:
-    for name in KINDS:
-        chosen = [row.proportion for row in rows if row.kind == name and (row.right or name == STRETCHED)]
-        if chosen:
-            print(
-                f"greatest proportion, {name}: "
-                + "{:.2f} {:.2f} {:.2f} {:.2f} {:.2f}".format(*np.percentile(chosen, [1, 5, 50, 95, 99]))
-            )
-
-
 def _print_fit(rows: list[Row]) -> None:
-    known = [row for row in rows if row.right is not None and row.kind != STRETCHED]
+    known = [row for row in rows if row.right is not None]
     cues, right = np.array([row.cues for row in known]), np.array([row.right for row in known], bool)
     seed, kind = np.array([row.seed for row in known]), np.array([row.kind for row in known])
     has_right = {(row.kind, row.seed) for row in known if row.right}
@@ -299,13 +275,11 @@ def main() -> None:
         np.savez(
             arguments.keep,
             cues=np.array([row.cues for row in rows]),
-            proportion=np.array([row.proportion for row in rows]),
             right=np.array([np.nan if row.right is None else row.right for row in rows]),
             kind=np.array([row.kind for row in rows]),
             seed=np.array([row.seed for row in rows]),
         )
     _print_fit(rows)
-    _print_proportions(rows)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ class Level:
     by `unit`, the median V of the usable texels, also the unit of the highlight's strength. `weight` (N,) is
     the usable part of a cell's texels times their mean skin, `scale` (N,) the annotated strength of
     highlights. `cell` (N, 2) is row and column among the cells, `center` (N, 2) their mean among the texels.
-    `texels` counts those of the whole chart; `factor` is the side of a cell in texels.
+    `texels` counts those of the whole face; `factor` is the side of a cell in texels.
     """
 
     position: FloatArray
@@ -118,13 +118,15 @@ def build_level(
     values: NDArray[np.floating] | None = None,
     toward: FloatArray | None = None,
 ) -> Level:
-    """Average usable texels of V, or of `values` (H, W), into cells, at most `size` along the longer side.
+    """Average the face's usable texels of V, or of `values` (H, W), into cells, `size` along its side.
 
     `toward` (P, 3) are the masked texels' directions to the camera, to the front when None.
     """
     assert image.texture_linear is not None
     field = brightest_around(image.texture_linear, usable) if values is None else values
-    factor = max(1, -(-max(image.shape) // size))
+    if image.on_face is not None and (usable & image.on_face).any():
+        usable = usable & image.on_face
+    factor = max(1, math.ceil(image.face_side / size))
     across = -(-image.shape[1] // factor)
     row, column = np.nonzero(usable)
     number = row // factor * across + column // factor
@@ -158,7 +160,7 @@ def build_level(
         mean(image.texture_linear) / unit,
         np.stack(np.divmod(found, across), 1),
         mean(np.stack([row, column], 1), np.ones(len(row), bool)),
-        int(image.mask.sum()),
+        int((image.mask if image.on_face is None else image.on_face).sum()),
         factor,
     )
 

@@ -72,8 +72,7 @@ def _of_solution(
     unit = scene.at(scene.options.sizes[0]).level.unit
     strength = state.reflectance.specular_strength * unit * colours.gloss
     reflectance = replace(state.reflectance, specular_strength=strength)
-    order = np.argsort(-state.rows[:, 4], kind="stable")
-    lights = list(state.lights())
+    order, lights = np.argsort(-state.rows[:, 4], kind="stable"), list(state.lights())
     surface = image.position[mask], image.normal[mask].astype(np.float64)
     above = None
     if point is not None and caster is not None:
@@ -83,9 +82,8 @@ def _of_solution(
     for k, lamp in enumerate(lights):
         at = lamp.direction, lamp.distance_mm, lamp.radius_deg
         visible[k], facing[k] = hidden.reached(*at), attached.reached(*at)
-    scale = np.ones(len(surface[0]))
-    if image.specular_scale is not None:
-        scale = image.specular_scale[mask].astype(np.float64)
+    scale = np.ones(mask.shape) if image.specular_scale is None else image.specular_scale
+    scale = scale[mask].astype(np.float64)
     colors = replace(colours, lamps=colours.lamps[order])
 
     def shading(seen: NDArray) -> Shading:

@@ -141,14 +141,15 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         finest = max(1, round(_ROUGHER * finest * texel_mm * density))
     outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
     found = _Light(scan, uv, weight, log_light, usual, log_beyond, steps, outside, finest, density)
+    shown = np.float32(1) if scan.color_seen is None else scan.color_seen
     notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
     if scan.uv is not None and scan.texture_linear is not None:
         texture, confidence = _unlit_texture(found, scan.texture_linear, scan.uv)
-        return UnlitScan(replace(scan, texture_linear=texture, notes=notes), confidence)
+        return UnlitScan(replace(scan, texture_linear=texture, notes=notes), confidence * shown)
     assert scan.vertex_color_linear is not None
     divisor, sure = found.at(uv, weight, found.log_beyond)
     colors = (scan.vertex_color_linear * (usual / divisor)).astype(np.float32)
-    return UnlitScan(replace(scan, vertex_color_linear=colors, notes=notes), sure.astype(np.float32))
+    return UnlitScan(replace(scan, vertex_color_linear=colors, notes=notes), sure.astype(np.float32) * shown)
 
 
 def _without_dark_spots(log_light: FloatArray) -> FloatArray:

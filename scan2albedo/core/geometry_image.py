@@ -32,6 +32,8 @@ _SHAPES = {
     "labels": (np.uint8, None),
     "camera": (np.uint8, None),
     "face_chart": (np.float32, 2),
+    "filled": (np.bool_, None),
+    "on_face": (np.bool_, None),
 }
 
 
@@ -81,6 +83,10 @@ class GeometryImage:
     texture_log_odds: float = 0.0
     """Natural logarithm of the odds that the texture belongs to this shape, by where brows, eyes and lips
     are; 0: nothing speaks for or against it."""
+    filled: NDArray[np.bool_] | None = None
+    """(H, W): texels that no picture showed, whose texture comes from around; none when None."""
+    on_face: NDArray[np.bool_] | None = None
+    """(H, W): texels of the annotated face, where light is sought; all of `mask` when None."""
 
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, bool)
@@ -145,6 +151,13 @@ class GeometryImage:
         return self.mask if self.texture_valid is None else self.mask & self.texture_valid
 
     @property
+    def face_side(self) -> float:
+        """Longer side in texels of a chart that the face would fill alone, at the same size of texels."""
+        if self.on_face is None or not self.on_face.any():
+            return float(max(self.shape))
+        return max(self.shape) * float(self.on_face.sum() / self.mask.sum()) ** 0.5
+
+    @property
     def border(self) -> NDArray[np.bool_]:
         """(H, W) texels of the surface with a side neighbour outside it: the chart's rim, or its seams."""
         padded = np.pad(self.mask, 1)
@@ -188,6 +201,9 @@ class GeometryImage:
         figures = {"coverage": float(self.mask.mean()), "seen": seen}
         if self.skin is not None:
             figures["skin"] = float(self.skin[self.mask].mean())
+        if self.filled is not None:
+            surface = self.mask if self.on_face is None else self.on_face
+            figures["filled"] = float(self.filled[surface].mean())
         if self.camera_positions is not None:
             figures["cameras"] = float(len(self.camera_positions))
         ratio = float(high / low) if low > 0 else float("nan")

@@ -97,6 +97,9 @@ class RawScan:
     """(H, W, 3): linear colour, 1 = display white; row 0 is the top."""
     vertex_color_linear: NDArray[np.float32] | None = None
     """(V, 3): linear colour of each vertex, for scans without a texture."""
+    color_seen: NDArray[np.bool_] | None = None
+    """Which colours a picture showed: (H, W) of the texture, else (V,) of the vertices; all when None. The
+    others are transparent, or were filled in: nothing is concluded from them."""
     name: str = "scan"
     """Used in messages and output folders."""
     notes: tuple[str, ...] = ()
@@ -138,6 +141,11 @@ class RawScan:
             ("texture_linear", np.float32, (None, None, 3)),
             ("vertex_color_linear", np.float32, (len(vertices), 3)),
         )
+        if self.color_seen is not None:
+            textured = self.uv is not None and self.texture_linear is not None
+            grid = self.texture_linear.shape[:2] if textured else (len(vertices),)  # type: ignore[union-attr]
+            seen = self._checked("color_seen", self.color_seen, np.bool_, grid)
+            object.__setattr__(self, "color_seen", seen)
         for field, dtype, shape in optional:
             value = getattr(self, field)
             if value is not None:
@@ -194,6 +202,7 @@ class RawScan:
 
     @property
     def has_color(self) -> bool:
-        """Whether there is a texture with coordinates, or vertex colours."""
+        """Whether there is a texture with coordinates, or vertex colours, that some picture showed."""
         textured = self.uv is not None and self.texture_linear is not None
-        return textured or self.vertex_color_linear is not None
+        seen = self.color_seen is None or bool(self.color_seen.any())
+        return seen and (textured or self.vertex_color_linear is not None)

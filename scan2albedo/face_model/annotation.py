@@ -232,6 +232,12 @@ class AnnotatedSurface:
             table[region.index] = float(getattr(region, attribute))
         return table
 
+    def face_regions(self) -> BoolArray:
+        """Return (256,) which region indices are the face's: all, unless a template is annotated in part."""
+        rest = [self.regions[name].index for name in (REST_REGION, FILLED_REGION) if name in self.regions]
+        annotated = self.template_points is not None and not np.isin(self.region, rest).all()
+        return ~np.isin(np.arange(256), rest) if annotated else np.ones(256, bool)
+
     def in_region(self, name: str) -> BoolArray:
         """Return (F_C,) which control faces lie in the region `name`; none where there is no such region."""
         if name not in self.regions:

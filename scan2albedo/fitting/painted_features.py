@@ -3,17 +3,21 @@
 A feature is darker or redder than the skin around it. Of each there is a template in the model's front view:
 points on the feature and beside it. It is moved over the scan's picture; the partial correlation rho of label
 and colour, given place (light falls off smoothly), has the likelihood (1 - rho^2)^(-n/2) of n independent
-points. Shading is divided out. Importance sampling with a normal prior gives the posterior of the motion;
-even colours leave the prior as it was, and then nothing is said.
+points. Shading is divided out. Or the colours do not show the feature (lids are shut, a brow has no hair);
+then the likelihood is 1 wherever it is. Brows and eyes of both sides have one normal prior. The posterior
+of their motions pulls landmarks, the more the narrower it is beside the prior, and nowhere at even colours.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numba import njit
+from scipy.linalg import block_diag
+from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 
 from scan2albedo.core.arrays import FloatArray
@@ -31,35 +35,33 @@ may lie so far off."""
 _BLACK = 0.03
 """Added to colours, relative to the usual brightness, before the logarithm: in the dark is noise."""
 _BRIGHTNESS = np.array([0.25, 0.6, 0.15])
-DARKNESS, REDNESS = 0, 1
 _FLOOR = np.array([0.06, 0.025])
 """Deviations of log darkness and log redness that are none of a feature."""
-_LEAST_SEEN, _SURE = 0.5, 0.65
-"""Part of a feature's points, and of those beside it, that the scan must show; of the picture half that. A
-feature is used where the posterior deviation of its height is below _SURE of the prior's."""
-_BROW_MM, _BROW_BELOW_MM, _LASHES_MM = 3.8, 1.2, 1.5
-"""Half width of a brow, how far its middle lies below its landmarks, and how far beside the lids what is dark
-may be lashes and shadows."""
+_BROW_MM, _BROW_BELOW_MM = 3.8, 1.2
+"""Half width of a brow, and how far its middle lies below its landmarks."""
 _LINE_MM, _OPEN_MM, _HALF_WIDTH_MM = 1.0, 3.0, 25.0
-"""Half width of the line between shut lips; lips farther apart have none; half width of a mouth or a brow."""
-_SAMPLES, _POWERS, _WIDER = 256, (0.2, 0.5, 1.0), 1.5
-"""Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far.
-Proposals are wider than what they are to find, in variance."""
-_LEAST_LOG_LIKELIHOOD = {"brow": 4.0, "eye": 4.0, "lips": 10.0}
-"""Above no feature at all, by eye: on faces of one colour creases beside shut lips reach 9."""
-_EXACT_MM = {"brow": 1.5, "eye": 1.5, "lips": 0.8}
+"""Half width of the line between shut lips, and of lashes; how far lips are apart that have no line; half
+width of a mouth or a brow."""
+_SAMPLES, _POWERS = 512, (0.2, 0.5, 1.0, 1.0, 1.0)
+"""Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far."""
+_UNSEEN, _CHANCE = 3.0, 0.25
+"""Log odds that the colours do not show a feature, and what they tell by chance, of what the prior tells."""
+_EXACT_MM = {"brow": 1.5, "eye": 1.0, "lips": 0.6}
 """Standard deviation of a landmark of a feature whose motion is known."""
-_INDEPENDENT, _NEVER_WRONG_MM = 6, 50.0
-"""The landmarks of a feature err alike: they count as so many. Farther than is looked: left to the
-posterior."""
-_BROWS = np.array([1.2, 4.0, 0.08, 0.02, 0.3, 0.3, 1.0])
-_EYES = np.array([1.5, 2.5, 0.06, 0.05, 0.3, 0.3, 0.5])
-_LIPS = np.array([1.5, 3.0, 0.04, 0.08, 0.3, 0.3, 2.5])
+_INDEPENDENT = 6
+"""The landmarks of a feature err alike: they count as so many."""
+_DEVIATIONS = {
+    "brow": np.array([1.2, 6.0, 0.08, 0.02, 0.3, 0.3, 1.0]),
+    "eye": np.array([1.5, 2.0, 0.06, 0.05, 0.3, 0.3, 0.5]),
+    "lips": np.array([1.5, 5.0, 0.04, 0.08, 0.3, 0.3, 2.5]),
+}
 _ALONE = np.array([0.5, 2.0, 0.04, 0.02, 0.1, 0.1, 0.5])
 """Standard deviations of a motion: to the side and up (mm), turn (radians), the logarithms of width and of
 height above and below the feature's own line, and how far its ends rise (mm, _HALF_WIDTH_MM from its middle);
-`_ALONE` of one side beside the other. By eye, from what people and the model's places differ by."""
+`_ALONE` of one side beside the other. Those up are what light-stage shapes and two real faces have, for the
+shape alone puts eyes far better than brows and lips; the others are by eye."""
 _MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+_MOTIONS = len(_MIRROR)
 
 
 @dataclass(frozen=True)
@@ -100,22 +102,24 @@ class _Places:
 
 @dataclass(frozen=True)
 class _Cue:
-    """A colour `channel` that is high where `label` (N,) is 1 and low where 0 (NaN: either).
+    """The colour that is high where `label` (N,) is 1 and low where 0 (NaN: either): redness or darkness.
 
     It counts as `independent` points. What is linear in `light` (N, 2), two functions of place, is taken for
     light that falls off, and not for a feature.
     """
 
-    channel: int
     label: FloatArray
     light: FloatArray
     independent: float
-    sign: float = 1.0
+    red: bool = False
 
 
 @dataclass(frozen=True)
 class _Template:
-    """A feature around its `middle` (2,): points, landmarks, and cues of colour; `mirrored` on the left."""
+    """A feature around its `middle` (2,): points, landmarks, and cues of colour.
+
+    Motions are given as those of the right side; times `mirror` (7,) they are those of its own.
+    """
 
     name: str
     numbers: tuple[int, ...]
@@ -123,11 +127,32 @@ class _Template:
     marks: _Places
     cues: tuple[_Cue, ...]
     middle: FloatArray
-    mirrored: bool = False
+    mirror: FloatArray
 
-    def motions(self, motions: FloatArray) -> FloatArray:
-        """Return motions (M, 7) that are given as those of the right side."""
-        return motions * _MIRROR if self.mirrored else motions
+    def places(self, mean: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return draws (M, L, 2) of the landmarks for motions of mean (7,) and covariance (7, 7)."""
+        motions = mean + _draws() @ np.linalg.cholesky(covariance).T
+        return self.marks.moved(motions * self.mirror, self.middle)
+
+    def log_likelihood(self, channels: FloatArray, picture: FrontPicture, motions: FloatArray) -> FloatArray:
+        """Return (M,): of motions (M, 7)."""
+        motions = np.vstack([np.zeros(_MOTIONS), motions * self.mirror])
+        moved, total = self.points.moved(motions, self.middle), np.zeros(len(motions))
+        for cue in self.cues:
+            used = np.flatnonzero(np.isfinite(cue.label))
+            label, channel = cue.label[used], int(cue.red)
+            share = np.where(label > 0, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1))
+            low, step_mm, light = picture.low, picture.step_mm, cue.light[used]
+            gram = _grams(channels, moved, used, low, step_mm, channel, light, label, share)
+            # Points count as far as they are seen, on the feature and beside it, here and at the model's own
+            # place: the scan may have a hole for an eye, and nothing beside the hole is one.
+            least = 2 * np.minimum(gram[:, 0, 3], gram[:, 0, 0] - gram[:, 0, 3])
+            gram[:, 4, 4] += _FLOOR[channel] ** 2 * gram[:, 0, 0]
+            inverse = np.linalg.inv(gram + 1e-9 * np.eye(5))
+            rho = -inverse[:, 3, 4] / np.sqrt(inverse[:, 3, 3] * inverse[:, 4, 4])
+            counted = cue.independent * least * least[0]
+            total -= counted / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
+        return total[1:]
 
 
 def painted_pull(
@@ -139,15 +164,13 @@ def painted_pull(
     if landmarks is None or model.landmark_points is None or not found:
         return None
     numbers = [number for feature in found for number in feature.numbers]
-    sigma_mm = np.concatenate([feature.sigma_mm for feature in found])
     places = np.concatenate([feature.places for feature in found])
-    count = len(numbers)
     return LandmarkPull(
-        numbers=np.full(count, SHOWN_BY_COLOR),
+        numbers=np.full(len(numbers), SHOWN_BY_COLOR),
         matrix=model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)[numbers],
         targets=np.column_stack([places, landmarks[numbers, 2]]),
-        sigma_mm=sigma_mm,
-        wrong_mm=np.full(count, _NEVER_WRONG_MM),
+        sigma_mm=np.concatenate([feature.sigma_mm for feature in found]),
+        wrong_mm=np.full(len(numbers), np.inf),
         axes=np.concatenate([np.tile([*_axes(f.name), 0.0], (len(f.numbers), 1)) for f in found]),
         still=np.isin(numbers, STILL),
     )
@@ -159,33 +182,32 @@ def painted_features(
     """Return what a scan's colours show of brows, eyes and lips, near landmarks (68, 3) of the model."""
     if not scan.has_color:
         return []
-    inner = landmarks[17:, :2]
-    picture = front_picture(
-        scan, frame_from_scan, inner.min(0) - _MARGIN_MM, inner.max(0) + _MARGIN_MM, _STEP_MM
-    )
-    if picture.seen.mean() < _LEAST_SEEN / 2 or not np.median(picture.color[picture.seen]) > 0:
+    low, high = landmarks[17:, :2].min(0) - _MARGIN_MM, landmarks[17:, :2].max(0) + _MARGIN_MM
+    picture = front_picture(scan, frame_from_scan, low, high, _STEP_MM)
+    color, seen = picture.color, picture.seen
+    if not seen.any() or not np.median(color[seen]) > 0:
         return []
     # Channels are log darkness, log redness, and 1 where there is scan; 0 elsewhere.
-    color, seen, here = picture.color, picture.seen, landmarks[:, :2].copy()
     bright = color @ _BRIGHTNESS
     black = _BLACK * np.median(bright[seen])
     dark = -np.log(evenly_lit(picture, bright) + _BLACK)
     red = np.log((color[..., 0] + black) / (color[..., 1] + black))
     dark, red = (np.clip(values, *np.percentile(values[seen], [1, 99])) for values in (dark, red))
     channels = np.stack([dark, red, np.ones_like(dark)], axis=-1) * seen[..., None]
-    lips = _located((_lips(here),), channels, picture, _LIPS)
-    eyes = _located((_eye(here, 36), replace(_eye(here, 42), mirrored=True)), channels, picture, _EYES)
-    for eye in eyes:
-        here[list(eye.numbers)] = eye.places
-    # What is dark in and about an eye is not a brow, nor skin below one.
-    rows, columns = np.indices(seen.shape)
-    places = picture.low + picture.step_mm * np.stack([columns.ravel(), rows.ravel()], axis=1)
-    hidden = np.zeros(len(places), bool)
-    for lids in (here[36:42], here[42:48]):
-        hidden |= inside_polygon(places, lids) | (polyline_distance(places, _closed(lids)) < _LASHES_MM)
-    channels = np.where(hidden.reshape(rows.shape)[..., None], 0.0, channels)
-    brows = (_brow(here, 17), replace(_brow(here, 22), mirrored=True))
-    return [*lips, *eyes, *_located(brows, channels, picture, _BROWS)]
+    here = landmarks[:, :2]
+    sides = _lips(here), _eye(here, 36), _eye(here, 42), _brow(here, 17), _brow(here, 22)
+    found = []
+    for side, motion in zip(sides, _posterior(sides, channels, picture), strict=True):
+        places, axes = side.places(*motion), _axes(side.name)
+        still = np.zeros(_MOTIONS), np.diag(_shared(side, side))
+        variance, before = (p.var(axis=0) @ axes / axes.sum() for p in (places, side.places(*still)))
+        # What the colours tell beyond the prior, which the fit has in its own way.
+        told = 1 / variance - (1 + _CHANCE) / before
+        if told.min() > 0:
+            error = _EXACT_MM[side.name] ** 2 + 1 / told
+            sigma_mm = np.sqrt(error * max(len(side.numbers) / _INDEPENDENT, 1))
+            found.append(PaintedFeature(side.name, side.numbers, places.mean(axis=0), sigma_mm))
+    return found
 
 
 def _axes(name: str) -> FloatArray:
@@ -199,7 +221,7 @@ def _brow(landmarks: FloatArray, first: int) -> _Template:
     points = _around(line, 12.0)
     away = polyline_distance(points, line)
     used = (away < 10.0) & (np.abs(away - _BROW_MM) > 0.5)
-    cue = _Cue(DARKNESS, (away[used] < _BROW_MM).astype(float), _place(points[used]), 20.0)
+    cue = _Cue((away[used] < _BROW_MM).astype(float), _place(points[used]), 20.0)
     return _template("brow", numbers, landmarks, line, points[used], (cue,))
 
 
@@ -209,10 +231,9 @@ def _eye(landmarks: FloatArray, first: int) -> _Template:
     points = _around(lids, 9.0)
     away, inside = polyline_distance(points, _closed(lids)), inside_polygon(points, lids)
     used = (inside | (away < 6.0)) & (away > 0.4)
-    label = inside[used].astype(float)
+    label, light = inside[used].astype(float), _place(points[used])
     # The eyeball is less red than skin; iris, pupil and lashes are dark.
-    light = _place(points[used])
-    cues = (_Cue(REDNESS, label, light, 20.0, -1.0), _Cue(DARKNESS, label, light, 12.0))
+    cues = (_Cue(1 - label, light, 20.0, red=True), _Cue(label, light, 12.0))
     return _template("eye", numbers, landmarks, lids[[0, 3]], points[used], cues)
 
 
@@ -222,17 +243,15 @@ def _lips(landmarks: FloatArray) -> _Template:
     line = np.concatenate([outer[:1], middle, outer[6:7]])
     points = _around(outer, 10.0)
     away, inside = polyline_distance(points, _closed(outer)), inside_polygon(points, outer)
-    is_open = float(np.linalg.norm(inner[2] - inner[6])) > _OPEN_MM
-    between = inside_polygon(points, inner) & is_open
-    used = (inside | (away < 8.0)) & (away > 0.4) & ~between
-    cues = [_Cue(REDNESS, inside[used].astype(float), _place(points[used]), 40.0)]
-    if not is_open:
-        beside = polyline_distance(points[used], line)
-        label = np.where(beside < _LINE_MM, 1.0, np.where((beside > 1.8) & (beside < 4.0), 0.0, np.nan))
-        # Lamps stand above: the upper lip is darker than the lower one.
-        up = _Places.of(points[used], line).up
-        cues.append(_Cue(DARKNESS, label, np.stack([up / 2, np.sign(up)], axis=1), 12.0))
-    return _template("lips", tuple(range(48, 68)), landmarks, line, points[used], tuple(cues))
+    used = (inside | (away < 8.0)) & (away > 0.4) & ~inside_polygon(points, inner)
+    beside = polyline_distance(points[used], line)
+    label = np.where(beside < _LINE_MM, 1.0, np.where((beside > 1.8) & (beside < 4.0), 0.0, np.nan))
+    # Lamps stand above: the upper lip is darker than the lower one.
+    up = _Places.of(points[used], line).up
+    shut = np.exp(-np.sum((inner[2] - inner[6]) ** 2) / _OPEN_MM**2)
+    lips = _Cue(inside[used].astype(float), _place(points[used]), 40.0, red=True)
+    between = _Cue(label, np.stack([up / 2, np.sign(up)], axis=1), 12.0 * shut)
+    return _template("lips", tuple(range(48, 68)), landmarks, line, points[used], (lips, between))
 
 
 def _template(
@@ -244,7 +263,8 @@ def _template(
     cues: tuple[_Cue, ...],
 ) -> _Template:
     marks = _Places.of(landmarks[list(numbers)], line)
-    return _Template(name, numbers, _Places.of(points, line), marks, cues, line.mean(0))
+    mirror = np.ones(_MOTIONS) if line[:, 0].mean() < landmarks[27:31, 0].mean() else _MIRROR
+    return _Template(name, numbers, _Places.of(points, line), marks, cues, line.mean(0), mirror)
 
 
 def _around(line: FloatArray, margin: float) -> FloatArray:
@@ -262,126 +282,106 @@ def _closed(line: FloatArray) -> FloatArray:
     return np.concatenate([line, line[:1]])
 
 
-def _located(
-    sides: tuple[_Template, ...], channels: FloatArray, picture: FrontPicture, deviation: FloatArray
-) -> list[PaintedFeature]:
-    """Return what is found of a feature; both sides of a pair move alike first, then each a little."""
-    prior = _Normal(np.zeros(7), np.diag(deviation**2))
-    found, likelihood = _posterior(sides, channels, picture, prior)
-    located = []
-    for side in sides:
-        motion = found
-        if len(sides) > 1:
-            own = _Normal(found.mean, found.covariance + np.diag(_ALONE**2))
-            motion, likelihood = _posterior((side,), channels, picture, own)
-        sure = np.sqrt(motion.covariance[1, 1]) < _SURE * deviation[1]
-        if not sure or likelihood < _LEAST_LOG_LIKELIHOOD[side.name]:
-            continue
-        axes = _axes(side.name)
-        draws = side.motions(motion.mean + _draws() @ np.linalg.cholesky(motion.covariance).T)
-        places = side.marks.moved(draws, side.middle)
-        variance = (places.var(axis=0) @ axes) / axes.sum()
-        sigma_mm = np.sqrt((_EXACT_MM[side.name] ** 2 + variance) * max(len(side.numbers) / _INDEPENDENT, 1))
-        located.append(PaintedFeature(side.name, side.numbers, places.mean(axis=0), sigma_mm))
-    return located
+def _shared(one: _Template, other: _Template) -> FloatArray:
+    """Return the covariance of the motions of two features, that of each of the seven numbers (7,).
 
-
-@dataclass(frozen=True)
-class _Normal:
-    """A normal distribution of motions: `mean` (7,), `covariance` (7, 7)."""
-
-    mean: FloatArray
-    covariance: FloatArray
+    Both sides of a pair move alike, and each a little; a brow and an eye are displaced alike as far as the
+    surer of them is. Lips move by themselves.
+    """
+    variance = np.minimum(_DEVIATIONS[one.name], _DEVIATIONS[other.name]) ** 2
+    place = (np.arange(_MOTIONS) < 2) & ("lips" not in (one.name, other.name))
+    return np.asarray(variance * (place | (one.name == other.name)) + _ALONE**2 * (one is other))
 
 
 def _posterior(
-    sides: tuple[_Template, ...], channels: FloatArray, picture: FrontPicture, prior: _Normal
-) -> tuple[_Normal, float]:
-    """Return the posterior of a motion that all sides make alike, and the log likelihood at its best.
+    sides: Sequence[_Template], channels: FloatArray, picture: FrontPicture
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Return mean (7,) and covariance (7, 7) of each side's motion, given the colours of all.
 
-    Importance sampling, the proposals moved and narrowed to what they found.
+    Expectation propagation: each side's likelihood is replaced by the normal one that gives it the mean and
+    covariance it has beside the prior and all others (Minka, UAI 2001); importance sampling finds them.
     """
-    precision = np.linalg.inv(prior.covariance)
-    proposal = replace(prior, covariance=_WIDER * prior.covariance)
+    count, draws, each = len(sides), _draws(), np.arange(_MOTIONS)
+    certain, toward = np.zeros((count, _MOTIONS, _MOTIONS)), np.zeros((count, _MOTIONS))
+    evidence = np.zeros(count)
+    prior = np.zeros((count, _MOTIONS, count, _MOTIONS))
+    for i, one in enumerate(sides):
+        for j, other in enumerate(sides):
+            prior[i, each, j, each] = _shared(one, other)
+    precise = np.linalg.inv(prior.reshape(toward.size, toward.size))
+    rows, columns = np.indices(picture.seen.shape)
+    squares = picture.low + picture.step_mm * np.stack([columns.ravel(), rows.ravel()], axis=1)
+
+    def motion(k: int) -> tuple[FloatArray, FloatArray]:
+        covariance = np.linalg.inv(precise + block_diag(*certain))
+        own = slice(_MOTIONS * k, _MOTIONS * (k + 1))
+        return covariance[own] @ toward.ravel(), covariance[own, own]
+
     for power in _POWERS:
-        draws = _draws()
-        motions = proposal.mean + draws @ np.linalg.cholesky(proposal.covariance).T
-        likelihood = sum(_log_likelihood(side, channels, picture, motions) for side in sides)
-        off = motions - prior.mean
-        weight = (
-            power * likelihood - np.einsum("mi,ij,mj->m", off, precision, off) / 2 + np.sum(draws**2, 1) / 2
-        )
-        weight = np.exp(weight - weight.max())
-        weight /= weight.sum()
-        mean = weight @ motions
-        spread = (motions - mean) * np.sqrt(weight)[:, None]
-        found = _Normal(mean, spread.T @ spread + 1e-4 * prior.covariance)
-        proposal = replace(found, covariance=_WIDER * found.covariance + 0.02 * prior.covariance)
-    return found, float(np.max(likelihood))
+        for k, side in enumerate(sides):
+            (now, covariance), shown = motion(k), channels
+            if side.name == "brow":
+                # What is dark in and about an eye is not a brow, nor skin below one. Eyes stand before brows.
+                lids = sides[k - 2].places(*motion(k - 2)).mean(axis=0)
+                near = np.flatnonzero(np.all(np.abs(squares - lids.mean(0)) < _MARGIN_MM, axis=1))
+                away = polyline_distance(squares[near], _closed(lids))
+                hidden = near[inside_polygon(squares[near], lids) | (away < _LINE_MM)]
+                shown = channels.copy()
+                shown.reshape(-1, channels.shape[-1])[hidden] = 0
+            precision = np.linalg.inv(covariance)
+            others = precision - certain[k]
+            middle = np.linalg.solve(others, precision @ now - toward[k])
+            motions = now + draws @ np.linalg.cholesky(covariance).T
+            off = motions - middle
+            # The density of the prior and all others, by that of the draws.
+            density = np.sum(draws**2, axis=1) - np.einsum("mi,ij,mj->m", off, others, off)
+            density = (density + np.linalg.slogdet(others)[1] - np.linalg.slogdet(precision)[1]) / 2
+            likelihood = side.log_likelihood(shown, picture, motions)
+            evidence[k] = logsumexp(likelihood + density) - np.log(_SAMPLES)
+            # Both sides of a pair are seen, or neither.
+            pair = sum(evidence[j] for j in range(count) if j != k and sides[j].name == side.name)
+            weight = power * np.logaddexp(0, likelihood + pair - _UNSEEN) + density
+            weight = np.exp(weight - logsumexp(weight))
+            mean = weight @ motions
+            spread = (motions - mean) * np.sqrt(weight)[:, None]
+            gained = np.linalg.inv(spread.T @ spread + 1e-4 * covariance) - others
+            values, vectors = np.linalg.eigh(gained)
+            certain[k] = (vectors * np.maximum(values, 0)) @ vectors.T
+            toward[k] = (others + certain[k]) @ mean - others @ middle
+    return [motion(k) for k in range(count)]
 
 
 @cache
 def _draws() -> FloatArray:
-    """Return (_SAMPLES, 7) standard normal numbers, evenly spread and always the same."""
-    even = qmc.Sobol(7, seed=1).random(_SAMPLES)
-    return np.asarray(norm.ppf(np.clip(even, 1e-6, 1 - 1e-6)))
-
-
-def _log_likelihood(
-    template: _Template, channels: FloatArray, picture: FrontPicture, motions: FloatArray
-) -> FloatArray:
-    """Return (M,): of motions (M, 7), given as those of the right side."""
-    moved = template.points.moved(template.motions(motions), template.middle)
-    total = np.zeros(len(motions))
-    for cue in template.cues:
-        used = np.flatnonzero(np.isfinite(cue.label))
-        label = cue.label[used]
-        share = np.where(label > 0, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1))
-        gram, least = _grams(
-            channels, moved, used, picture.low, picture.step_mm, cue.channel, cue.light[used], label, share
-        )
-        gram[:, 4, 4] += _FLOOR[cue.channel] ** 2 * gram[:, 0, 0]
-        gram += 1e-9 * np.eye(5)
-        inverse = np.linalg.inv(gram)
-        rho = -inverse[:, 3, 4] / np.sqrt(inverse[:, 3, 3] * inverse[:, 4, 4])
-        rho = np.where(least > _LEAST_SEEN, np.clip(cue.sign * rho, 0, 0.999), 0)
-        total -= cue.independent / 2 * np.log(1 - rho**2)
-    return total
+    """Return (_SAMPLES, _MOTIONS) normal numbers, evenly spread, always the same: mean 0, covariance 1."""
+    even = qmc.Sobol(_MOTIONS, seed=1).random(_SAMPLES)
+    draws = norm.ppf(np.clip(even, 1e-6, 1 - 1e-6))
+    draws -= draws.mean(axis=0)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T)
 
 
 @njit(cache=True, nogil=True)
 def _grams(channels, moved, used, low, step_mm, channel, light, label, share):  # type: ignore[no-untyped-def]
-    """Return (M, 5, 5), products of 1, light (2), label and colour, and (M,) least share of a label seen."""
-    count, points = len(moved), len(used)
+    """Return (M, 5, 5), sums over the points seen of products of 1, light (2), label and colour."""
     rows, columns = channels.shape[:2]
-    gram, least = np.zeros((count, 5, 5)), np.zeros(count)
-    values = np.empty(5)
-    for m in range(count):
-        on, beside = 0.0, 0.0
-        for n in range(points):
+    gram, values = np.zeros((len(moved), 5, 5)), np.ones(5)
+    for m in range(len(moved)):
+        for n in range(len(used)):
             column = (moved[m, used[n], 0] - low[0]) / step_mm
             row = (moved[m, used[n], 1] - low[1]) / step_mm
             if not (0 <= column < columns - 1 and 0 <= row < rows - 1):
                 continue
             left, under = int(column), int(row)
-            right, up = column - left, row - under
             a, b = channels[under, left], channels[under, left + 1]
             c, d = channels[under + 1, left], channels[under + 1, left + 1]
             if a[2] * b[2] * c[2] * d[2] == 0:
                 continue
-            k = channel
-            color = (1 - up) * ((1 - right) * a[k] + right * b[k]) + up * ((1 - right) * c[k] + right * d[k])
-            values[0], values[1], values[2] = 1.0, light[n, 0], light[n, 1]
-            values[3], values[4] = label[n], color
+            right, up, k = column - left, row - under, channel
+            values[1], values[2], values[3] = light[n, 0], light[n, 1], label[n]
+            values[4] = (1 - up) * ((1 - right) * a[k] + right * b[k]) + up * (
+                (1 - right) * c[k] + right * d[k]
+            )
             for i in range(5):
-                for j in range(i + 1):
+                for j in range(5):
                     gram[m, i, j] += share[n] * values[i] * values[j]
-            if label[n] > 0:
-                on += share[n]
-            else:
-                beside += share[n]
-        for i in range(5):
-            for j in range(i):
-                gram[m, j, i] = gram[m, i, j]
-        least[m] = 2 * min(on, beside)
-    return gram, least
+    return gram

@@ -1,4 +1,4 @@
-"""What a scan of one whole person does not show: parts without scan, unlike halves, strange proportions.
+"""What a scan of one whole person does not show: parts without scan, halves that are unlike or copied.
 
 Thresholds lie above what 324 fits to faces gave, of 164 synthetic and nine measured people.
 """
@@ -13,9 +13,8 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model import AnnotatedSurface, default_model
-from scan2albedo.face_model.annotation import FILLED_REGION, MOUTH_REGION, REST_REGION
-from scan2albedo.fitting.landmark_pull import STILL
+from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -45,18 +44,11 @@ UPPER_PATCH_MM, MIDDLE_PATCH_MM = 22.0, 26.0
 """Sides of the patches over which differences are averaged, against noise."""
 LEAST_OF_A_PATCH, LEAST_OF_A_REGION = 0.4, 0.6
 """Part of the area that must be seen on both sides."""
+SYMMETRIC_MM = 0.02
+"""Median distance of a scan to its mirror image, below which one half is a copy of the other: of eleven
+scanned people it is 0.18 and more, of modelled heads, whose makers mirrored much of them, 0.05 and more."""
 MIRROR_TOLERANCE_MM = 0.1
 """Farthest a vertex of a mirror-symmetric model is from its twin."""
-MEAN = np.array([0.017, -0.031, -0.043])
-COVARIANCE = np.array(
-    [[0.00261, 0.00074, -0.00189], [0.00074, 0.00545, 0.00255], [-0.00189, 0.00255, 0.00692]]
-)
-"""Of the logarithms of proportions, over 324 fits: half the weight on nine measured people, each with other
-expressions, noise and holes, half on 164 synthetic ones."""
-FARTHEST = 3.5
-"""Distance that no person's proportions have: those of the 324 reach 3.1, and 3.4 when a person is judged by
-all others. Stretched 1.5 x or 0.67 x along an axis, 28 of 29 faces are beyond it, 1.3 x or 0.77 x 63 %."""
-RATIOS = ("width to height", "depth to height", "depth of the nose to the width of the eyes")
 
 
 def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
@@ -73,22 +65,16 @@ def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
             f"{found.step_mm:.1f} mm beside the midline"
         )
         yield PlanStep.doubt("fit.asymmetry", reason, evidence)
-    # Where covers were left out, the proportions are half the model's own.
-    measured = fitted.landmarks is not None and fitted.metrics["covered_mm2"] == 0
-    if fitted.landmarks is not None and measured and (ratios := proportions(fitted.landmarks).doubt()):
-        reason = (
-            "proportions are outside the range of the people measured (n = 9, and 164 synthetic ones); the "
-            "scan may be stretched along an axis"
-        )
-        yield PlanStep.doubt("fit.proportions", reason, f"relative to the model's: {ratios}")
+    if fitted.metrics["mirror_mm"] < SYMMETRIC_MM:
+        reason = "one half of the scan may be a copy of the other: no face is so nearly its own mirror image"
+        evidence = f"{fitted.metrics['mirror_mm']:.3f} mm from it, scanned faces 0.18 mm and more"
+        yield PlanStep.doubt("fit.symmetry", reason, evidence)
 
 
 def face_coverage(fitted: FittedFace) -> float:
     """Return the part of the face with scan near it; of a whole head only what is annotated counts."""
-    model = fitted.model
-    rest = [model.regions[name].index for name in (REST_REGION, FILLED_REGION) if name in model.regions]
-    counted = ~np.isin(fitted.region, rest)
-    if model.template_points is None or not counted.any():
+    counted = fitted.model.face_regions()[fitted.region]
+    if counted.all():
         return fitted.metrics["coverage"]
     area = face_areas(fitted.vertices, fitted.faces) * counted
     seen = (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1)
@@ -196,49 +182,3 @@ def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
     inside = np.zeros(subdivision.matrix.shape[0], bool)
     inside[subdivision.faces[faces].ravel()] = True
     return inside
-
-
-@dataclass(frozen=True)
-class Proportions:
-    """Proportions of a face relative to the default model's: `logarithms` (3,) of `RATIOS`."""
-
-    logarithms: FloatArray
-
-    @property
-    def distance(self) -> float:
-        """Mahalanobis distance to people's faces."""
-        off = self.logarithms - MEAN
-        return float(np.sqrt(off @ np.linalg.solve(COVARIANCE, off)))
-
-    def doubt(self) -> str:
-        """Return the ratios in words, beside people's; nothing where they may be a person's."""
-        if self.distance <= FARTHEST:
-            return ""
-        reach = 3 * np.sqrt(np.diag(COVARIANCE))
-        rows = zip(RATIOS, *np.exp([self.logarithms, MEAN - reach, MEAN + reach]), strict=True)
-        return ", ".join(f"{name} {ratio:.2f} ({low:.2f} to {high:.2f})" for name, ratio, low, high in rows)
-
-
-def proportions(landmarks: FloatArray) -> Proportions:
-    """Return the proportions of a face with landmarks (68, 3) in the axes of a face model, in any unit.
-
-    They are the stretch in the affine map that takes the default model's landmarks to these.
-    """
-    reference = default_model().landmarks
-    assert reference is not None
-    # The stretch is the symmetric factor S of the affine map R S; the sides of the jaw line show the width.
-    shown = [*range(4), *range(13, 17), *STILL]
-    source, target = (points[shown] - points[shown].mean(0) for points in (reference, landmarks))
-    _, singular, vt = np.linalg.svd(np.linalg.lstsq(source, target, rcond=None)[0].T)
-    width, height, depth = np.log(np.maximum(np.diag((vt.T * singular) @ vt), 1e-9))
-
-    def nose_depth(points: FloatArray) -> float:
-        """How far the nose's tip is before the outer corners of the eyes, relative to their distance."""
-        still = list(STILL)
-        upright = transform_points(procrustes(points[still], reference[still]), points)
-        right, left = upright[[36, 45]]
-        before = upright[30, 2] - (right[2] + left[2]) / 2
-        return max(float(before / np.linalg.norm(left - right)), 1e-3)
-
-    nose = np.log(nose_depth(landmarks) / nose_depth(reference))
-    return Proportions(np.array([width - height, depth - height, nose]))

@@ -14,8 +14,9 @@ from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import RESULT_LEVELS, Deformation, imbalance_mm
+from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
-from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas, vertex_normals
+from scan2albedo.geometry.mesh import edges_with_faces, normalized, vertex_areas, vertex_normals
 
 RESIDUAL_GATE_MM = 5.0
 """Residuals beyond this count as "no scan near"."""
@@ -23,6 +24,8 @@ MIN_COVERAGE, MOST_IMBALANCE_MM, MOST_STRAIN = 0.1, 0.2, 0.16
 """Least part of the model's area with scan near it. Fits that ran to their end are within 0.03 mm of balance,
 on noise of 1 mm within 0.1 mm. Most faces end with a strain of 0.04 to 0.07, wide smiles of up to 0.13; faces
 upside down of 0.17 and more."""
+_MIRROR_STEPS = 20
+"""In which the mirror image of a scan comes to rest on it."""
 _NEAR_MM, _UNSEEN_MM = 12.0, 4.0
 """The surface around a landmark that shows it, about an eye's height, and the deviation of one, along an
 axis, around which there is no scan."""
@@ -74,10 +77,11 @@ class FittedFace:
     """That was fitted."""
     metrics: dict[str, float] = field(default_factory=dict)
     """For result.json: mean, median, p95 residual, coverage, flipped faces; how far the surface would still
-    move (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), holes of the scan
-    taken for open eyes and mouth (``openings``), landmarks that its colours draw (``painted_landmarks``), the
-    jaw's angle (``jaw_deg``) and how far the mouth's corners were drawn back; what was left out of the scan
-    because it stands far before the eyes (``covered_mm2``)."""
+    move (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how far the scan
+    is from its mirror image in the median (``mirror_mm``), holes of the scan taken for open eyes and mouth
+    (``openings``), landmarks that its colours draw (``painted_landmarks``), the jaw's angle (``jaw_deg``) and
+    how far the mouth's corners were drawn back; what was left out of the scan because it stands far before
+    the eyes (``covered_mm2``)."""
     plan: Plan = Plan()
     """What is doubtful about the fit: "fit.<step>"."""
     covered_faces: BoolArray | None = None
@@ -132,6 +136,9 @@ def fitted_face(
             f"{RESIDUAL_GATE_MM:.0f} mm, at least {100 * MIN_COVERAGE:.0f} % needed; "
             "the pose is wrong, or the scan holds too little of a face"
         )
+    # Vertices of a coarser refinement come first.
+    coarse = slice(len(model.surface(1)[0]))
+    metrics["mirror_mm"] = mirror_distance_mm(deformation.scan, vertices[coarse][seen[coarse]])
     plan = Plan()
     if strain > MOST_STRAIN:
         reason = (
@@ -164,6 +171,25 @@ def fitted_face(
         plan=plan,
         landmark_deviation_mm=deviation,
     )
+
+
+def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
+    """Return the median distance, mm, of the mirror image of a scan to it.
+
+    The image of the scan next to points (N, 3), in the frame of a model whose plane of symmetry is x = 0, is
+    laid on the scan, along its normals.
+    """
+
+    def pairs(now: Alignment, image: FloatArray) -> Pairs:
+        hits = scan.nearest.query(image)
+        offset, normal = hits.points - image, normalized(scan.normals_at(hits))
+        plane_mm = np.einsum("ij,ij->i", offset, normal)
+        spread = np.median(plane_mm**2) + np.finfo(float).eps
+        return Pairs(offset, normal, (spread / (spread + plane_mm**2)) ** 2)
+
+    image = scan.nearest.query(points).points * [-1.0, 1.0, 1.0]
+    laid = align(image, np.ones(len(image)), pairs, steps=_MIRROR_STEPS, scale_range=(1.0, 1.0))
+    return float(np.median(scan.nearest.query(laid.pose.apply(image)).distance))
 
 
 def residuals_mm(

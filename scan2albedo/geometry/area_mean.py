@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 
 
 def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
@@ -27,3 +27,23 @@ def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
         part = (edges - whole).reshape(-1, *[1] * (lines.ndim - 1))
         result = np.moveaxis(np.diff(sums[whole] + part * lines[whole], axis=0), 0, axis)
     return np.asarray(result / (size[0] * size[1] / (shape[0] * shape[1])))
+
+
+def filled_smoothly(values: ArrayLike, known: BoolArray) -> FloatArray:
+    """Return an image (H, W, C) whose pixels outside of `known` (H, W) are means of what lies around them.
+
+    Each is taken, by bilinear interpolation, from the finest of images of half the size that knows something
+    there (pull-push [1]_). O(H W). Nothing is changed where nothing is known.
+
+    .. [1] S. Gortler, R. Grzeszczuk, R. Szeliski, M. Cohen, "The Lumigraph", SIGGRAPH 1996, section 4.
+    """
+    from skimage.transform import resize
+
+    field = np.asarray(values, np.float64)
+    if known.all() or not known.any():
+        return field
+    half = -(-known.shape[0] // 2), -(-known.shape[1] // 2)
+    part = area_mean(known, half)
+    mean = area_mean(field * known[..., None], half) / np.where(part > 0, part, 1.0)[..., None]
+    around = resize(filled_smoothly(mean, part > 0), known.shape, order=1, mode="edge", anti_aliasing=False)
+    return np.where(known[..., None], field, around)

@@ -19,7 +19,7 @@ _HAIR = 1e-6
 
 @dataclass(frozen=True)
 class FrontPicture:
-    """`color` (H, W, 3), linear, `depth` (H, W), z in mm, and which squares are `seen`; row 0 is the lowest.
+    """`color` (H, W, 3), linear, `depth` (H, W), z in mm, which squares have `seen` colour; row 0 is lowest.
 
     The centre of square (row, column) lies at `low` (2,) + `step_mm` (column, row).
     """
@@ -53,7 +53,7 @@ def front_picture(
     raster = rasterize((vertices[:, :2] - first) / fine, vertices[:, 2], scan.faces[used], shape)
     covered = raster.covered
     face, barycentric = used[raster.face[covered]], raster.barycentric[covered]
-    looked = np.zeros((*shape, 4))
+    looked, shown = np.zeros((*shape, 4)), covered.copy()
     if scan.uv is not None and scan.texture_linear is not None:
         places = scan.uv[face]
         places = places - np.floor(places.min(axis=1, keepdims=True) + _HAIR)  # by whole periods
@@ -61,12 +61,17 @@ def front_picture(
         height, width = scan.texture_linear.shape[:2]
         pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
         colors = bilinear(scan.texture_linear, pixels)
+        if scan.color_seen is not None:
+            shown[covered] = bilinear(scan.color_seen[..., None].astype(np.float32), pixels)[:, 0] > 1 - _HAIR
     else:
         assert scan.vertex_color_linear is not None
         colors = np.einsum("nk,nkc->nc", barycentric, scan.vertex_color_linear[scan.faces[face]])
-    looked[covered, :3] = np.maximum(colors, 0)
+        if scan.color_seen is not None:
+            shown[covered] = scan.color_seen[scan.faces[face]].all(1)
+    looked[covered, :3] = np.maximum(colors, 0) * shown[covered, None]
     looked[covered, 3] = np.einsum("nk,nk->n", barycentric, vertices[scan.faces[face], 2])
     blocks = rows, 2, columns, 2
-    count = covered.reshape(blocks).sum((1, 3))
-    mean = looked.reshape(*blocks, 4).sum((1, 3)) / np.maximum(count, 1)[..., None]
-    return FrontPicture(mean[..., :3], mean[..., 3], count > 0, low, step_mm)
+    count, seen = (looks.reshape(blocks).sum((1, 3)) for looks in (covered, shown))
+    total = looked.reshape(*blocks, 4).sum((1, 3))
+    color, depth = total[..., :3] / np.maximum(seen, 1)[..., None], total[..., 3] / np.maximum(count, 1)
+    return FrontPicture(color, depth, seen > 0, low, step_mm)

@@ -36,6 +36,14 @@ def decode_srgb_integers(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDAr
     return linear
 
 
+def decode_picture(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
+    """Return linear colour (H, W, 3) of sRGB samples; (H, W, 4) where they have an alpha that varies."""
+    linear, alpha = decode_srgb_integers(pixels[..., :3]), pixels[..., 3:]
+    if alpha.size == 0 or alpha.min() == alpha.max():
+        return linear
+    return np.concatenate([linear, alpha / np.float32(np.iinfo(pixels.dtype).max)], axis=-1)
+
+
 def linear_of_srgb_numbers(colors: NDArray[np.generic]) -> NDArray[np.float32]:
     """Return linear colours of sRGB integers, or floats up to 1 or 255; NaN and negative are black."""
     if colors.dtype in (np.uint8, np.uint16):

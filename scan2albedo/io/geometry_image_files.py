@@ -18,15 +18,17 @@ FORMAT_VERSION = 1
 _NAME_IN_FILE = {
     "position": "position_mm",
     **{name: name for name in ["normal", "mask", "region", "texture_linear", "texture_valid"]},
-    **{name: name for name in ["specular_scale", "inpaint", "skin", "labels", "face_chart"]},
+    **{name: name for name in ["specular_scale", "inpaint", "skin", "labels"]},
+    **{name: name for name in ["face_chart", "filled", "on_face"]},
 }
 _EXR_CHANNELS = {"position": "XYZ", "normal": "XYZ", "texture_linear": "RGB", "face_chart": "YX"}
+_MASKS = "mask", "texture_valid", "inpaint", "filled", "on_face"
 _KINDS = {
-    **dict.fromkeys(("mask", "texture_valid", "inpaint"), "b"),
+    **dict.fromkeys(_MASKS, "b"),
     **dict.fromkeys(("format_version", "region", "labels", "camera", "occluder_faces"), "iu"),
 }
 """Letters of the kinds of dtype that arrays of an archive have; real numbers for all others."""
-_DTYPES = {"mask": bool, "texture_valid": bool, "inpaint": bool, "region": np.uint8, "labels": np.uint8}
+_DTYPES = {**dict.fromkeys(_MASKS, bool), **dict.fromkeys(("region", "labels"), np.uint8)}
 
 
 def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
@@ -34,8 +36,8 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
 
     Arrays: ``position_mm``, ``normal``, ``mask`` and, where the image has them, ``region``,
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``skin``, ``labels``,
-    ``face_chart``, ``camera`` and ``camera_positions_mm``, ``occluder_vertices_mm`` and ``occluder_faces``;
-    ``format_version`` is 1. Raises OutputError when the folder cannot be written.
+    ``face_chart``, ``filled``, ``on_face``, ``camera`` and ``camera_positions_mm``, ``occluder_vertices_mm`` and
+    ``occluder_faces``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
     for field, stored in _NAME_IN_FILE.items():
@@ -54,8 +56,8 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 
     Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G`` ``.B``,
     and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``, ``skin.Y``,
-    ``labels.Y``, ``face_chart.Y`` ``.X`` (row, column). The occluder and the cameras do not fit into an
-    image and are left out. Raises OutputError when the folder cannot be written.
+    ``labels.Y``, ``face_chart.Y`` ``.X`` (row, column), ``filled.Y``, ``on_face.Y``. The occluder and the cameras do not
+    fit into an image and are left out. Raises OutputError when the folder cannot be written.
     """
     channels: dict[str, NDArray[np.float32]] = {}
     for field, stored in _NAME_IN_FILE.items():

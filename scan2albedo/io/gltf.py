@@ -16,7 +16,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits
-from scan2albedo.io.color import decode_srgb_integers
+from scan2albedo.io.color import decode_picture
 from scan2albedo.io.gltf_file import MARK, GltfFile
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.scan_folder import ScanFolder
@@ -108,16 +108,20 @@ def _part(
     if id(source) not in materials:
         limits.require_at_most(name, "materials", 1 + len(materials), limits.MATERIALS, "join its materials")
         factor = getattr(source, "baseColorFactor", None)
-        color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0]
+        color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0, :3]
         image, texture = getattr(source, "baseColorTexture", None), None
         if image is not None and id(image) not in pictures:
             pixels, advice = image.size[0] * image.size[1], "save it with fewer pixels"
             limits.require_at_most(f"a texture of {name}", "pixels", pixels, limits.PIXELS, advice)
             with suppress(OSError, SyntaxError, ValueError):
-                pictures[id(image)] = decode_srgb_integers(np.asarray(image.convert("RGB"), np.uint8))
+                pictures[id(image)] = decode_picture(np.asarray(image.convert("RGBA"), np.uint8))
         if image is not None and id(image) in pictures:
             texture = pictures[id(image)]
-            texture = texture if (color == 1).all() else texture * color
+            texture = (
+                texture
+                if (color == 1).all()
+                else texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
+            )
         base = (float(color[0]), float(color[1]), float(color[2]))
         title = str(getattr(source, "name", None) or "material")
         materials[id(source)] = Material(title, texture, base)
@@ -141,9 +145,9 @@ def _part(
 
 
 def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
-    """Return (N, 3) in [0, 1] from integers of the full range or floats, without decoding."""
+    """Return (N, 3), or with alpha (N, 4), in [0, 1] from whole integers or floats, not decoded."""
     top = np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1.0
-    return (colors[:, :3] / top).astype(np.float32)
+    return (colors / top).astype(np.float32)
 
 
 def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tuple[str, ...]) -> ParsedMesh:
@@ -158,8 +162,9 @@ def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tup
         every = []
         for p in parts:
             own = Material("") if p.material is None or not len(p.material) else materials[p.material[0]]
-            plain = np.tile(np.array(own.base_color_linear, np.float32), (len(p.vertices), 1))
-            every.append(plain if p.vertex_color_linear is None else p.vertex_color_linear)
+            plain = np.tile(np.array([*own.base_color_linear, 0], np.float32), (len(p.vertices), 1))
+            given = plain if p.vertex_color_linear is None else p.vertex_color_linear
+            every.append(np.pad(given, ((0, 0), (0, 4 - given.shape[1])), constant_values=1))
         colors = np.concatenate(every)
     return ParsedMesh(
         vertices=np.concatenate([p.vertices for p in parts]),

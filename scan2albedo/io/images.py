@@ -18,32 +18,38 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.errors import OutputError, ScanError, needs_extra
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
-from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes, label_colors
+from scan2albedo.io.color import decode_picture, encode_srgb_bytes, label_colors
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
 SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
 
 
-def read_image_linear(path: str | Path) -> NDArray[np.float32]:
+def read_image_linear(path: str | Path, *, alpha: bool = False) -> NDArray[np.float32]:
     """Read an image as linear colour (H, W, 3), row 0 the top.
 
     The content decides which of `SUPPORTED_IMAGES` it is, not the extension. Integer samples (8 or 16 bit)
     are sRGB and are decoded; float samples (EXR, HDR, float TIFF) are linear already. Grey is repeated over
-    three channels, alpha is dropped. An EXIF orientation is ignored: texture coordinates refer to the pixels
-    as stored. Raises ScanError, naming the file, when it is missing, unreadable, damaged or holds NaN;
-    TooLargeError, before anything is decoded, when its header declares more than `limits.PIXELS`.
+    three channels, alpha is dropped; with `alpha`, one that varies is kept, (H, W, 4). An EXIF orientation is
+    ignored: texture coordinates refer to the pixels as stored. Raises ScanError, naming the file, when it is
+    missing, unreadable, damaged or holds NaN; TooLargeError, before anything is decoded, when its header
+    declares more than `limits.PIXELS`.
     """
-    samples = read_image_values(path)
+    samples = read_image_values(path, alpha=alpha)
     if samples.dtype in (np.uint8, np.uint16):
-        return decode_srgb_integers(cast("NDArray[np.uint8]", samples))
+        return decode_picture(cast("NDArray[np.uint8]", samples))
     if not np.isfinite(samples).all():
         raise ScanError(f"image {path} holds NaN or infinite samples; re-export it")
     return cast("NDArray[np.float32]", samples)
 
 
-def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
-    """Read an image's samples as stored, (H, W, 3), floats may be NaN; errors as in `read_image_linear`."""
+def read_image_values(
+    path: str | Path, *, alpha: bool = False
+) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
+    """Read an image's samples as stored, (H, W, 3), floats may be NaN; errors as in `read_image_linear`.
+
+    With `alpha` they are (H, W, 4) where the file has it.
+    """
     file = Path(path)
     try:
         limits.require_file(file, math.inf)
@@ -54,6 +60,7 @@ def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16
             wanted = next((c for c in ("RGB", "YYY") if set(c) <= set(channels)), None)
             if wanted is None:
                 raise ScanError(f"image {file} has the channels {', '.join(channels)}; expected R, G, B or Y")
+            wanted += "A" if alpha and "A" in channels else ""
             return np.stack([channels[c] for c in wanted], axis=-1)
         data = limits.read_bytes(file)
         # Nothing is decoded whose size is not known before.
@@ -66,13 +73,15 @@ def read_image_values(path: str | Path) -> NDArray[np.uint8] | NDArray[np.uint16
             f"image {file} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown; "
             f"re-export it as one of {', '.join(SUPPORTED_IMAGES)}"
         )
-    if pixels.ndim == 2 or pixels.shape[2] < 3:
-        pixels = np.repeat(pixels.reshape(*pixels.shape[:2], -1)[..., :1], 3, axis=2)
+    pixels = np.atleast_3d(pixels)
+    if pixels.shape[2] < 3:
+        pixels = pixels[..., [0, 0, 0, *range(1, pixels.shape[2])]]
+    pixels = pixels[..., : 4 if alpha else 3]
     if pixels.dtype in (np.uint8, np.uint16):
-        return cast("NDArray[np.uint8]", pixels[..., :3])
+        return cast("NDArray[np.uint8]", pixels)
     if pixels.dtype.kind != "f":
         raise ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
-    return np.ascontiguousarray(pixels[..., :3], np.float32)
+    return np.ascontiguousarray(pixels, np.float32)
 
 
 def _decoded(data: bytes) -> NDArray[Any] | None:
@@ -95,8 +104,9 @@ def _decoded(data: bytes) -> NDArray[Any] | None:
                     raise UnidentifiedImageError
                 if image.mode.startswith("I;16"):
                     return np.asarray(image, np.uint16)
-                if image.mode not in ("L", "LA", "RGB", "RGBA"):
-                    return np.asarray(image.convert({"1": "L", "P": "RGBA"}.get(image.mode, "RGB")))
+                if image.mode not in ("L", "LA", "RGB", "RGBA") or "transparency" in image.info:
+                    kinds = {"1": "L", "P": "RGBA", "PA": "RGBA", "L": "LA", "RGB": "RGBA"}
+                    return np.asarray(image.convert(kinds.get(image.mode, "RGB")))
                 return np.asarray(image)
     except UnidentifiedImageError:
         pass
@@ -111,7 +121,7 @@ def _decoded(data: bytes) -> NDArray[Any] | None:
         return None
     if pixels is None or pixels.ndim == 2 or pixels.shape[2] < 3:
         return pixels
-    return pixels[..., 2::-1]
+    return pixels[..., [2, 1, 0, *range(3, pixels.shape[2])]]
 
 
 def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:

@@ -25,7 +25,7 @@ def input_sha256(source: str | Path | RawScan, textures: str | Path | None = Non
     """
     digest = hashlib.sha256()
     if not isinstance(source, str | Path):
-        for field in ("vertices", "faces", "uv", "texture_linear", "vertex_color_linear"):
+        for field in ("vertices", "faces", "uv", "texture_linear", "vertex_color_linear", "color_seen"):
             value = getattr(source, field)
             digest.update(f"{field}:{None if value is None else (value.shape, value.dtype.str)};".encode())
             if value is not None:

@@ -132,6 +132,7 @@ def load_scan_with(
         from scan2albedo.io.repair import repair, require_usable
         from scan2albedo.io.texture_atlas import pack_texture
         from scan2albedo.io.units import largest_extent, rounding_note
+        from scan2albedo.io.unseen import seen_colors
 
         require_usable(parsed, file.name)
         mesh = repair(parsed)
@@ -146,16 +147,24 @@ def load_scan_with(
         notes = [unit_note, rounding, *mesh.notes, *packed.notes]
         if (count := int(components.max()) + 1) > 1:
             notes.append(f"{count} loose components, all kept")
-        colors = {"texture": packed.texture_linear, "vertex colours": mesh.vertex_color_linear}
+        texture, vertex_color, seen = packed.texture_linear, mesh.vertex_color_linear, None
+        if vertex_color is not None:
+            vertex_color, seen = seen_colors(vertex_color, mesh.faces)
+        if texture is not None:
+            texture, seen = seen_colors(texture, mesh.faces, packed.uv)
+        if seen is not None and not seen.any():
+            notes.append("its colours are alike everywhere, or transparent: they say nothing, geometry only")
+        colors = {"texture": texture, "vertex colours": vertex_color}
         notes += [linear_doubt(what, values) for what, values in colors.items() if values is not None]
-        if packed.texture_linear is None and mesh.vertex_color_linear is None:
+        if texture is None and vertex_color is None:
             notes.append("no texture or vertex colours: geometry only")
         return RawScan(
             vertices=mesh.vertices * factor,
             faces=mesh.faces,
             uv=packed.uv,
-            texture_linear=packed.texture_linear,
-            vertex_color_linear=mesh.vertex_color_linear,
+            texture_linear=texture,
+            vertex_color_linear=vertex_color,
+            color_seen=seen,
             name=name or scan_name(file),
             notes=tuple(note for note in notes if note),
             mm_per_unit=factor,

@@ -101,14 +101,14 @@ class ScanPictures:
             try:
                 pixels = picture_pixels(limits.read_bytes(file), file)
                 if pixels is None:  # as of EXR files, which are judged when they are read
-                    self.read[file] = found = read_image_linear(file)
+                    self.read[file] = found = read_image_linear(file, alpha=True)
                     pixels = found.shape[0] * found.shape[1]
                 self.pixels += pixels
                 place = f"the textures of the scan in {self.folder.path}"
                 advice = "save its textures with fewer pixels"
                 limits.require_at_most(place, "pixels", self.pixels, limits.PIXELS, advice)
                 if file not in self.read:
-                    self.read[file] = read_image_linear(file)
+                    self.read[file] = read_image_linear(file, alpha=True)
             except TooLargeError:
                 raise
             except OSError as error:

@@ -15,7 +15,10 @@ from scan2albedo.io import limits
 
 @dataclass(frozen=True)
 class Material:
-    """One surface material; its base colour shows where it has no texture (H, W, 3), or none was found."""
+    """One surface material; its base colour shows where it has no texture (H, W, 3), or none was found.
+
+    A texture (H, W, 4) has alpha, which is 0 where no picture showed the surface.
+    """
 
     name: str
     texture_linear: NDArray[np.float32] | None = None
@@ -28,7 +31,7 @@ class ParsedMesh:
 
     `vertices` (V, 3); `faces` (F, 3), not yet checked against them; `uv` (F, 3, 2), NaN at corners without
     texture coordinates, v = 0 the bottom row; `material` (F,) indices into `materials`, -1 for none, all 0
-    when omitted and there are materials; `vertex_color_linear` (V, 3).
+    when omitted and there are materials; `vertex_color_linear` (V, 3), or with alpha (V, 4).
     """
 
     vertices: FloatArray

@@ -92,6 +92,8 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
     colors = None
     if names is not None and len(vertices):
         colors = linear_of_srgb_numbers(np.stack([vertex[name] for name in names], axis=1))
+        if isinstance(alpha := vertex.get("alpha"), np.ndarray) and np.isfinite(alpha).all():
+            colors = np.column_stack([colors, alpha.astype(np.float32)])
     count = len(texture_files)
     limits.require_at_most(path.name, "textures", count, limits.MATERIALS, "join them into one")
     pictures = ScanPictures(folder)

@@ -25,6 +25,7 @@ class PackedTexture:
 
     uv: FloatArray | None
     texture_linear: Image | None
+    """(H, W, 3), or with alpha (H, W, 4): 0 where no picture showed the surface."""
     notes: tuple[str, ...]
     tiles: tuple[TextureTile, ...] = ()
 
@@ -34,8 +35,9 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
 
     A single texture is kept as it is. Several are laid side by side, each with a gutter, and the
     coordinates follow. Materials without a texture, and faces without coordinates, become a small patch
-    of their base colour. Coordinates outside [0, 1] repeat the texture, as renderers do: faces are moved
-    by whole periods, and the texture is laid out repeatedly where a face crosses a period's edge.
+    of their base colour, which no picture showed. Coordinates outside [0, 1] repeat the texture, as
+    renderers do: faces are moved by whole periods, and the texture is laid out repeatedly where a face
+    crosses a period's edge.
     """
     if mesh.uv is None:
         reason = "the texture was left out: the faces have no texture coordinates"
@@ -73,7 +75,7 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     tile[plain] = len(tiles) + color_of_face
     for index in colors:
         one = mesh.materials[index] if index >= 0 else Material("no material")
-        tiles.append(np.full((2 * GUTTER, 2 * GUTTER, 3), one.base_color_linear, np.float32))
+        tiles.append(np.full((2 * GUTTER, 2 * GUTTER, 4), (*one.base_color_linear, 0), np.float32))
         names.append(one.name)
     if len(tiles) == 1:
         return PackedTexture(uv, tiles[0], tuple(notes))
@@ -87,14 +89,16 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
             column, row, shelf = 0, row + shelf, 0
         boxes[i] = (column + GUTTER, row + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
         column, shelf = column + sizes[i][0], max(shelf, sizes[i][1])
-    shape = (row + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, 3)
+    channels = max(tile.shape[2] for tile in tiles)
+    shape = (row + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, channels)
     most = limits.PIXELS * 5 // 4  # gutters and sizes leave gaps
     what, advice = "the texture of the scan's materials", "save its textures as one picture"
     limits.require_at_most(what, "pixels", shape[0] * shape[1], most, advice)
     atlas = np.zeros(shape, np.float32)
     for picture, (x, y, w, h) in zip(tiles, boxes, strict=True):
         area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
-        area[:] = np.pad(picture, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), mode="edge")
+        area[..., 3:] = 1
+        area[..., : picture.shape[2]] = np.pad(picture, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), "edge")
     if len(plain):
         notes.append(f"faces without texture, given their material's colour: {len(plain)}")
     if (count := len(np.unique(material_of_picture[textured]))) > 1:

@@ -122,7 +122,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
                 if normals[face] @ view.rotation[2] > _FACING:
                     found[number] = raster.barycentric[row, column] @ vertices[faces[face]]
     if scan.has_color and np.isnan(seen).all():
-        bare = replace(scan, uv=None, texture_linear=None, vertex_color_linear=None)
+        bare = replace(scan, uv=None, texture_linear=None, vertex_color_linear=None, color_seen=None)
         return detected_landmarks(bare, model_from_scan)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of landmarks that no view sees

@@ -265,10 +265,17 @@ def _processed(
     )
     if fitted is not None and scan.has_color:
         evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
+    if image.on_face is not None:
+        evidence += f"; {image.on_face.sum() / image.mask.sum():.0%} are the face, where light is sought"
     chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
     plan["geometry_image"] = [PlanStep("geometry_image", True, chart, evidence)]
     if fitted is not None and (doubt := texture_doubt(fitted, scan, image)):
         plan["geometry_image"] = [*plan["geometry_image"], doubt]
+    if (filled := figures.get("filled", 0.0)) > 0:
+        reason = (
+            f"no picture showed {100 * filled:.1f} % of the surface: its colours there are from around it"
+        )
+        plan["geometry_image"] = [*plan["geometry_image"], PlanStep.doubt("geometry_image.filled", reason)]
     if image.texture_linear is not None and "albedo" not in options.skip:
         with clock.timed("albedo"):
             # The preset's options with the steps that the caller skips or forces.

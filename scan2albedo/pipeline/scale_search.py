@@ -18,11 +18,12 @@ from scan2albedo.io.parsed_mesh import ParsedMesh
 from scan2albedo.io.units import largest_extent, millimetres_per_unit
 from scan2albedo.pipeline.result import SURE
 from scan2albedo.registration import Registration
-from scan2albedo.registration.register import HUMAN_SCALE
 
 _EXTENTS_MM = (300.0, 200.0, 440.0, 140.0)
 """Lengths that a scan is tried at: of a head, of less of it, of one with shoulders, of a bare face. The sizes
 of faces between two of them are found by the registration."""
+_HUMAN_SCALE = (0.75, 1.3)
+"""Sizes of people's faces, children's too, relative to the model's."""
 _SURE = 0.9
 """Least confidence in a face whose size is not given: at one of many sizes much resembles a face."""
 
@@ -79,7 +80,7 @@ def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tu
             known = register(scan)
         except NoFaceError as error:
             refusal = error
-    low, high = HUMAN_SCALE
+    low, high = _HUMAN_SCALE
     if known is not None and known[1].confidence >= SURE and low <= known[1].face_scale <= high:
         return known
     extent = largest_extent(scan.vertices, vertex_components(len(scan.vertices), scan.faces))

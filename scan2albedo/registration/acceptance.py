@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import lru_cache
+from importlib.resources import as_file, files
+
 import numpy as np
 from scipy.special import expit
 
 from scan2albedo.core import Meter, Plan, PlanStep
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
-from scan2albedo.geometry.rigid import invert_rigid
+from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.geometry.rigid import Similarity, invert_rigid, procrustes
+from scan2albedo.io.npz import Arrays, read_npz
 from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidates, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
-from scan2albedo.registration.icp import residuals
+from scan2albedo.registration.icp import residuals, shaped_icp, stretch
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
@@ -28,6 +35,10 @@ _OTHER_FACE_MM = 100.0
 """Poses farther apart than a face is wide are of another one."""
 _FACE_LIKENESS = 0.55
 """Likeness at which a pose that was not looked at closely is reported as another face."""
+
+NAMES = ("width to height", "depth to height", "depth to width", "size")
+CONTRASTS = np.array([[1, -1, 0], [0, -1, 1], [-1, 0, 1], [1 / 3, 1 / 3, 1 / 3]])
+"""Of the logarithms of width, height and depth: those of `NAMES`."""
 
 
 def accepted(
@@ -55,8 +66,6 @@ def accepted(
             if odds:
                 side = "for" if odds > 0 else "against"
                 figures += f", its {cue} speak {side} it by {abs(odds):.1f} in the log odds"
-        unlike = np.exp(np.abs(found.proportions)).max()
-        figures += f", proportions of width, height and depth {unlike:.2f} times the model's"
     if not meter.exhausted:
         # Fitting and shading go wrong where all triangles face inward. The reversed scan is searched
         # where the best pose is in doubt and the surface does not bulge outward: sum a n.(p - c) / sum a
@@ -132,9 +141,9 @@ def _distance_mm(candidate: Candidate, other: Candidate) -> float:
 
 
 def probability(candidates: Candidates) -> float:
-    """Return the probability that the best candidate is the pose of a person's face, 0 ... 1.
+    """Return the probability that the best candidate is the pose of a face, 0 ... 1.
 
-    Against it stand that there is no face, every other pose of it, and strange proportions.
+    Against it stand that there is no face, and every other pose of it.
     """
     best = candidates[0]
     rivals = [
@@ -142,4 +151,52 @@ def probability(candidates: Candidates) -> float:
         for other in candidates[1:]
         if other.is_apart(best) and _distance_mm(other, best) <= _OTHER_FACE_MM
     ]
-    return float(best.person * expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
+    return float(expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
+
+
+@lru_cache(maxsize=1)
+def people() -> Arrays:
+    """Return what `tools/fit_proportions.py` learned of people's faces.
+
+    Of the logarithms of `NAMES`, relative to the default model, `mean`, standard `deviation` and how far from
+    the mean nearly all people `reach` (4,); and of how many `heads` and `synthetic` people.
+    """
+    with as_file(files("scan2albedo.registration") / "data" / "proportions.npz") as path:
+        return read_npz(path, what="people's proportions", advice="install it again", error=RegistrationError)
+
+
+def template_stretch(model: AnnotatedSurface, seed: int) -> FloatArray | None:
+    """Return logarithms (3,) of a model's width, height, depth by the default's; None without landmarks."""
+    default = default_model()
+    if model.control_vertices is default.control_vertices:
+        return np.zeros(3)
+    if model.landmarks is None or default.landmarks is None:
+        return None
+    pose = procrustes(default.landmarks, model.landmarks)
+    scan, template = Template.of(model, seed).samples, Template.of(default, seed)
+    start = Similarity(pose[:3, :3], pose[:3, 3])
+    return stretch(scan, template, shaped_icp(scan, template, start, Meter("icp", "mm")))
+
+
+def proportion_doubts(found: FloatArray) -> Iterator[PlanStep]:
+    """Yield a row where a face's proportions are beyond people's, and one where its size is.
+
+    `found` (3,) are the logarithms of its width, height and depth in mm relative to the default model's.
+    """
+    learned, words = people(), dict[str, str]()
+    sample = f"{learned['heads']} heads and {learned['synthetic']} synthetic people"
+    off = CONTRASTS @ found - learned["mean"]
+    for name, value, deviation, reach in zip(NAMES, off, learned["deviation"], learned["reach"], strict=True):
+        if abs(value) > reach:
+            low, ratio, high = np.exp([-reach, value, reach])
+            words[name] = (
+                f"{name} {ratio:.2f} times the mean of {sample}, {low:.2f} to {high:.2f} expected; it is "
+                f"{abs(value) / deviation:.1f} standard deviations from the mean"
+            )
+    size = words.pop("size", "")
+    if words:
+        reason = "the scan may be stretched along an axis: its proportions are beyond those of faces measured"
+        yield PlanStep.doubt("register.proportions", reason, "; ".join(words.values()))
+    if size:
+        reason = "the unit or scale of the scan may be wrong: its face has another size than adults'"
+        yield PlanStep.doubt("register.size", reason, size)

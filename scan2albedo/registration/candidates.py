@@ -28,8 +28,8 @@ from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 from scan2albedo.registration.texture_evidence import ColourScorer
 
-CONVINCING, _CONVINCING_PERSON = 4.0, 0.95
-"""Log odds of a face (98 %), and probability of its proportions, beyond which no other pose is refined."""
+CONVINCING = 4.0
+"""Log odds of a face (98 %) beyond which no other pose is refined."""
 _MOST_LOG_ODDS = 8.0
 """No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 _LOOKED_AT = 3
@@ -75,14 +75,9 @@ class Candidate:
         return float(np.clip(odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS))
 
     @property
-    def person(self) -> float:
-        """Probability that a face at this pose has a person's proportions, whatever its colours say."""
-        return 1.0 if self.evidence is None else self.evidence.person
-
-    @property
     def convinces(self) -> bool:
-        """Whether it is so surely a person's face that nothing else is looked for."""
-        return self.log_odds > CONVINCING and self.person > _CONVINCING_PERSON
+        """Whether it is so surely a face that nothing else is looked for."""
+        return self.log_odds > CONVINCING
 
     def is_apart(self, other: Candidate) -> bool:
         """Whether the poses are clearly not the same."""

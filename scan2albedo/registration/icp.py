@@ -167,19 +167,17 @@ def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, mete
     return icp(scan, template, shaped, last, shaped=True, settled=_SETTLED, meter=meter)
 
 
-def proportions(scan: OrientedPoints, template: Template, shaped: Alignment) -> FloatArray:
-    """Return the logarithms of the face's height to width, depth to width and depth to height (3,).
+def stretch(scan: OrientedPoints, template: Template, shaped: Alignment) -> FloatArray:
+    """Return the logarithms (3,) of a face's width, height and depth relative to the template's.
 
-    Relative to the template's, which is fitted further for it, its stretches hardly held. This judges a pose;
-    `fitting.plausibility.proportions` judges the landmarks of a fit.
+    It is fitted further for them, its stretches hardly held.
     """
     rest, sigmas_mm = template.first(FEW), _FEW_STEPS * [_SHAPED_MM[1]]
     found = icp(scan, rest, shaped, sigmas_mm, shaped=True, stretch_sd=_LOOSE)
     areas, moved = rest.samples.areas, rest.modes @ found.coefficients
     offset = rest.samples.points - areas @ rest.samples.points / areas.sum()
-    growth = 1 + (areas @ (offset * moved)) / (areas @ offset**2)
-    width, height, depth = np.log(np.maximum(growth, np.finfo(float).tiny))
-    return np.array([height - width, depth - width, depth - height])
+    growth = found.pose.scale * (1 + (areas @ (offset * moved)) / (areas @ offset**2))
+    return np.log(np.maximum(growth, np.finfo(float).tiny))
 
 
 def tightened(

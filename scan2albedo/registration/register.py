@@ -14,7 +14,7 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
-from scan2albedo.registration.acceptance import accepted, probability
+from scan2albedo.registration.acceptance import accepted, probability, proportion_doubts, template_stretch
 from scan2albedo.registration.candidates import Colors, ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
@@ -23,9 +23,6 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.placed_pose import PlacedPose
 from scan2albedo.registration.scan_preparation import SPACING_MM, prepared_scan
 from scan2albedo.registration.template import Template
-
-HUMAN_SCALE = (0.75, 1.3)
-"""Sizes of people's faces, children's too, relative to the model's."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +64,7 @@ def register(
     Thousands of starts on a voxel grid, the best refined by Open3D's robust point-to-plane ICP, then by one
     that also estimates the face's size and a person's shape. The pose that is most probably that of a face
     wins, with that probability as `confidence`. The annealing of [1]_ runs when forced, and counts when the
-    surface is nearer for it. `plan` doubts a size that no person's face has, and a second face in the scan.
+    surface is nearer for it. `plan` doubts a second face, and proportions and sizes beyond those of faces.
 
     Raises RegistrationError, with the figures, when the scan is too small or too large, or holds no face;
     ValueError when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model
@@ -109,11 +106,8 @@ def register(
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, person, tight, options, annealing, seed)
     plan += (step, final.step)
-    low, high = HUMAN_SCALE
-    if not low <= final.pose.scale <= high:
-        reason = "the face's size is outside people's; check the unit of the scan"
-        size = f"{100 * final.pose.scale:.0f} % of the model's"
-        plan += (PlanStep.doubt("register.size", reason, size),)
+    if best.evidence is not None and (own := template_stretch(model, seed)) is not None:
+        plan += tuple(proportion_doubts(best.evidence.stretch + own))
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid(model.front)) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),

@@ -186,12 +186,13 @@ class ColourScorer:
             row = np.minimum(((1 - v) * height).astype(np.int64), height - 1)
             column = np.minimum((u * width).astype(np.int64), width - 1)
             color = scan.texture_linear[row, column].astype(np.float64)
+            shown = True if scan.color_seen is None else scan.color_seen[row, column]
         else:
             assert scan.vertex_color_linear is not None
             color = np.einsum("nk,nkc->nc", hits.barycentric, scan.vertex_color_linear[scan.faces[face]])
+            shown = True if scan.color_seen is None else scan.color_seen[scan.faces[face]].all(1)
         color = np.maximum(color, 0)
-        # Black is what programs fill in where there is no picture.
-        return color, (hits.distance < _NEAR_MM) & (color @ _BRIGHTNESS > 0)
+        return color, shown & (hits.distance < _NEAR_MM) & (color @ _BRIGHTNESS > 0)
 
 
 def texture_evidence(

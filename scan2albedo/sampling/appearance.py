@@ -214,7 +214,7 @@ def light_basis(normal: NDArray[np.floating]) -> FloatArray:
 
 
 def skin_in_light(basis: FloatArray, colors: FloatArray, weight: FloatArray, start: FloatArray) -> FloatArray:
-    """Return (9, 3): what `colors` (N, 3) of skin owe to the light, by ridge regression about `start` (3,)."""
+    """Return (9, 3): what `colors` (N, 3) of skin owe to the light, ridge regression about `start` (3,)."""
     found = np.zeros((basis.shape[1], 3))
     for c, scale in enumerate((_LIGHT_SD[0], _LIGHT_SD[1], _LIGHT_SD[1])):
         ridge = np.diag(scale**-2.0)
@@ -233,7 +233,7 @@ def _explained(
     log_prior: FloatArray,
     model: AppearanceModel,
 ) -> tuple[FloatArray, float]:
-    """Return (C, h, w) the log likelihood of the classes, and the log odds of the skin's colour (`_hue_odds`).
+    """Return (C, h, w) the log likelihood of the classes, and the log odds of the skin's colour.
 
     That is the colour of skin which explains most.
     """

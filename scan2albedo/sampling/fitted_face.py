@@ -140,7 +140,7 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         gaussian_filter(field, sigma, mode="mirror", radius=math.ceil(4 * sigma))
         for field in (inside.astype(np.float32), np.where(inside, shiny, np.float32(0)))
     )
-    face_chart, face_uv = None, fitted.model.face_uv
+    face_chart, face_uv, counted = None, fitted.model.face_uv, fitted.model.face_regions()
     if face_uv is not None:
         refined = linear_refinement(len(face_uv), fitted.model.control_faces, fitted.levels) @ face_uv
         place = interpolate(raster, fitted.faces, np.column_stack([1 - refined[:, 1], refined[:, 0]]))
@@ -164,6 +164,7 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         region=region,
         occluder=(fitted.vertices, solid),
         texture_valid=texture.seen,
+        filled=texture.filled,
         specular_scale=np.where(inside, blurred / np.maximum(weight, 1e-6), np.float32(0)),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
         skin=looks.skin,
@@ -172,6 +173,7 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
         camera=texture.camera,
         camera_positions=None if cameras is None else transform_points(fitted.model_from_scan, cameras),
         face_chart=face_chart,
+        on_face=None if counted.all() else counted[region] & inside,
     )
 
 

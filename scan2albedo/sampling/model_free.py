@@ -74,6 +74,7 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
         texture_linear=texture.linear,
         occluder=(vertices - center, faces),
         texture_valid=texture.seen,
+        filled=texture.filled,
         camera=texture.camera,
         camera_positions=None if texture.camera_positions is None else texture.camera_positions - center,
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.closest_points import ClosestHits, surface_query
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
 from scan2albedo.io.texture_atlas import in_first_period
@@ -31,13 +32,15 @@ class ChartTexture:
     """What the scan shows of each texel, None for scans without colour.
 
     Linear colour (H, W, 3), whether it was well `seen` (H, W) and, for textures of photographs, the number of
-    the `camera` (H, W) and `camera_positions` (K, 3), mm in the scan's frame.
+    the `camera` (H, W) and `camera_positions` (K, 3), mm in the scan's frame. Where no picture showed the
+    scan (`filled` (H, W), None without such texels), the colour goes on from around.
     """
 
     linear: NDArray[np.float32] | None = None
     seen: BoolArray | None = None
     camera: NDArray[np.uint8] | None = None
     camera_positions: FloatArray | None = None
+    filled: BoolArray | None = None
 
 
 def texture_on_chart(
@@ -55,22 +58,32 @@ def texture_on_chart(
         return ChartTexture()
     linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
     found = TextureLookup(scan).sample(points, normals, steps)
-    linear[inside], seen[inside] = found.color_linear, found.seen
+    linear[inside], seen[inside], filled = found.color_linear, found.seen, None
+    if not found.pictured.all():
+        if not found.seen.any():
+            return ChartTexture()
+        filled = np.zeros(inside.shape, bool)
+        filled[inside] = ~found.pictured
+        linear[filled] = filled_smoothly(linear, seen)[filled]
     cameras = texture_cameras(scan)
     if cameras is None:
-        return ChartTexture(linear, seen)
+        return ChartTexture(linear, seen, filled=filled)
     camera, number = np.full(inside.shape, NO_CAMERA, np.uint8), cameras.face_camera[found.face]
     camera[inside] = np.where(number < 0, NO_CAMERA, number)
-    return ChartTexture(linear, seen, camera, cameras.positions)
+    return ChartTexture(linear, seen, camera, cameras.positions, filled)
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Linear colour (N, 3) of surface points, whether it was well `seen` (N,), and the scan's `face` (N,)."""
+    """Linear colour (N, 3) of surface points, the scan's `face` (N,), and two judgements of it (N,).
+
+    Whether it was well `seen`, and whether it was `pictured`, of which `RawScan.color_seen` knows.
+    """
 
     color_linear: NDArray[np.float32]
     seen: BoolArray
     face: IntArray
+    pictured: BoolArray
 
 
 @dataclass(frozen=True)
@@ -106,7 +119,7 @@ class TextureLookup:
         sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
         valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
         if scan.uv is not None and scan.texture_linear is not None:
-            color, inside = self._photograph(near, hits, steps)
+            color, inside, pictured = self._photograph(near, hits, steps)
             # Faces need enough photograph pixels for their area.
             e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
             texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
@@ -118,15 +131,17 @@ class TextureLookup:
             assert scan.vertex_color_linear is not None
             corners = scan.vertex_color_linear[scan.faces[face]]
             color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
-        return Samples(color, valid, face)
+            seen = np.ones(len(scan.vertices), bool) if scan.color_seen is None else scan.color_seen
+            pictured = np.asarray(seen[scan.faces[face]].all(1))
+        return Samples(color, valid & pictured, face, pictured)
 
     def _photograph(
         self, near: IntArray, hits: ClosestHits, steps: FloatArray
-    ) -> tuple[NDArray[np.float32], BoolArray]:
+    ) -> tuple[NDArray[np.float32], BoolArray, BoolArray]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
         Also return whether its centre is in the photograph, which wraps around only by whole periods for a
-        face.
+        face, and whether a picture showed most of it: the mean is over that part.
         """
         scan = self.scan
         assert scan.uv is not None
@@ -150,7 +165,14 @@ class TextureLookup:
         sides = np.linalg.norm(footprint, axis=1).max(1)
         longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
         taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
-        return mean_over_footprints(scan.texture_linear, center, footprint, taps), inside
+        if scan.color_seen is None:
+            color = mean_over_footprints(scan.texture_linear, center, footprint, taps)
+            return color, inside, np.ones(len(color), bool)
+        shown = scan.color_seen[..., None].astype(np.float32)
+        weighted = np.concatenate([scan.texture_linear * shown, shown], axis=2)
+        total = mean_over_footprints(weighted, center, footprint, taps)
+        color = total[:, :3] / np.maximum(total[:, 3:], np.finfo(np.float32).tiny)
+        return color, inside, total[:, 3] > 0.5
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:

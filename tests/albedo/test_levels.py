@@ -157,3 +157,22 @@ def test_the_value_follows_the_brightest_channel_and_leaves_unusable_texels_out(
     usable = np.ones((32, 32), bool)
     texture[4:12, :4, 2], usable[4:12, :4] = 1.0, False
     assert brightest_around(texture, usable)[usable] == pytest.approx(texture.max(-1)[usable])
+
+
+def test_cells_lie_on_the_face_and_are_as_small_as_those_of_a_face_alone(make_image):
+    whole = make_image(128)
+    on_face = np.zeros(whole.shape, bool)
+    on_face[40:90, 40:90] = whole.mask[40:90, 40:90]
+    other = whole.texture_linear.copy()
+    other[:24], other[:, 106:] = 0.9, 0.1  # beside the face, beyond the windows in which colours are compared
+    one, other = (make_image(128, on_face=on_face, texture_linear=t) for t in (whole.texture_linear, other))
+    level = build_level(one, usable_texels(one), 16)
+    row, column = level.center.T.astype(int)
+    assert on_face[row, column].all()
+    assert level.factor == int(np.ceil(128 * np.sqrt(on_face.sum() / whole.mask.sum()) / 16))
+    assert level.texels == on_face.sum()
+    np.testing.assert_array_equal(build_level(other, usable_texels(other), 16).color, level.color)
+    nowhere = make_image(128, on_face=np.zeros(whole.shape, bool))
+    assert len(build_level(nowhere, usable_texels(nowhere), 16).value) == len(
+        build_level(whole, usable_texels(whole), 16).value
+    )

@@ -77,6 +77,18 @@ def test_halves_of_two_people_are_told(model, seed):
         assert asymmetry(fitted_to(model, whole)).excess < 0.7
 
 
+def test_one_half_copied_onto_the_other_is_told(model):
+    vertices, faces = model.subdivision(3).matrix @ someone(model, 3), model.surface(3)[1]
+    vertices = vertices + 0.1 * np.random.default_rng(0).normal(size=vertices.shape)
+    whole = fit(RawScan(vertices, faces), model, np.eye(4))
+    assert list(doubts(whole)) == []
+    assert whole.metrics["mirror_mm"] > 0.04
+    half = faces[(vertices[faces, 0] > 0).all(1)]
+    both = np.vstack([half, half[:, ::-1] + len(vertices)])
+    copied = fit(RawScan(np.vstack([vertices, vertices * [-1, 1, 1]]), both), model, np.eye(4))
+    assert [row.stage for row in doubts(copied)] == ["fit.symmetry"]
+
+
 def test_no_halves_are_compared_where_one_is_not_seen_or_the_model_is_lopsided(model):
     fitted = fitted_to(model, someone(model, 7))
     right = fitted.vertices[:, 0] < -5

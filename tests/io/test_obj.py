@@ -267,7 +267,9 @@ def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
     )
     taken = []
     read = mtl.read_image_linear
-    monkeypatch.setattr(mtl, "read_image_linear", lambda file: (taken.append(file), read(file))[1])
+    monkeypatch.setattr(
+        mtl, "read_image_linear", lambda file, **options: (taken.append(file), read(file, **options))[1]
+    )
     scan = load_scan(path)
     assert len(taken) == 1
     assert scan.texture_linear.shape == (8, 8, 3)

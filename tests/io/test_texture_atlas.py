@@ -66,10 +66,13 @@ def test_untextured_faces_get_colour_and_unused_textures_no_room():
     uv[2, 1] = np.nan
     packed = pack_texture(mesh_of(uv, np.array([0, 1, 0, -1]), materials))
     assert max(packed.texture_linear.shape) < 30
+    # No picture showed the colour of a material: its alpha is 0.
     np.testing.assert_allclose(
-        bilinear(packed.texture_linear, packed.uv[1]), [[0.1, 0.2, 0.3]] * 3, rtol=1e-6
+        bilinear(packed.texture_linear, packed.uv[1]), [[0.1, 0.2, 0.3, 0]] * 3, rtol=1e-6
     )
-    np.testing.assert_allclose(bilinear(packed.texture_linear, packed.uv[[2, 3]]), 0.5, rtol=1e-6)
+    plain = np.tile([0.5, 0.5, 0.5, 0], (2, 3, 1))
+    np.testing.assert_allclose(bilinear(packed.texture_linear, packed.uv[[2, 3]]), plain, rtol=1e-6)
+    assert bilinear(packed.texture_linear, packed.uv[0])[:, 3].min() == 1
     assert "faces without texture, given their material's colour: 3" in packed.notes
 
 

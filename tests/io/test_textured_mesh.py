@@ -72,5 +72,5 @@ def test_vertex_colours_stand_in_both(tmp_path):
     write_textured_glb(tmp_path / "mine.glb", mesh)
     for name in ("mine.obj", "mine.glb"):
         parsed = read_mesh_file(tmp_path / name)
-        found = encode_srgb_bytes(parsed.vertex_color_linear).astype(int)
+        found = encode_srgb_bytes(parsed.vertex_color_linear[:, :3]).astype(int)  # alpha follows
         assert np.abs(found - encode_srgb_bytes(colors)).max() <= 1

@@ -1,4 +1,6 @@
-"""How sure the shaped template makes one: of faces, of nothing else, and of no stretched face."""
+"""How sure the shaped template makes one: of faces, and of nothing else."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,22 +33,17 @@ def face(synthetic_scan):
     return transform_points(example.model_from_scan, example.scan.vertices), example.scan.faces
 
 
-def test_a_face_is_beyond_doubt_and_of_usual_proportions(face, template):
+def test_a_face_is_beyond_doubt(face, template):
     found = evidence_at(*face, template)
     assert found.log_odds > 4
-    assert found.person > 0.99
     assert found.share > 0.8
     assert found.rms_mm < 1.5
-    assert np.abs(found.proportions).max() < 0.2
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("factor", [1.5, 1 / 1.5])
-def test_a_stretched_face_is_doubted(face, template, axis, factor):
-    vertices = face[0].copy()
-    vertices[:, axis] *= factor
-    found = evidence_at(vertices, face[1], template)
-    assert found.person < 0.5
+def test_a_flat_face_as_template_finds_other_people(face, model):
+    """What is usual beside the default model is not so beside a user's own face."""
+    flat = replace(model, control_vertices=model.control_vertices * [1, 1, 0.75], _subdivisions={})
+    assert evidence_at(*face, Template.of(flat, 0)).log_odds > 4
 
 
 def test_a_ball_and_a_face_upside_down_are_no_faces(face, template):

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from scan2albedo.sampling.appearance import CLASSES, appearance
+
+from scan2albedo.sampling.appearance import appearance
 
 SIZE, SIDE_MM = 120, 168.0
 PALE, BROWN, DARK = (0.55, 0.33, 0.24), (0.25, 0.13, 0.08), (0.09, 0.045, 0.03)

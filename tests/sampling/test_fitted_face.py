@@ -1,6 +1,6 @@
 """Geometry images of surfaces whose answer is known in closed form."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -23,6 +23,9 @@ class FlatAnnotation:
         table = np.full(256, 0.7 if attribute == "specular_scale" else 1.0)
         table[4] = 0.0
         return table
+
+    def face_regions(self):
+        return np.ones(256, bool)
 
 
 @dataclass
@@ -210,6 +213,36 @@ def test_vertex_colours_serve_where_there_is_no_texture():
     image = geometry_image(fitted, RawScan(fitted.vertices, fitted.faces, vertex_color_linear=color), 40)
     np.testing.assert_allclose(image.texture_linear[0, :, 0], (np.arange(40) + 0.5) / 40, atol=1e-6)
     np.testing.assert_allclose(image.specular_scale, 0.7)
+
+
+def test_colours_that_no_picture_showed_are_taken_from_around():
+    given = patch()
+    colors = np.tile(np.float32([0.5, 0.4, 0.3]), (len(given.vertices), 1))
+    hole = np.linalg.norm(given.vertices, axis=1) < 20
+    colors[hole] = [1.0, 0.2, 0.0]
+    bare = RawScan(given.vertices, given.faces, vertex_color_linear=colors)
+    image = geometry_image(given, replace(bare, color_seen=~hole), 64)
+    assert image.filled[32, 32]
+    assert not image.seen[image.filled].any()
+    assert image.skin[image.filled].max() == 0
+    np.testing.assert_allclose(image.texture_linear[image.seen | image.filled][:, 0], 0.5, rtol=1e-5)
+    assert image.figures()["filled"] == image.filled.sum() / image.mask.sum()
+    assert geometry_image(given, bare, 64).filled is None
+    # Where the scan shows nothing of the face, its colours say nothing.
+    assert (
+        geometry_image(given, replace(bare, color_seen=np.zeros(len(hole), bool)), 64).texture_linear is None
+    )
+
+
+def test_of_a_template_only_the_annotated_part_is_the_face(monkeypatch):
+    given = patch()
+    region = np.where(given.vertices[given.faces].mean(1)[:, 0] > 0, 4, 3).astype(np.uint8)
+    given.region = region
+    assert geometry_image(given, None, 32).on_face is None
+    monkeypatch.setattr(FlatAnnotation, "face_regions", lambda self: np.arange(256) == 4)
+    image = geometry_image(given, None, 32)
+    np.testing.assert_array_equal(image.on_face, image.region == 4)
+    assert image.face_side == 32 * (image.on_face.sum() / image.mask.sum()) ** 0.5
 
 
 def test_too_small_a_size_is_refused():

@@ -1,0 +1,113 @@
+"""Which colours of a scan a picture showed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from scan2albedo.io import load_scan
+from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.unseen import seen_colors
+
+SIDE = 40
+ORANGE = (255, 127, 39)
+
+
+def grid():
+    """A square of 40 x 40 cells, each two faces: vertices, faces, and coordinates of the corners."""
+    row, column = np.divmod(np.arange((SIDE + 1) ** 2), SIDE + 1)
+    vertices = np.column_stack([column * 4.0, row * 4.0, np.zeros(len(row))])
+    first = (np.arange(SIDE)[:, None] * (SIDE + 1) + np.arange(SIDE)).ravel()
+    lower, upper = [first, first + 1, first + SIDE + 1], [first + 1, first + SIDE + 2, first + SIDE + 1]
+    faces = np.concatenate([np.stack(lower, 1), np.stack(upper, 1)])
+    uv = np.column_stack([column, row]) / SIDE
+    return vertices, faces, uv[faces]
+
+
+def picture(seed=0):
+    """A photograph of skin with noise, 240 x 240, and where it has a hole, 60 x 60."""
+    rng = np.random.default_rng(seed)
+    level = 120 + 60 * np.sin(np.arange(240) / 80)[:, None] + rng.normal(0, 3, (240, 240))
+    hole = np.zeros((240, 240), bool)
+    hole[60:120, 90:150] = True
+    return np.clip(level[..., None] * [1, 0.8, 0.7], 0, 255).astype(np.uint8), hole
+
+
+def written(folder, pixels, **options):
+    """Write the square with a texture as OBJ and return its path."""
+    vertices, _, _ = grid()
+    Image.fromarray(pixels).save(folder / "skin.png", **options)
+    corners = np.arange(len(vertices)).reshape(SIDE + 1, SIDE + 1) + 1
+    lines = ["mtllib skin.mtl", "usemtl skin"]
+    lines += [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += [f"vt {x / 160} {y / 160}" for x, y, _ in vertices]
+    quads = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
+    lines += [f"f {a}/{a} {b}/{b} {c}/{c} {d}/{d}" for a, b, c, d in np.stack(quads, -1).reshape(-1, 4)]
+    (folder / "skin.obj").write_text("\n".join(lines))
+    (folder / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
+    return folder / "skin.obj"
+
+
+@pytest.mark.parametrize("fill", [ORANGE, (0, 0, 0), (128, 128, 128)])
+def test_a_colour_that_was_filled_in_was_not_seen(tmp_path, fill):
+    pixels, hole = picture()
+    pixels[hole] = fill
+    scan = load_scan(written(tmp_path, pixels), unit="mm")
+    assert scan.color_seen is not None
+    assert not scan.color_seen[hole].any()
+    assert scan.color_seen[~hole].mean() > 0.999
+    assert scan.has_color
+
+
+def test_what_is_transparent_was_not_seen(tmp_path):
+    pixels, hole = picture()
+    for kind in ("RGBA", "LA", "P"):
+        image = Image.fromarray(np.dstack([pixels, np.where(hole, 0, 255).astype(np.uint8)]))
+        if kind == "P":
+            index = np.where(hole, 0, np.clip(pixels[..., 0], 1, 255)).astype(np.uint8)
+            image = Image.fromarray(index, "L").convert("P")
+            image.info["transparency"] = 0
+        elif kind == "LA":
+            image = image.convert("LA")
+        image.save(tmp_path / "kind.png")
+        file = written(tmp_path, pixels)
+        (tmp_path / "kind.png").rename(tmp_path / "skin.png")
+        np.testing.assert_array_equal(load_scan(file, unit="mm").color_seen, ~hole, err_msg=kind)
+
+
+def test_an_alpha_that_is_alike_everywhere_says_nothing(tmp_path):
+    pixels, _ = picture()
+    for alpha in (0, 80, 255):
+        rgba = np.dstack([pixels, np.full(pixels.shape[:2], alpha, np.uint8)])
+        assert load_scan(written(tmp_path, rgba), unit="mm").color_seen is None
+
+
+def test_photographs_and_clipped_white_were_seen():
+    pixels, hole = picture()
+    _, faces, uv = grid()
+    assert seen_colors(srgb_to_linear(pixels / 255).astype(np.float32), faces, uv)[1] is None
+    pixels[hole] = 255
+    assert seen_colors(srgb_to_linear(pixels / 255).astype(np.float32), faces, uv)[1] is None
+    # So coarse that most faces lie in one pixel.
+    assert seen_colors(srgb_to_linear(pixels[::40, ::40] / 255).astype(np.float32), faces, uv)[1] is None
+
+
+def test_a_scan_of_one_colour_has_no_colour(tmp_path):
+    scan = load_scan(written(tmp_path, np.full((64, 64, 3), 180, np.uint8)), unit="mm")
+    assert not scan.has_color
+    assert any("say nothing" in note for note in scan.notes)
+    assert scan.texture_linear.shape == (64, 64, 3)
+    assert replace(scan, color_seen=None).has_color
+
+
+def test_vertices_of_one_colour_were_not_seen():
+    vertices, faces, _ = grid()
+    colors = np.random.default_rng(0).uniform(0.2, 0.6, (len(vertices), 3)).astype(np.float32)
+    assert seen_colors(colors, faces)[1] is None
+    hole = np.linalg.norm(vertices - [80, 80, 0], axis=1) < 30
+    colors[hole] = 0.5
+    np.testing.assert_array_equal(seen_colors(colors, faces)[1], ~hole)
+    found, seen = seen_colors(np.column_stack([colors, ~hole]).astype(np.float32), faces)
+    np.testing.assert_array_equal(found, colors)
+    np.testing.assert_array_equal(seen, ~hole)

@@ -1,0 +1,84 @@
+"""A face that its pictures showed in part: the rest is filled and marked, and nothing follows from it."""
+
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw
+
+from scan2albedo import process
+
+SIZE = 128
+HOLE_MM = 24.0
+
+
+@pytest.fixture(scope="module")
+def unpainted(shared_data, tmp_path_factory):
+    """Folder with james.obj, whole and with a cheek that is transparent, orange or black in its texture."""
+    folder = tmp_path_factory.mktemp("unpainted")
+    lines = [
+        line
+        for line in (shared_data / "james.obj").read_text().splitlines()
+        if line[:2] in ("v ", "vt", "f ")
+    ]
+    rows = {
+        kind: [line.split()[1:] for line in lines if line.split()[0] == kind] for kind in ("v", "vt", "f")
+    }
+    vertices, places = np.array([row[:3] for row in rows["v"]], float), np.array(rows["vt"], float)
+    corners = np.array([[corner.split("/")[:2] for corner in row] for row in rows["f"]], int) - 1
+    picked = np.genfromtxt(shared_data / "james_ibug68.csv", delimiter=",", skip_header=1)[:, -3:]
+    middle = 0.45 * picked[2] + 0.55 * picked[31]
+    image = Image.open(shared_data / "james.jpg").convert("RGB")
+    image.thumbnail((1024, 1024))
+    alpha = Image.new("L", image.size, 255)
+    draw = ImageDraw.Draw(alpha)
+    inside = (np.linalg.norm(vertices[corners[..., 0]] - middle, axis=-1) < HOLE_MM).all(1)
+    for place in places[corners[inside, :, 1]][..., :2]:
+        draw.polygon([(u * image.width, (1 - v) * image.height) for u, v in place], fill=0)
+    pixels, shown = np.asarray(image), np.asarray(alpha)
+    empty = shown[..., None] == 0
+    pictures = {
+        "plain": pixels,
+        "transparent": np.dstack([np.where(empty, 0, pixels), shown]).astype(np.uint8),
+        "orange": np.where(empty, np.uint8([255, 127, 39]), pixels),
+        "black": np.where(empty, np.uint8(0), pixels),
+    }
+    for name, picture in pictures.items():
+        Image.fromarray(picture).save(folder / f"{name}.png")
+        (folder / f"{name}.mtl").write_text(f"newmtl skin\nmap_Kd {name}.png\n")
+        (folder / f"{name}.obj").write_text("\n".join([f"mtllib {name}.mtl", "usemtl skin", *lines]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def plain(unpainted):
+    """The result of the whole texture."""
+    return process(unpainted / "plain.obj", size=SIZE, quality="draft")
+
+
+def test_a_whole_texture_is_seen_everywhere(plain):
+    assert plain.scan.color_seen is None
+    assert plain.geometry_image.filled is None
+    assert not any(step.stage == "geometry_image.filled" for step in plain.plan.steps)
+
+
+@pytest.mark.parametrize("name", ["transparent", "orange", "black"])
+def test_what_no_picture_showed_is_filled_and_marked(unpainted, plain, name):
+    result = process(unpainted / f"{name}.obj", size=SIZE, quality="draft")
+    image, estimate, filled = result.geometry_image, result.albedo, result.geometry_image.filled
+    assert 100 < filled.sum() < 400
+    assert not image.seen[filled].any()
+    assert image.skin[filled].max() == 0
+    assert estimate.confidence[filled].max() == 0
+    assert "no picture showed 1." in next(
+        step.reason for step in result.plan.doubts() if step.stage == "geometry_image.filled"
+    )
+    # Landmarks and light as without the hole; the albedo but for its one unknown factor.
+    apart = np.linalg.norm(result.fitted.landmarks - plain.fitted.landmarks, axis=1)
+    assert apart.max() < 0.3
+    for lamp, whole in zip(estimate.lights, plain.albedo.lights, strict=True):
+        assert np.degrees(np.arccos(np.clip(lamp.direction @ whole.direction, -1, 1))) < 2
+    both = image.seen & plain.geometry_image.seen
+    ratio = estimate.albedo_linear / np.maximum(plain.albedo.albedo_linear, 1e-4)
+    factor = np.median(ratio[both])
+    assert np.median(np.abs(ratio[both] / factor - 1)) < 0.01
+    inside = filled & plain.geometry_image.seen
+    assert np.median(np.abs(ratio[inside] / factor - 1)) < 0.12

@@ -1,0 +1,101 @@
+"""Proportions and size of faces: people's pass, those of stretched and scaled scans do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo import RawScan, register
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.registration.acceptance import (
+    CONTRASTS,
+    NAMES,
+    people,
+    proportion_doubts,
+    template_stretch,
+)
+from scan2albedo.synthetic.face_shape import person
+
+TOLD = {"register.proportions", "register.size"}
+
+
+def told(scan, model):
+    found = register(scan, model)
+    assert found.confidence > 0.9
+    return {row.stage for row in found.plan} & TOLD
+
+
+def flattened(points, model, depth=0.75, nose=0.85):
+    """Return points (N, 3) of the model less deep, with a lower nose: as faces of East Asia are."""
+    tip, eyes = model.landmarks[30], model.landmarks[[36, 45]].mean(0)
+    off = (points - tip - [0, 6, 0]) / [16, 22, np.inf]
+    low = points - np.exp(-(off**2).sum(1) / 2)[:, None] * [0, 0, (1 - nose) * (tip - eyes)[2]]
+    return low * [1, 1, depth]
+
+
+@pytest.fixture(scope="module")
+def flat(model):
+    """The default model in another person's shape, as that person's template."""
+    return replace(
+        model,
+        control_vertices=flattened(model.control_vertices, model),
+        _subdivisions={},
+        _refined_uv={},
+        name="flat",
+    )
+
+
+@pytest.fixture(scope="module")
+def upright(synthetic_scan):
+    example = synthetic_scan(2)
+    return replace(example.scan, vertices=transform_points(example.model_from_scan, example.scan.vertices))
+
+
+def test_a_flat_face_is_a_face_like_others(model):
+    vertices, faces = model.surface(3)
+    assert told(RawScan(flattened(vertices, model), faces), model) == set()
+
+
+def test_a_users_own_face_as_template_finds_others_and_says_nothing_of_them(upright, model, flat):
+    assert told(upright, flat) == told(upright, model) == set()
+
+
+def test_a_flat_template_tells_of_the_scans_that_the_default_model_tells_of(upright, model, flat):
+    stretched = replace(upright, vertices=upright.vertices * [1, 1.35, 1])
+    assert told(stretched, model) == {"register.proportions"}
+    assert "register.proportions" in told(stretched, flat)
+    own = template_stretch(flat, 0)
+    assert own[2] < -0.15
+    np.testing.assert_allclose(own[:2], 0, atol=0.05)
+    assert template_stretch(replace(flat, landmark_points=None), 0) is None
+
+
+@pytest.mark.parametrize("stretch", [[1.25, 1, 1], [0.75, 1, 1], [1, 1.3, 1], [1, 0.75, 1]])
+def test_wider_narrower_higher_and_lower_scans_are_told(upright, model, stretch):
+    assert "register.proportions" in told(replace(upright, vertices=upright.vertices * stretch), model)
+
+
+@pytest.mark.parametrize("factor", [0.78, 1.25])
+def test_another_scale_is_told(upright, model, factor):
+    assert told(upright.scaled(factor), model) == {"register.size"}
+
+
+def test_no_synthetic_person_is_told(model):
+    faces = model.subdivision(2).faces
+    for seed in range(3):
+        shape = model.subdivision(2).matrix @ person(model, np.random.default_rng(seed))
+        assert told(RawScan(shape, faces), model) == set()
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_the_words_agree_with_the_verdict(number):
+    learned, contrast = people(), CONTRASTS[number]
+    usual = np.linalg.lstsq(CONTRASTS, learned["mean"], rcond=None)[0]
+    assert list(proportion_doubts(usual)) == []
+    reach = float(learned["reach"][number])
+    inside, outside = (usual + part * reach * contrast / (contrast @ contrast) for part in (0.95, 1.05))
+    assert not any(NAMES[number] in row.evidence for row in proportion_doubts(inside))
+    (row,) = proportion_doubts(outside)
+    assert NAMES[number] in row.evidence
+    assert f"{np.exp(-reach):.2f} to {np.exp(reach):.2f} expected" in row.evidence
+    assert "21 heads and 164 synthetic people" in row.evidence
