@@ -1,6 +1,6 @@
 """Learn what skin, brows, eyes, lips, nostrils and hair look like and where they are: `AppearanceModel`.
 
-    python tools/fit_appearance.py ../shared/data/heads -o scan2albedo/sampling/data/appearance.npz
+    python tools/fit_appearance.py ../shared/data/heads -o scan2albedo/face_model/data/appearance.npz
     python tools/fit_appearance.py ../shared/data/heads --leave-out
 
 The heads are sixteen of the VALID avatars (NOTICE), which share one layout of their texture: brows, lips,
@@ -26,8 +26,7 @@ from scipy.ndimage import gaussian_filter
 
 import scan2albedo as s2a
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.geometry.area_mean import area_mean
-from scan2albedo.sampling.appearance import (
+from scan2albedo.face_model.appearance import (
     CLASSES,
     TEXEL_MM,
     AppearanceModel,
@@ -36,6 +35,7 @@ from scan2albedo.sampling.appearance import (
     light_basis,
     skin_in_light,
 )
+from scan2albedo.geometry.area_mean import area_mean
 
 SIZE, CELLS, LIGHTS = 256, 128, 6
 SIDE = 1024

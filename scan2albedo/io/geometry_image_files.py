@@ -36,8 +36,9 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
 
     Arrays: ``position_mm``, ``normal``, ``mask`` and, where the image has them, ``region``,
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``skin``, ``labels``,
-    ``face_chart``, ``filled``, ``on_face``, ``camera`` and ``camera_positions_mm``, ``occluder_vertices_mm`` and
-    ``occluder_faces``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
+    ``face_chart``, ``filled``, ``on_face``, ``camera`` and ``camera_positions_mm``,
+    ``occluder_vertices_mm`` and ``occluder_faces``;
+    ``format_version`` is 1. Raises OutputError when the folder cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
     for field, stored in _NAME_IN_FILE.items():
@@ -56,8 +57,8 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
 
     Channels: ``position_mm.X`` ``.Y`` ``.Z``, ``normal.X`` ``.Y`` ``.Z``, ``texture_linear.R`` ``.G`` ``.B``,
     and ``mask.Y``, ``region.Y``, ``texture_valid.Y``, ``specular_scale.Y``, ``inpaint.Y``, ``skin.Y``,
-    ``labels.Y``, ``face_chart.Y`` ``.X`` (row, column), ``filled.Y``, ``on_face.Y``. The occluder and the cameras do not
-    fit into an image and are left out. Raises OutputError when the folder cannot be written.
+    ``labels.Y``, ``face_chart.Y`` ``.X`` (row, column), ``filled.Y``, ``on_face.Y``. The occluder and the
+    cameras do not fit into an image and are left out. Raises OutputError when the folder cannot be written.
     """
     channels: dict[str, NDArray[np.float32]] = {}
     for field, stored in _NAME_IN_FILE.items():

@@ -107,8 +107,8 @@ class Colors:
             if candidate.evidence is not None and candidate.color_log_odds is None:
                 pose = candidate.pose
                 model_from_scan = invert_rigid(pose.rigid(self.model.front)) @ self.scan.prepared_from_scan
-                found = self._scorer.evidence(model_from_scan, pose.scale)
-                scored[place] = replace(candidate, color_log_odds=0.0 if found is None else found.log_odds)
+                odds = self._scorer.log_odds(model_from_scan, pose.scale)
+                scored[place] = replace(candidate, color_log_odds=odds)
         return _sorted(scored)
 
 

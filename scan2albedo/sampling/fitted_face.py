@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
+from scipy.special import logsumexp
 
+from scan2albedo.core import PlanStep
 from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
+from scan2albedo.face_model.appearance import appearance
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.sampling.appearance import appearance
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
 if TYPE_CHECKING:
@@ -27,6 +31,9 @@ SOFTENING = 1 / 50
 """Standard deviation of the blur of annotated values, as a fraction of the image's size."""
 
 _CHART_TOLERANCE = 1e-6
+WRONG = 0.05
+"""Part of the scans whose texture does not belong to them as it is: turned by an exporter, or another's."""
+_CHECK_SIZE = 128
 
 
 class Fitted(Protocol):
@@ -187,3 +194,44 @@ def without_covers(fitted: Fitted, scan: RawScan) -> RawScan:
 
 def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
     return fitted.model.region_values(attribute)[region].astype(np.float32)
+
+
+def texture_doubt(fitted: Fitted, scan: RawScan, image: GeometryImage) -> PlanStep | None:
+    """Return the doubt that a scan's texture belongs to its shape, None where it most probably does.
+
+    `image` is the scan's. Only where its odds are in doubt is the texture tried flipped, turned and with red
+    and blue exchanged, which takes some .2 s each.
+    """
+    log_odds = image.texture_log_odds + np.log((1 - WRONG) / WRONG)
+    if scan.texture_linear is None or image.texture_log_odds > -np.log(WRONG):
+        return None
+    tried = list(_variants(scan))
+    odds = [geometry_image(fitted, other, _CHECK_SIZE).texture_log_odds for _, other in tried]
+    best = int(np.argmax(odds))
+    # Against it stand all others, as they are, and the texture of something else (odds of 1).
+    each = np.array(odds) - np.log(len(odds))
+    rivals = [*np.delete(each, best), log_odds, 0.0]
+    if each[best] > logsumexp(rivals):
+        reason = f"the texture fits the shape {tried[best][0]}: correct the export, or its coordinates"
+        evidence = f"log odds {odds[best]:.1f}, as it is {image.texture_log_odds:.1f}"
+        return PlanStep.doubt("texture", reason, evidence)
+    if log_odds < 0:
+        reason = (
+            "brows, eyes and lips of the texture are not where the shape has them: is it another scan's, or "
+            "shifted?"
+        )
+        return PlanStep.doubt("texture", reason, f"log odds {image.texture_log_odds:.1f}")
+    return None
+
+
+def _variants(scan: RawScan) -> Iterator[tuple[str, RawScan]]:
+    """Yield what was done to the texture, and the scan with it so."""
+    texture = scan.texture_linear
+    assert texture is not None
+    for name, changed in (
+        ("with V flipped", texture[::-1]),
+        ("with U flipped", texture[:, ::-1]),
+        ("turned by 180 degrees", texture[::-1, ::-1]),
+        ("with red and blue exchanged", texture[..., ::-1]),
+    ):
+        yield name, replace(scan, texture_linear=np.ascontiguousarray(changed))

@@ -72,7 +72,7 @@ class AppearanceModel:
     @cache
     def default(cls) -> AppearanceModel:
         """Return the one that the package ships."""
-        with files("scan2albedo.sampling").joinpath("data/appearance.npz").open("rb") as file:
+        with files("scan2albedo.face_model").joinpath("data/appearance.npz").open("rb") as file:
             arrays = np.load(file)
             return cls(*(arrays[name].astype(np.float64) for name in ("share", "mean", "covariance")))
 
@@ -174,14 +174,16 @@ def appearance(
 def _belonging(log_prior: FloatArray, colors: FloatArray, independent: float) -> float:
     """Return the log odds of log likelihoods (C, N) of the classes where they are, against the same anywhere.
 
-    Each feature speaks once, and may as well be one that this face does not show; or all is one material.
+    Each feature speaks once, and may as well be one that this face does not show. All may be one material,
+    wherever it lies: then nothing is said.
     """
     anywhere = np.logaddexp.reduce(np.log(np.exp(log_prior).mean(1))[:, None] + colors)
     told = np.logaddexp.reduce(log_prior + colors) - anywhere
     features = np.bincount(log_prior.argmax(0), told) * independent
     shown, hidden = np.log1p(-_HIDDEN), np.log(_HIDDEN)
     even = float((colors[0] - anywhere).sum()) * independent
-    return float(np.logaddexp(shown + np.logaddexp(hidden, shown + features).sum(), hidden + even))
+    belongs = shown + float(np.logaddexp(hidden, shown + features).sum())
+    return float(np.logaddexp(belongs, hidden + even) - np.logaddexp(shown, hidden + even))
 
 
 def features_of(
