@@ -41,7 +41,9 @@ _LIGHT_SD = np.array([3.0] + [1.0] * 8), np.array([3.0] + [0.3] * 3 + [0.15] * 5
 _FREEDOM, _POWER, _AGREEMENT, _ROUNDS = 15.0, 0.6, 2.0, 5
 """Degrees of freedom of the features' t distributions; power of their likelihood, for features of one texel
 are not independent of its neighbours'; log odds for the class that all neighbours have; mean-field rounds."""
-_EVENTS = 1.0
+_SOME, _EVENTS = 3000, 1.0
+"""Texels of which the skin's light is found; patches that the usual share of a class counts, against this
+face's."""
 _WIDER = (2.0, 1.5, 1.0, 1.0, 1.0)
 """By what skin is wider in each round of expectation maximisation: light is known the less at first."""
 PATCH_MM, _HIDDEN = 30.0, 0.1
@@ -241,38 +243,50 @@ def _explained(
     """
     weight = np.exp(log_prior[0])
     colors, grain = features_of(texture, normal, grid.part, weight, grid.texel_mm)
-    basis, values, prior = light_basis(normal)[known], colors[known], log_prior[:, known]
-    independent, precision = grid.independent, np.linalg.inv(model.covariance[0])
-
-    def likelihood(light: FloatArray, wider: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        features = np.column_stack([values - basis @ light, grain[known]])
-        return model.log_likelihood(features, wider), features
-
-    best, most, odds = None, -np.inf, 0.0
-    for start in _starts(values, weight[known]):
-        light = np.zeros((basis.shape[1], 3))
-        light[0], often = start, prior
-        for wider in _WIDER:
-            logs, features = likelihood(light, wider)
-            logs = often + _POWER * logs
-            shares = np.exp(logs - np.logaddexp.reduce(logs))
-            # A cap or a beard is one event, however large: its share is learned from this face.
-            found_, usual = (independent * one.sum(1) + _EVENTS for one in (shares, np.exp(prior)))
-            often = prior + np.log(found_ / usual)[:, None]
-            often = often - np.logaddexp.reduce(often)
-            share = shares[0]
-            square = _square(features - model.mean[0], wider**2 * model.covariance[0])
-            trust = share * (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
-            light = skin_in_light(basis, values, trust * independent * precision[1, 1], start)
-        logs = often - prior + _POWER * likelihood(light)[0]
-        hue = _hue_odds(light[0, 1:])
-        turned = sum(float((light[1:, c] ** 2 / _LIGHT_SD[c > 0][1:] ** 2).sum()) for c in range(3))
-        evidence = np.logaddexp.reduce(prior + logs).sum() * independent + hue - turned / 2
-        if evidence > most:
-            best, most, odds = logs, evidence, hue
+    basis, values = light_basis(normal)[known], np.column_stack([colors[known], grain[known]])
+    step = -(-len(values) // _SOME)
+    few = values[::step], basis[::step], log_prior[:, known][:, ::step]
+    fits = [
+        _fitted(*few, start, grid.independent * step, model)
+        for start in _starts(few[0][:, :3], weight[known][::step])
+    ]
+    light, often, _ = max(fits, key=lambda fit: fit[2])
+    values[:, :3] -= basis @ light
     found = np.zeros_like(log_prior)
-    found[:, known] = best
-    return found, odds
+    found[:, known] = often[:, None] + _POWER * model.log_likelihood(values)
+    return found, _hue_odds(light[0, 1:])
+
+
+def _fitted(
+    values: FloatArray,
+    basis: FloatArray,
+    prior: FloatArray,
+    start: FloatArray,
+    independent: float,
+    model: AppearanceModel,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return skin in the light (9, 3), how much more often the classes are here (C,), and their evidence.
+
+    Expectation maximisation on brightness, chroma and grain (N, 4) from a colour of skin `start` (3,).
+    """
+    light, often = np.zeros((basis.shape[1], 3)), np.zeros(len(prior))
+    light[0], precision = start, 1 / model.covariance[0, 1, 1]
+    for wider in _WIDER:
+        features = values - np.pad(basis @ light, ((0, 0), (0, 1)))
+        logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
+        shares = np.exp(logs - np.logaddexp.reduce(logs))
+        # A cap or a beard is one event, however large: its share is learned from this face.
+        here, usual = (independent * one.sum(1) + _EVENTS for one in (shares, np.exp(prior)))
+        often = np.log(here / usual)
+        often -= np.logaddexp.reduce(often + np.log(usual / usual.sum()))
+        square = _square(features - model.mean[0], wider**2 * model.covariance[0])
+        trust = shares[0] * (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
+        light = skin_in_light(basis, values[:, :3], trust * independent * precision, start)
+    features = values - np.pad(basis @ light, ((0, 0), (0, 1)))
+    logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features)
+    turned = sum(float((light[1:, c] ** 2 / _LIGHT_SD[c > 0][1:] ** 2).sum()) for c in range(3))
+    evidence = np.logaddexp.reduce(logs).sum() * independent + _hue_odds(light[0, 1:]) - turned / 2
+    return light, often, float(evidence)
 
 
 def _hue_odds(chroma: FloatArray) -> float:
@@ -286,14 +300,13 @@ def _starts(colors: FloatArray, weight: FloatArray) -> list[FloatArray]:
     """Return brightness and chroma (3,) that most texels have which may be skin, and the next ones apart."""
     candidates = colors[np.argsort(-weight, kind="stable")[: max(len(weight) // 2, 1)]]
     candidates = candidates[:: -(-len(candidates) // 32)]
-    some = slice(None, None, -(-len(colors) // 4000))
-    chroma = colors[some, 1:]
-    near = np.exp(-0.5 * ((candidates[:, None, 1:] - chroma) ** 2).sum(-1) / _SAME_MATERIAL**2) * weight[some]
+    distance = ((candidates[:, None, 1:] - colors[:, 1:]) ** 2).sum(-1)
+    near = np.exp(-0.5 * distance / _SAME_MATERIAL**2) * weight
     typical = _square(candidates[:, 1:] - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
     order = np.argsort(-near.sum(1) * np.exp(-0.5 * typical))
     apart = np.linalg.norm(candidates[order, 1:] - candidates[order[0], 1:], axis=1) > 3 * _SAME_MATERIAL
     chosen = [order[0], *order[apart][:1]]
-    bright = [np.average(colors[some, 0], weights=near[k] + 1e-9) for k in chosen]
+    bright = [np.average(colors[:, 0], weights=near[k] + 1e-9) for k in chosen]
     return [np.array([level, *candidates[k, 1:]]) for level, k in zip(bright, chosen, strict=True)]
 
 
