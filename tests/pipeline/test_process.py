@@ -43,6 +43,7 @@ FILES = {
     "specular.exr",
     "shadow.png",
     "skin.png",
+    "labels.png",
     "fitted.glb",
     "registration.json",
     "landmarks.json",
