@@ -39,6 +39,14 @@ def invert_rigid(target_from_source: ArrayLike) -> Matrix:
     return compose(rotation, -rotation @ matrix[:3, 3])
 
 
+def is_rigid(matrix: Matrix) -> bool:
+    """Return whether (4, 4) is a rotation and a translation over the row 0 0 0 1."""
+    if not (np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])):
+        return False
+    turn = matrix[:3, :3]
+    return bool(np.abs(turn @ turn.T - np.eye(3)).max() <= 1e-6 and np.linalg.det(turn) > 0)
+
+
 @dataclass(frozen=True)
 class Similarity:
     """x -> scale R x + t: `rotation` (3, 3), `translation` (3,), and a `scale` kept apart from them."""
