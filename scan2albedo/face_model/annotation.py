@@ -38,8 +38,6 @@ SKIN_SHARE: Mapping[str, float] = MappingProxyType(
     }
 )
 """Part of a region that is skin on most faces, beside hair, eyes and lips; 1 in the regions not named."""
-SKIN_REGIONS = frozenset({"forehead", "nose", "left_cheek", "right_cheek"})
-"""Regions that show bare skin on most faces, bearded ones too."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +59,6 @@ class Region:
     def skin_share(self) -> float:
         """Part of the region that is skin on most faces."""
         return SKIN_SHARE.get(self.name, 1.0)
-
-    @property
-    def shows_skin(self) -> bool:
-        """Whether the region shows bare skin on most faces."""
-        return self.name in SKIN_REGIONS
 
 
 @dataclass(frozen=True)
