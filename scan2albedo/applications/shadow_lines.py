@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.spatial import cKDTree
 
-from scan2albedo.applications.template_baking import filled_smoothly
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.area_mean import filled_smoothly
 
 _STEEP = 0.08
 """Change of log light in a mm of the surface from which there is an outline."""

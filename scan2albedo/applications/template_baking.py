@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
-from scan2albedo.geometry.area_mean import area_mean
+from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import (
     adjacency,
@@ -147,22 +147,6 @@ def tile_numbers(uv: FloatArray) -> IntArray:
     middle = np.floor(uv.mean(axis=1)).astype(np.int64)
     inside = (middle >= 0).all(1) & (middle < 10).all(1)
     return np.where(inside, FIRST_TILE + middle[:, 0] + 10 * middle[:, 1], 0)
-
-
-def filled_smoothly(color: NDArray[np.float32], known: BoolArray) -> NDArray[np.float32]:
-    """Return an image, what is not `known` filled in from coarser means (Gortler et al., 1996)."""
-    from skimage.transform import resize
-
-    if known.all() or not known.any():
-        return color
-    height, width = known.shape
-    half = (height + 1) // 2, (width + 1) // 2
-    mass = area_mean(known, half)
-    mean = area_mean(color * known[..., None], half)
-    # Sums of what is known differ from 0 by rounding only where nothing is known.
-    coarse = filled_smoothly((mean / np.maximum(mass, 1e-6)[..., None]).astype(np.float32), mass > 1e-6)
-    back = resize(coarse, known.shape, order=1, mode="edge", anti_aliasing=False, preserve_range=True)
-    return np.where(known[..., None], color, back).astype(np.float32)
 
 
 class FineShape:

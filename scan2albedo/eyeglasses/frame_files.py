@@ -24,8 +24,8 @@ from scan2albedo.eyeglasses.keypoints import (
     checked_keypoints,
     typical_key_points,
 )
-from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses, is_rigid
-from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
+from scan2albedo.geometry.rigid import is_rigid, procrustes, transform_points
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Content, Matrix, Record, plain_json, read_record, write_record
 from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb

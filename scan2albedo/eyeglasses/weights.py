@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
 
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -16,7 +17,6 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
 from scan2albedo.eyeglasses.lattice import Lattice, biharmonic_energy, unique_cells
-from scan2albedo.eyeglasses.sparse_cholesky import SparseCholesky
 
 TOLERANCE = 1e-7
 """Scaled residual of the optimality conditions at which a handle's weights are done."""
@@ -229,32 +229,33 @@ def minimize_bounded(
     A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. A column is
     done when its scaled residual is at most `tolerance`, or after `max_steps`; the meter counts the steps of
     all columns. Entries of `start` (N, K), in [0, 1], at a bound stay there in the first step. Without one it
-    is A^-1 b, clipped.
+    is A^-1 b, clipped. Raises numpy.linalg.LinAlgError when A is not positive definite.
 
     .. [1] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints",
        SIAM J. Control and Optimization 20(2), 1982, section 2.
     """
-    system = SparseCholesky(matrix)
+    whole = _factor(matrix, "MMD_AT_PLUS_A")
+    if not whole.U.diagonal().min() > 0:
+        raise np.linalg.LinAlgError("the matrix is not positive definite")
+    # In the order that keeps the factor of all rows sparse, those of the free rows need no other.
+    order = np.argsort(whole.perm_c)
+    ordered, diagonal = sparse.csc_matrix(matrix[order][:, order]), matrix.diagonal()[order]
+    x = np.clip(whole.solve(right), 0.0, 1.0) if start is None else start
     # Columns one after another in memory: the loop below takes them one by one.
-    b = np.asfortranarray(right[system.order])
-    if start is None:
-        system.refill(np.zeros(matrix.shape[0], bool))
-        x = np.asfortranarray(np.clip(np.stack([system.solve(column) for column in b.T], 1), 0.0, 1.0))
-    else:
-        x = np.asfortranarray(start[system.order])
-    product, diagonal = np.asfortranarray(system.matrix @ x), system.matrix.diagonal()
+    b, x = np.asfortranarray(right[order]), np.asfortranarray(x[order])
+    product = np.asfortranarray(ordered @ x)
     residual = optimality_residual(x, product - b, diagonal)
     steps = np.zeros(b.shape[1], np.int64)
     for k in range(b.shape[1]):
         held = (x[:, k] <= 0) | (x[:, k] >= 1)
         while not meter.exhausted and residual[k] > tolerance and steps[k] < max_steps:
-            gradient = product[:, k] - b[:, k]
-            system.refill(held)
-            direction, lowered = system.solve(np.where(held, 0.0, -gradient)), False
+            gradient, free = product[:, k] - b[:, k], np.flatnonzero(~held)
+            direction, lowered = np.zeros(len(held)), False
+            direction[free] = _factor(ordered[:, free][free], "NATURAL").solve(-gradient[free])
             # A step still shorter is stopped by rounding, not by its direction.
             for halvings in range(34):
                 trial = np.clip(x[:, k] + 0.5**halvings * direction, 0.0, 1.0)
-                change, after = trial - x[:, k], system.matrix @ trial
+                change, after = trial - x[:, k], ordered @ trial
                 # Armijo's condition; differences of the energy itself would drown in rounding.
                 predicted = float(gradient @ change)
                 if predicted + 0.5 * float(change @ (after - product[:, k])) <= 1e-4 * predicted < 0:
@@ -270,8 +271,14 @@ def minimize_bounded(
             residual[k] = optimality_residual(x[:, k], gradient, diagonal)
             meter.record(residual.max())
     result = np.empty_like(right)
-    result[system.order] = x
+    result[order] = x
     return BoundedMinimum(result, residual, steps)
+
+
+def _factor(matrix: sparse.csr_matrix, order: str) -> SuperLU:
+    """Return L D L^T = A of a positive definite A, as L U without pivoting."""
+    # Panels of one column are the fastest on lattices.
+    return splu(matrix.tocsc(), order, 0.0, panel_size=1, options={"SymmetricMode": True})
 
 
 def optimality_residual(x: FloatArray, gradient: FloatArray, diagonal: FloatArray) -> Any:

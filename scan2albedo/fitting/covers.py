@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.fitting.forces import ForceGates, scan_forces
@@ -27,6 +27,7 @@ from scan2albedo.geometry.mesh import (
     boundary_vertex_mask,
     edges_with_faces,
     face_areas,
+    normalized,
     vertex_areas,
     vertex_components,
     without_unreferenced,
@@ -161,49 +162,12 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
 
 def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> BoolArray:
     """Return (V,) which vertices of the scan belong to a cover of the face with control points `person`."""
-    before_mm, looked_at, nose = _before(scan, model, person)
-    if not nose.any() or abs(float(np.median(before_mm[nose]))) > NOSE_MM:
-        return np.zeros(len(nose), bool)
-    near = looked_at & (before_mm > NEAR_MM)
-    part = vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
-    landmarks = model.landmarks_of(person)
-    assert landmarks is not None
-    eyes = np.array([landmarks[list(eye)].mean(0) for eye in EYES])
-    aside = np.linalg.norm(scan.vertices[:, None, :2] - eyes[:, :2], axis=2).min(1)
-    far, hides = np.zeros((2, part.max() + 1), bool)
-    far[part[near & (before_mm > FAR_MM)]] = True
-    hides[part[near & (before_mm > HIDING_MM) & (aside < EYE_MM)]] = True
-    if not (far & hides).any():
-        return np.zeros(len(near), bool)
-    cover = near & (far & hides)[part]
-    edges, _ = edges_with_faces(scan.faces)
-    if not _ends_in_steps(scan, cover, before_mm, edges):
-        return np.zeros(len(near), bool)
-    around = cover.copy()
-    around[edges[cover[edges].any(1)]] = True
-    return around
-
-
-def _ends_in_steps(scan: ScanSurface, cover: BoolArray, before_mm: FloatArray, edges: IntArray) -> bool:
-    """Whether a cover ends as a thing does: at the scan's border, or by steps. A brow rises gradually."""
-    across = edges[cover[edges[:, 0]] != cover[edges[:, 1]]]
-    length = np.linalg.norm(scan.vertices[across[:, 0]] - scan.vertices[across[:, 1]], axis=1)
-    steps = np.abs(before_mm[across[:, 0]] - before_mm[across[:, 1]]) > STEEP * length
-    ends = int((scan.boundary & cover).sum())
-    return bool(steps.sum() + ends > LEAST_STEPS * (len(steps) + ends))
-
-
-def _before(
-    scan: ScanSurface, model: AnnotatedSurface, person: FloatArray
-) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Return (V,) how far each vertex of the scan lies before a face, mm, whether covers are looked for
-    there, and whether it is of the nose."""
+    # How far each vertex lies before the face, whether covers are looked for there, and if it is of the nose.
     subdivision = model.subdivision(LEVEL)
     points, faces = subdivision.matrix @ person, subdivision.faces
     hits = NearestSurface(points, faces).query(scan.vertices)
     normals, _ = surface_normals(points, faces)
-    across = np.einsum("nk,nkj->nj", hits.barycentric, normals[faces[hits.face]])
-    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    across = normalized(np.einsum("nk,nkj->nj", hits.barycentric, normals[faces[hits.face]]))
     before_mm = np.einsum("ij,ij->i", scan.vertices - hits.points, across)
     rim = boundary_vertex_mask(len(points), faces)
     beyond = np.where(rim[faces[hits.face]], hits.barycentric, 0.0).sum(1) > 0.5
@@ -214,4 +178,24 @@ def _before(
     nose = slender & (y < 0) & (hits.points[:, 1] > landmarks[33, 1]) & (np.abs(before_mm) < REACH_MM)
     lowest = landmarks[[40, 41, 46, 47], 1].mean() - BELOW_EYES_MM
     looked_at = (hits.points[:, 1] > lowest) & ~(slender & (y < 0)) & ~beyond & (before_mm < FARTHEST_MM)
-    return before_mm, looked_at, nose
+    if not nose.any() or abs(float(np.median(before_mm[nose]))) > NOSE_MM:
+        return np.zeros(len(nose), bool)
+    near = looked_at & (before_mm > NEAR_MM)
+    part = vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
+    eyes = np.array([landmarks[list(eye)].mean(0) for eye in EYES])
+    aside = np.linalg.norm(scan.vertices[:, None, :2] - eyes[:, :2], axis=2).min(1)
+    far, hides = np.zeros((2, part.max() + 1), bool)
+    far[part[near & (before_mm > FAR_MM)]] = True
+    hides[part[near & (before_mm > HIDING_MM) & (aside < EYE_MM)]] = True
+    cover = near & (far & hides)[part]
+    # A cover ends as a thing does: at the scan's border, or by steps. A brow rises gradually.
+    edges, _ = edges_with_faces(scan.faces)
+    across_end = edges[cover[edges[:, 0]] != cover[edges[:, 1]]].T
+    length = np.linalg.norm(scan.vertices[across_end[0]] - scan.vertices[across_end[1]], axis=1)
+    steps = np.abs(before_mm[across_end[0]] - before_mm[across_end[1]]) > STEEP * length
+    ends = int((scan.boundary & cover).sum())
+    if not steps.sum() + ends > LEAST_STEPS * (len(steps) + ends):
+        return np.zeros(len(near), bool)
+    around = cover.copy()
+    around[edges[cover[edges].any(1)]] = True
+    return around

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
@@ -60,19 +59,6 @@ class FoldFinder:
 
 def turned_faces(normals: FloatArray, points: FloatArray, faces: IntArray, min_cosine: float) -> IntArray:
     """Return the faces whose normal, with vertices at `points`, turned too far from unit `normals` (F, 3)."""
-    return np.flatnonzero(_turned(normals, points, faces, min_cosine))
-
-
-@njit(cache=True, nogil=True)
-def _turned(normals, points, faces, min_cosine):  # type: ignore[no-untyped-def]
-    turned = np.zeros(len(faces), np.bool_)
-    for f in range(len(faces)):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay, az = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
-        bx, by, bz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
-        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        nx, ny, nz = normals[f, 0], normals[f, 1], normals[f, 2]
-        along = x * nx + y * ny + z * nz
-        if nx != 0 or ny != 0 or nz != 0:
-            turned[f] = along < min_cosine * np.sqrt(x * x + y * y + z * z)
-    return turned
+    turned = surface_normals(points, faces)[1]
+    cosine = np.einsum("ij,ij->i", normals, turned)
+    return np.flatnonzero((cosine < min_cosine) & normals.any(1) & turned.any(1))

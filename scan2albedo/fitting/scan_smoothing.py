@@ -64,7 +64,7 @@ class SurfaceAverages:
     def _spike(self) -> BoolArray:
         begins, neighbours = self._joined
         gap = lengths(above_neighbours(self.vertices, begins, neighbours))
-        around = _largest_around(gap, begins, neighbours)
+        around = np.maximum.reduceat(gap[neighbours], begins[:-1])
         return np.asarray((gap > SPIKE * np.median(gap)) & (gap > around))
 
     @cached_property
@@ -78,16 +78,6 @@ class SurfaceAverages:
         for _ in range(passes):
             values = _average(values, at_border, self.boundary, *self._joined, shares, self._weight)
         return values
-
-
-@njit(cache=True, nogil=True)
-def _largest_around(values, begins, neighbours):  # type: ignore[no-untyped-def]
-    """Return (V,) the largest value of a neighbour, 0 without one."""
-    largest = np.zeros(len(values))
-    for v in range(len(values)):
-        for n in neighbours[begins[v] : begins[v + 1]]:
-            largest[v] = max(largest[v], values[n])
-    return largest
 
 
 @njit(cache=True, nogil=True)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
@@ -29,7 +31,7 @@ def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     return np.asarray(result / (size[0] * size[1] / (shape[0] * shape[1])))
 
 
-def filled_smoothly(values: ArrayLike, known: BoolArray) -> FloatArray:
+def filled_smoothly(values: NDArray[Any], known: BoolArray) -> NDArray[Any]:
     """Return an image (H, W, C) whose pixels outside of `known` (H, W) are means of what lies around them.
 
     Each is taken, by bilinear interpolation, from the finest of images of half the size that knows something
@@ -39,11 +41,13 @@ def filled_smoothly(values: ArrayLike, known: BoolArray) -> FloatArray:
     """
     from skimage.transform import resize
 
-    field = np.asarray(values, np.float64)
     if known.all() or not known.any():
-        return field
+        return values
     half = -(-known.shape[0] // 2), -(-known.shape[1] // 2)
     part = area_mean(known, half)
-    mean = area_mean(field * known[..., None], half) / np.where(part > 0, part, 1.0)[..., None]
-    around = resize(filled_smoothly(mean, part > 0), known.shape, order=1, mode="edge", anti_aliasing=False)
-    return np.where(known[..., None], field, around)
+    # Sums of what is known differ from 0 by rounding only where nothing is known.
+    there = part > 1e-6
+    mean = area_mean(values * known[..., None], half) / np.where(there, part, 1.0)[..., None]
+    coarse = filled_smoothly(mean.astype(values.dtype), there)
+    around = resize(coarse, known.shape, order=1, mode="edge", anti_aliasing=False)
+    return np.where(known[..., None], values, around).astype(values.dtype, copy=False)

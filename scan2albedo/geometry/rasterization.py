@@ -101,7 +101,7 @@ def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[n
                 wb = ((cx - column) * (ay - row) - (cy - row) * (ax - column)) / area
                 wc = 1.0 - wa - wb
                 # A hair of tolerance keeps texels on a shared edge from falling between two faces.
-                if wa < -1e-9 or wb < -1e-9 or wc < -1e-9:
+                if min(wa, wb, wc) < -1e-9:
                     continue
                 z = wa * za + wb * zb + wc * zc
                 if z > nearest[row, column]:

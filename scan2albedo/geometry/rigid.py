@@ -39,6 +39,14 @@ def invert_rigid(target_from_source: ArrayLike) -> Matrix:
     return compose(rotation, -rotation @ matrix[:3, 3])
 
 
+def is_rigid(matrix: Matrix) -> bool:
+    """Return whether (4, 4) is a rotation and a translation over the row 0 0 0 1."""
+    if not (np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])):
+        return False
+    turn = matrix[:3, :3]
+    return bool(np.abs(turn @ turn.T - np.eye(3)).max() <= 1e-6 and np.linalg.det(turn) > 0)
+
+
 @dataclass(frozen=True)
 class Similarity:
     """x -> scale R x + t: `rotation` (3, 3), `translation` (3,), and a `scale` kept apart from them."""
@@ -79,14 +87,8 @@ class Similarity:
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
-    """Return the (3, 3) rotation by a vector (axis times angle in radians), after Rodrigues."""
-    vector = np.asarray(rotation_vector_rad, float)
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-300:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    """Return the (3, 3) rotation by a vector (axis times angle in radians)."""
+    return np.asarray(Rotation.from_rotvec(rotation_vector_rad).as_matrix(), np.float64)
 
 
 def rotation_angle_rad(rotation: ArrayLike) -> float:

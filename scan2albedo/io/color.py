@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,7 +23,11 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
 
 def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
     """Encode linear values: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above."""
-    value = np.asarray(linear, np.float64)
+    return encoded_srgb(np.asarray(linear, np.float64))
+
+
+def encoded_srgb(value: NDArray[Any]) -> NDArray[Any]:
+    """Return `linear_to_srgb` of float32 or float64 in the same precision."""
     size = np.abs(value)
     return np.copysign(np.where(size <= 0.0031308, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055), value)
 

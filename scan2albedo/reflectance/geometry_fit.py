@@ -14,7 +14,13 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
-from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import (
+    compose,
+    is_rigid,
+    procrustes,
+    rotation_from_vector,
+    transform_points,
+)
 from scan2albedo.optimization import Damping, Descent
 from scan2albedo.reflectance.environment_shading import checked_light
 from scan2albedo.reflectance.geometry_terms import (
@@ -143,9 +149,7 @@ def refine_geometry(
         pose = np.array(initial_scene_from_model, np.float64)
         if pose.shape != (4, 4):
             raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
-        turn = pose[:3, :3]
-        rigid = np.isfinite(pose).all() and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
-        if not (rigid and np.linalg.det(turn) > 0 and np.array_equal(pose[3], [0, 0, 0, 1])):
+        if not is_rigid(pose):
             raise ReflectanceError(
                 "initial_scene_from_model is not a rigid transform; give rotation and translation"
             )

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.lighting.environment import map_directions
+from scan2albedo.lighting.environment import map_directions, texel_directions
 from scan2albedo.lighting.harmonics import row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
@@ -100,7 +100,7 @@ def generated_environment(seed: int | np.random.Generator) -> FloatArray:
 
 def _sky(rng: np.random.Generator) -> FloatArray:
     """Gradient from zenith to horizon, a sun that clouds may cover, ground, and things on the horizon."""
-    toward = _directions()
+    toward = texel_directions(SHAPE)
     up = toward[..., 1]
     horizon, zenith = _color(rng.uniform(4500, 7500)), _color(rng.uniform(7000, 14000))
     blend = np.clip(up, 0, 1)[..., None] ** rng.uniform(0.3, 0.9)
@@ -121,7 +121,7 @@ def _sky(rng: np.random.Generator) -> FloatArray:
 
 def _windows(rng: np.random.Generator) -> FloatArray:
     """A room whose walls are lit through one to four windows."""
-    toward, image = _directions(), _room(rng, rng.uniform(0.05, 0.5))
+    toward, image = texel_directions(SHAPE), _room(rng, rng.uniform(0.05, 0.5))
     day = _color(rng.uniform(5000, 10000))
     for _ in range(rng.integers(1, 5)):
         low = rng.uniform(-0.5, 0.1)
@@ -132,7 +132,7 @@ def _windows(rng: np.random.Generator) -> FloatArray:
 
 def _lamps(rng: np.random.Generator) -> FloatArray:
     """A room at night with one to six lamps, most of them above."""
-    toward, image = _directions(), _room(rng, rng.uniform(0.02, 0.3))
+    toward, image = texel_directions(SHAPE), _room(rng, rng.uniform(0.02, 0.3))
     color = _color(rng.choice([1900, 2800, 4200, 6000]))  # candles, tungsten, neutral, daylight
     for _ in range(rng.integers(1, 7)):
         lamp = map_directions(np.arccos(rng.uniform(-0.3, 1.0)), rng.uniform(-np.pi, np.pi))
@@ -143,7 +143,7 @@ def _lamps(rng: np.random.Generator) -> FloatArray:
 
 def _studio(rng: np.random.Generator) -> FloatArray:
     """A dark studio with a key light, a fill and a rim light of free colours, from all sides."""
-    toward, image = _directions(), _room(rng, rng.uniform(0.01, 0.1))
+    toward, image = texel_directions(SHAPE), _room(rng, rng.uniform(0.01, 0.1))
     for strength in rng.uniform(0.5, 12, rng.integers(1, 4)):
         light = map_directions(rng.uniform(0.2, 2.4), rng.uniform(-np.pi, np.pi))
         color = _color(rng.uniform(2500, 9000)) * rng.uniform(0.6, 1.4, 3)
@@ -153,7 +153,7 @@ def _studio(rng: np.random.Generator) -> FloatArray:
 
 def _room(rng: np.random.Generator, brightness: float) -> FloatArray:
     """Four walls, floor and ceiling, each of one colour."""
-    toward = _directions()
+    toward = texel_directions(SHAPE)
     turn = rng.uniform(0, np.pi / 2)
     x = np.cos(turn) * toward[..., 0] + np.sin(turn) * toward[..., 2]
     z = -np.sin(turn) * toward[..., 0] + np.cos(turn) * toward[..., 2]
@@ -194,9 +194,3 @@ def _color(kelvin: float) -> FloatArray:
 
     ratio = planck(kelvin) / planck(6500.0)
     return np.asarray(ratio / ratio.mean())
-
-
-def _directions() -> FloatArray:
-    height, width = SHAPE
-    polar = (np.arange(height)[:, None] + 0.5) * np.pi / height
-    return map_directions(polar, ((np.arange(width) + 0.5) / width - 0.5) * 2 * np.pi)

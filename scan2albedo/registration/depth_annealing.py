@@ -56,16 +56,12 @@ class DepthDerivativeObjective:
         places, shape = self._frame.pixels(self._vertices), (size, size)
         raster = rasterize(places, self._vertices[:, 2], self._faces, shape)
         self._weights = interpolate(raster, self._faces, template.coarse_stiffness)
-        self._slopes = self._slopes_of(self._scan)
+        # Steps to the right and down (2, S - 1, S - 1), not finite beside nothing.
+        here = self._scan[:-1, :-1]
+        with np.errstate(invalid="ignore"):
+            self._slopes = np.stack([self._scan[:-1, 1:] - here, self._scan[1:, :-1] - here])
         seen = np.isfinite(self._slopes).all(0)
         self._pixel_weights = np.where(seen, self._weights[:-1, :-1], 0.0)
-
-    @staticmethod
-    def _slopes_of(depth: FloatArray) -> FloatArray:
-        """Return (2, S - 1, S - 1) steps to the right and down, not finite beside nothing."""
-        with np.errstate(invalid="ignore"):
-            here = depth[:-1, :-1]
-            return np.stack([depth[:-1, 1:] - here, depth[1:, :-1] - here])
 
     def _draw(self, parameters: FloatArray) -> FloatArray:
         return depth_image(self._vertices, self._faces, self._frame, _moved(parameters, 0.0))

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.pinhole import look_at
-from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.color import encoded_srgb, srgb_to_linear
 
 BRIGHTEST = 0.98
 """Level of the brightest pixel at exposure 1."""
@@ -40,8 +40,7 @@ def photograph(
         return sensor
     levels = 2**bits - 1
     # In float32, as the picture is: half the memory, and the same bits as ever.
-    bright = 1.055 * np.maximum(sensor, 0.0031308) ** (1 / 2.4) - 0.055
-    stored = np.round(np.where(sensor <= 0.0031308, 12.92 * sensor, bright) * levels).astype(np.int64)
+    stored = np.round(encoded_srgb(sensor) * levels).astype(np.int64)
     return srgb_to_linear(np.arange(levels + 1) / levels).astype(np.float32)[stored]
 
 

@@ -76,3 +76,17 @@ def test_a_budget_keeps_the_best_so_far():
         assert found.x.max() <= 1
     assert energies[0] < energy(start)
     assert all(a >= b for a, b in itertools.pairwise(energies))
+
+
+def test_without_a_start_it_begins_at_the_clipped_solution():
+    matrix = sparse.csr_matrix(np.diag([2.0, 4.0, 5.0]) + 0.5)
+    inside = np.array([[0.2], [0.5], [0.9]])
+    found = minimize_bounded(matrix, matrix @ inside, None, tolerance=1e-12, meter=Meter("test", "1"))
+    np.testing.assert_allclose(found.x, inside, rtol=1e-12)
+    assert found.steps.sum() == 0
+
+
+def test_an_indefinite_matrix_is_refused():
+    matrix = sparse.diags([[-0.5, 1.0, 1.0], [0.9, 0.9], [0.9, 0.9]], [0, 1, -1]).tocsr()
+    with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
+        solve(matrix, np.ones((3, 1)))

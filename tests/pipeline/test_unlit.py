@@ -10,8 +10,9 @@ import pytest
 import scan2albedo as s2a
 from scan2albedo.applications import light_removal, load_result
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
-from scan2albedo.applications.template_baking import filled_smoothly, template_texture
+from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.io.images import encode_image, read_image_linear
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj

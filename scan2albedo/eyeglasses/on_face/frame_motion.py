@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
@@ -207,11 +208,7 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     )[:, None]
     rotations = motion.handles[:, :3, :3]
     relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])
-    skew = (relative - relative.transpose(0, 2, 1)) / 2
-    axis = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], 1)
-    sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, (np.trace(relative, axis1=1, axis2=2) - 1) / 2)
-    turn = axis * np.where(sine > 1e-12, angle / np.where(sine > 0, sine, 1), 1.0)[:, None] / turn_rad
+    turn = Rotation.from_matrix(relative).as_rotvec() / turn_rad
     turns = motion.turns.reshape(len(rotations), 3, -1)
     turn_rows = ((turns[j] - turns[k]) / turn_rad[:, None]).reshape(3 * len(bones), -1)
     # Rigid motions of the shifts; key points that the frame lacks stay where they are.

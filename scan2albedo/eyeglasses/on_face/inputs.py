@@ -22,6 +22,7 @@ from scan2albedo.eyeglasses.keypoints import (
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.geometry.rigid import is_rigid
 
 OBSERVED_MM = 1.2
 """Deviation up to which a point counts as observed, in mm of a frame of usual size."""
@@ -193,13 +194,6 @@ def checked_inputs(
         pose[:3, 3] /= unit
     frame = vertices / unit, faces, keypoints / unit, weights
     return RegistrationInputs(*frame, tuple(views), tuple(checked), skull, pose, unit, tuple(plan))
-
-
-def is_rigid(pose: FloatArray) -> bool:
-    """Return whether (4, 4) is a rotation and a translation over the row 0 0 0 1."""
-    off = np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max()
-    turns = off <= 1e-6 and np.linalg.det(pose[:3, :3]) > 0
-    return bool(turns and np.isfinite(pose).all() and (pose[3] == [0, 0, 0, 1]).all())
 
 
 def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray | None]:

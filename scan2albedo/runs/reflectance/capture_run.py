@@ -62,6 +62,8 @@ class FittedCapture:
 
 def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
+    from skimage.util import montage
+
     with naming(f"capture {capture.path}"):
         olat = capture.extract_olat()
     figures = {
@@ -82,10 +84,8 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
         lights = len(set(capture.rig.light.tolist()))
         columns = lights if len(small) % lights == 0 else min(11, len(small))
         rows = -(-len(small) // columns)
-        padded = np.zeros((rows * columns, *small.shape[1:]), np.float32)
-        padded[: len(small)] = np.minimum(small / level, 1)
-        grid = padded.reshape(rows, columns, *small.shape[1:]).transpose(0, 2, 1, 3, 4)
-        sheet = grid.reshape(rows * small.shape[1], columns * small.shape[2], 3)
+        shown = np.minimum(small / level, 1)
+        sheet = montage(shown, fill=(0, 0, 0), grid_shape=(rows, columns), channel_axis=-1)
         write_png(results.folder / "olat.png", encode_srgb_bytes(sheet))
     return figures
 
