@@ -50,6 +50,8 @@ def test_the_wheel_holds_the_package_alone_and_processes_a_scan(tmp_path):
     assert "scan2albedo/py.typed" in held
     assert "scan2albedo/face_model/data/afm.json" in held
     assert "scan2albedo/albedo/data/facial_albedo.npz" in held
+    assert "scan2albedo/face_model/data/appearance.npz" in held
+    assert "scan2albedo/registration/data/proportions.npz" in held
     assert any(name.endswith("/NOTICE") for name in held)
     assert wheel.stat().st_size < 5e6
     run(*pip, "install", "--quiet", "--no-deps", "--target", target, wheel, cwd=tmp_path)

@@ -159,7 +159,8 @@ def appearance(
         if residual_mm is not None:
             # How rough the scan is around, in parts of the face's own skin: the fitted surface is smooth.
             rough = grid.around(grid.mean(np.minimum(residual_mm, _CLOSE_MM)), _RELIEF_MM)
-            usual_mm = max(float(np.median(rough[known & (prior[0] >= np.median(prior[0]))])), _SMOOTH_MM)
+            likely = known & (prior[0] >= np.median(prior[0][known]))
+            usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
             colors[0] -= _PER_RELIEF * np.maximum(rough / usual_mm - _TOLERATED_RELIEF, 0)
     shares = _agreed(log_prior + colors, grid.part)
     likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
@@ -204,7 +205,7 @@ def features_of(
     filled = np.where(known, bright, local_mean(bright, part, odd_side(3 * _GRAIN_MM / texel_mm)))
     edgeless = np.abs(filled - median_filter(filled, 5, mode="nearest"))
     contrast = np.minimum(edgeless, np.abs(filled - local_mean(filled, part, 3)))
-    skin = known & (weight > np.median(weight[known]) - 1e-9)
+    skin = known & (weight >= np.median(weight[known]))
     own = float(np.median(contrast[skin]))
     grain = local_mean(np.minimum(contrast, 0.5), part, odd_side(_GRAIN_MM / texel_mm))
     return colors, np.log((grain + _FAINT) / (1.3 * np.clip(own, _FAINT, 0.06) + _FAINT))
@@ -352,7 +353,7 @@ class _Grid:
             _resized(kept, self.part.shape) / (weight if flat else weight[..., None]), np.float32
         )
 
-    def around(self, field: Image, side_mm: float) -> Image:
+    def around(self, field: Image, side_mm: float) -> FloatArray:
         """Return the means over squares of `side_mm`."""
         return local_mean(field, self.part, odd_side(side_mm / self.texel_mm))
 

@@ -38,9 +38,10 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``skin``, ``labels``,
     ``face_chart``, ``filled``, ``on_face``, ``camera`` and ``camera_positions_mm``,
     ``occluder_vertices_mm`` and ``occluder_faces``;
-    ``format_version`` is 1. Raises OutputError when the folder cannot be written.
+    ``texture_log_odds``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
     """
     arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
+    arrays["texture_log_odds"] = np.array(image.texture_log_odds)
     for field, stored in _NAME_IN_FILE.items():
         if getattr(image, field) is not None:
             arrays[stored] = getattr(image, field)
@@ -115,8 +116,9 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
     if "occluder_vertices_mm" in arrays and "occluder_faces" in arrays:
         occluder = (arrays["occluder_vertices_mm"], arrays["occluder_faces"])
     cameras = {"camera": arrays.get("camera"), "camera_positions": arrays.get("camera_positions_mm")}
+    odds = float(arrays.get("texture_log_odds", np.zeros(())))
     try:
-        return GeometryImage(**fields, **cameras, occluder=occluder)  # type: ignore[arg-type]
+        return GeometryImage(**fields, **cameras, occluder=occluder, texture_log_odds=odds)  # type: ignore[arg-type]
     except GeometryImageError as error:
         raise GeometryImageError(f"{file.name}: {error}") from error
 

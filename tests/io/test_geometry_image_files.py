@@ -38,6 +38,10 @@ def picture(complete=True):
         face_chart=RNG.random((*mask.shape, 2)).astype(np.float32),
         camera=RNG.choice([0, 1, NO_CAMERA], mask.shape).astype(np.uint8),
         camera_positions=RNG.normal(0, 900, (2, 3)),
+        labels=RNG.integers(0, 9, mask.shape).astype(np.uint8),
+        filled=RNG.random(mask.shape) > 0.9,
+        on_face=mask,
+        texture_log_odds=1.5,
     )
 
 
@@ -48,7 +52,9 @@ def test_npz_keeps_every_bit(tmp_path, complete):
     back = read_geometry_image(tmp_path / "a.npz")
     for field in fields(GeometryImage):
         want, got = getattr(image, field.name), getattr(back, field.name)
-        if want is None or field.name == "occluder":
+        if field.name == "texture_log_odds":
+            assert got == want == (1.5 if complete else 0)
+        elif want is None or field.name == "occluder":
             assert (want is None) == (got is None)
         else:
             assert got.dtype == want.dtype
@@ -65,7 +71,9 @@ def test_exr_keeps_single_precision(tmp_path, complete):
     back = read_geometry_image(tmp_path / "a.exr")
     for field in fields(GeometryImage):
         want, got = getattr(image, field.name), getattr(back, field.name)
-        if want is None or field.name in ("occluder", "camera", "camera_positions"):
+        if field.name == "texture_log_odds":
+            assert got == 0
+        elif want is None or field.name in ("occluder", "camera", "camera_positions"):
             assert got is None
         else:
             assert got.dtype == want.dtype
@@ -79,6 +87,7 @@ def test_exr_layers_have_the_names_other_programs_show(tmp_path):
         + [f"normal.{c}" for c in "XYZ"]
         + [f"texture_linear.{c}" for c in "RGB"]
         + [f"{n}.Y" for n in ("mask", "region", "texture_valid", "specular_scale", "inpaint", "skin")]
+        + [f"{n}.Y" for n in ("labels", "filled", "on_face")]
         + ["face_chart.X", "face_chart.Y"]
     )
 

@@ -79,6 +79,6 @@ def test_what_no_picture_showed_is_filled_and_marked(unpainted, plain, name):
     both = image.seen & plain.geometry_image.seen
     ratio = estimate.albedo_linear / np.maximum(plain.albedo.albedo_linear, 1e-4)
     factor = np.median(ratio[both])
-    assert np.median(np.abs(ratio[both] / factor - 1)) < 0.01
+    assert np.median(np.abs(ratio[both] / factor - 1)) < 0.02
     inside = filled & plain.geometry_image.seen
     assert np.median(np.abs(ratio[inside] / factor - 1)) < 0.12

@@ -35,7 +35,11 @@ def patch(height, n=41, model_from_scan=None):
         residual_mm=np.zeros(n * n),
         region=np.zeros(len(faces), np.uint8),
         model_from_scan=model_from_scan,
-        model=SimpleNamespace(region_values=lambda attribute: np.ones(256), face_uv=None),
+        model=SimpleNamespace(
+            region_values=lambda attribute: np.ones(256),
+            face_regions=lambda: np.ones(256, bool),
+            face_uv=None,
+        ),
     )
 
 
