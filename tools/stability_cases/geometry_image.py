@@ -144,8 +144,8 @@ def _() -> str:
         image = sampled(replace(person().scan, texture_linear=painted.astype(np.float32)))
         assert image.skin is not None
         shares.append(float(image.skin[image.seen].mean()))
-    assert shares[0] < 0.5 * shares[2]
-    assert shares[1] > 0.9
+    # What is alike all over has nothing that tells it from skin.
+    assert min(shares) > 0.8
     return f"skin: {shares[0]:.0%}, {shares[1]:.0%} and {shares[2]:.0%} of the seen texels"
 
 
