@@ -205,14 +205,17 @@ def texture_doubt(fitted: Fitted, scan: RawScan, image: GeometryImage) -> PlanSt
     log_odds = image.texture_log_odds + np.log((1 - WRONG) / WRONG)
     if scan.texture_linear is None or image.texture_log_odds > -np.log(WRONG):
         return None
-    tried = list(_variants(scan))
-    odds = [geometry_image(fitted, other, _CHECK_SIZE).texture_log_odds for _, other in tried]
+    # One at a time: textures are large.
+    tried = {
+        name: geometry_image(fitted, other, _CHECK_SIZE).texture_log_odds for name, other in _variants(scan)
+    }
+    odds = list(tried.values())
     best = int(np.argmax(odds))
     # Against it stand all others, as they are, and the texture of something else (odds of 1).
     each = np.array(odds) - np.log(len(odds))
     rivals = [*np.delete(each, best), log_odds, 0.0]
     if each[best] > logsumexp(rivals):
-        reason = f"the texture fits the shape {tried[best][0]}: correct the export, or its coordinates"
+        reason = f"the texture fits the shape {list(tried)[best]}: correct the export, or its coordinates"
         evidence = f"log odds {odds[best]:.1f}, as it is {image.texture_log_odds:.1f}"
         return PlanStep.doubt("texture", reason, evidence)
     if log_odds < 0:
@@ -226,12 +229,14 @@ def texture_doubt(fitted: Fitted, scan: RawScan, image: GeometryImage) -> PlanSt
 
 def _variants(scan: RawScan) -> Iterator[tuple[str, RawScan]]:
     """Yield what was done to the texture, and the scan with it so."""
-    texture = scan.texture_linear
+    texture, shown = scan.texture_linear, scan.color_seen
     assert texture is not None
-    for name, changed in (
-        ("with V flipped", texture[::-1]),
-        ("with U flipped", texture[:, ::-1]),
-        ("turned by 180 degrees", texture[::-1, ::-1]),
-        ("with red and blue exchanged", texture[..., ::-1]),
+    back, same = slice(None, None, -1), slice(None)
+    for name, way in (
+        ("with V flipped", (back, same, same)),
+        ("with U flipped", (same, back, same)),
+        ("turned by 180 degrees", (back, back, same)),
+        ("with red and blue exchanged", (same, same, back)),
     ):
-        yield name, replace(scan, texture_linear=np.ascontiguousarray(changed))
+        seen = None if shown is None else np.ascontiguousarray(shown[way[:2]])
+        yield name, replace(scan, texture_linear=np.ascontiguousarray(texture[way]), color_seen=seen)

@@ -5,13 +5,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from scan2albedo import AnnotatedFaceModel
+from scan2albedo import AnnotatedFaceModel, fit, load_scan, register
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
 from scan2albedo.sampling import geometry_image, texture_lookup
+from scan2albedo.sampling.fitted_face import texture_doubt
 
 
 class FlatAnnotation:
@@ -272,3 +273,19 @@ def test_texels_of_the_default_model_know_their_own_places():
     image = geometry_image(fitted, None, 40)
     own = (np.moveaxis(np.indices((40, 40)), 0, 2) + 0.5) / 40
     assert image.face_chart[image.mask] == pytest.approx(own[image.mask], abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_texture_that_lies_upside_down_is_told_by_name(shared_data):
+    scan = load_scan(shared_data / "james.obj")
+    model = AnnotatedFaceModel.default()
+    fitted = fit(scan, model, register(scan, model, seed=0))
+    assert texture_doubt(fitted, scan, geometry_image(fitted, scan, 128)) is None
+    wrong = replace(scan, texture_linear=np.ascontiguousarray(scan.texture_linear[::-1]))
+    doubt = texture_doubt(fitted, wrong, geometry_image(fitted, wrong, 128))
+    assert doubt is not None
+    assert "with V flipped" in doubt.reason
+    blue = replace(scan, texture_linear=np.ascontiguousarray(scan.texture_linear[..., ::-1]))
+    doubt = texture_doubt(fitted, blue, geometry_image(fitted, blue, 128))
+    assert doubt is not None
+    assert "red and blue" in doubt.reason
