@@ -146,7 +146,7 @@ def test_two_heads_give_a_prior_that_knows_them(shared_data: Path):
         assert told[1] > told[2] + 1
     assert prior.mean == pytest.approx(prior.mean[:, ::-1])
     inside = np.s_[10:54, 16:48]
-    assert np.corrcoef(prior.mean[inside][..., 0].ravel(), shipped.mean[inside][..., 0].ravel())[0, 1] > 0.7
+    assert np.corrcoef(prior.mean[inside][..., 0].ravel(), shipped.mean[inside][..., 0].ravel())[0, 1] > 0.5
 
 
 def test_an_option_names_the_prior(tmp_path):

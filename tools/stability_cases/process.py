@@ -103,7 +103,7 @@ def _() -> str:
 @CASES.extreme(STAGE, "1.5 times too large", "measured warning", slow=True)
 def _() -> str:
     result = processed(person().scaled(1.5).scan, skip=["albedo"])
-    (told,) = [text for text in result.notes if "of the model's" in text]
+    (told,) = [text for text in result.notes if "another size than adults'" in text]
     return Measured(told)
 
 
