@@ -14,8 +14,9 @@ from scan2albedo.synthetic import raw_scan
 @pytest.mark.slow
 def test_a_scan_is_shown_beside_itself_without_its_light(tmp_path, monkeypatch):
     scan, _ = raw_scan(0)
-    color = np.full((len(scan.vertices), 3), 150, np.uint8)
-    color[:, 0] = 180
+    # One colour alone would count as none.
+    grain = np.random.default_rng(0).integers(-8, 9, (len(scan.vertices), 1))
+    color = (np.array([180, 150, 150]) + grain).astype(np.uint8)
     mesh = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=color, process=False)
     mesh.export(tmp_path / "subject.ply")
     monkeypatch.setattr(
