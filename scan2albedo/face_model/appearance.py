@@ -206,6 +206,7 @@ def features_of(
     edgeless = np.abs(filled - median_filter(filled, 5, mode="nearest"))
     contrast = np.minimum(edgeless, np.abs(filled - local_mean(filled, part, 3)))
     skin = known & (weight >= np.median(weight[known]))
+    # Skin is never smoother than an even one, nor rougher than a noisy picture's; hair counts up to 0.5.
     own = float(np.median(contrast[skin]))
     grain = local_mean(np.minimum(contrast, 0.5), part, odd_side(_GRAIN_MM / texel_mm))
     return colors, np.log((grain + _FAINT) / (1.3 * np.clip(own, _FAINT, 0.06) + _FAINT))

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.face_model.appearance import light_basis
 from scan2albedo.geometry.front_picture import FrontPicture
 
 _SMOOTH_MM = 2.0
@@ -28,9 +29,7 @@ def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
         slope = gaussian_filter(np.where(known, rise / (2 * picture.step_mm), 0.0), radius)
         slopes.append(slope / np.maximum(gaussian_filter(known.astype(float), radius), 1e-3))
     normals = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])])
-    x, y, z = normals / np.linalg.norm(normals, axis=0)
-    one = np.ones_like(x)
-    basis = np.stack([one, x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=-1)
+    basis = light_basis(np.moveaxis(normals / np.linalg.norm(normals, axis=0), 0, -1))
     used = np.zeros(picture.seen.shape, bool)
     # Squares in each second row and column are enough.
     used[::2, ::2] = picture.seen[::2, ::2]
