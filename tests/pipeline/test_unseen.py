@@ -51,7 +51,7 @@ def unpainted(shared_data, tmp_path_factory):
 @pytest.fixture(scope="module")
 def plain(unpainted):
     """The result of the whole texture."""
-    return process(unpainted / "plain.obj", size=SIZE, quality="draft")
+    return process(unpainted / "plain.obj", size=SIZE, skip=("albedo",))
 
 
 def test_a_whole_texture_is_seen_everywhere(plain):
@@ -62,23 +62,29 @@ def test_a_whole_texture_is_seen_everywhere(plain):
 
 @pytest.mark.parametrize("name", ["transparent", "orange", "black"])
 def test_what_no_picture_showed_is_filled_and_marked(unpainted, plain, name):
-    result = process(unpainted / f"{name}.obj", size=SIZE, quality="draft")
-    image, estimate, filled = result.geometry_image, result.albedo, result.geometry_image.filled
+    result = process(unpainted / f"{name}.obj", size=SIZE, skip=("albedo",))
+    image, filled = result.geometry_image, result.geometry_image.filled
     assert 100 < filled.sum() < 400
     assert not image.seen[filled].any()
     assert image.skin[filled].max() == 0
-    assert estimate.confidence[filled].max() == 0
     assert "no picture showed 1." in next(
         step.reason for step in result.plan.doubts() if step.stage == "geometry_image.filled"
     )
-    # Landmarks and light as without the hole; the albedo but for its one unknown factor.
     apart = np.linalg.norm(result.fitted.landmarks - plain.fitted.landmarks, axis=1)
     assert apart.max() < 0.3
-    for lamp, whole in zip(estimate.lights, plain.albedo.lights, strict=True):
-        assert np.degrees(np.arccos(np.clip(lamp.direction @ whole.direction, -1, 1))) < 2
-    both = image.seen & plain.geometry_image.seen
-    ratio = estimate.albedo_linear / np.maximum(plain.albedo.albedo_linear, 1e-4)
+
+
+@pytest.mark.slow
+def test_light_and_albedo_are_as_without_the_hole(unpainted):
+    whole, result = (process(unpainted / f"{name}.obj", size=2 * SIZE) for name in ("plain", "orange"))
+    filled, seen = result.geometry_image.filled, result.geometry_image.seen
+    assert result.albedo.confidence[filled].max() == 0
+    for lamp, same in zip(result.albedo.lights, whole.albedo.lights, strict=True):
+        assert np.degrees(np.arccos(np.clip(lamp.direction @ same.direction, -1, 1))) < 3
+    # The albedo has one factor that nobody knows.
+    ratio = result.albedo.albedo_linear / np.maximum(whole.albedo.albedo_linear, 1e-4)
+    both = seen & whole.geometry_image.seen
     factor = np.median(ratio[both])
     assert np.median(np.abs(ratio[both] / factor - 1)) < 0.02
-    inside = filled & plain.geometry_image.seen
+    inside = filled & whole.geometry_image.seen
     assert np.median(np.abs(ratio[inside] / factor - 1)) < 0.12
