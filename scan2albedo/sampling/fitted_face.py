@@ -22,6 +22,7 @@ from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
+from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
 if TYPE_CHECKING:
@@ -199,8 +200,8 @@ def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> ND
 def texture_doubt(fitted: Fitted, scan: RawScan, image: GeometryImage) -> PlanStep | None:
     """Return the doubt that a scan's texture belongs to its shape, None where it most probably does.
 
-    `image` is the scan's. Only where its odds are in doubt is the texture tried flipped, turned and with red
-    and blue exchanged, which takes some .2 s each.
+    `image` is the scan's. Only where its odds are in doubt is the texture tried flipped, turned, with red and
+    blue exchanged and as a negative, which takes some .2 s each.
     """
     log_odds = image.texture_log_odds + np.log((1 - WRONG) / WRONG)
     if scan.texture_linear is None or image.texture_log_odds > -np.log(WRONG):
@@ -240,3 +241,5 @@ def _variants(scan: RawScan) -> Iterator[tuple[str, RawScan]]:
     ):
         seen = None if shown is None else np.ascontiguousarray(shown[way[:2]])
         yield name, replace(scan, texture_linear=np.ascontiguousarray(texture[way]), color_seen=seen)
+    negative = srgb_to_linear(1 - linear_to_srgb(texture)).astype(np.float32)
+    yield "as a negative of itself", replace(scan, texture_linear=negative)

@@ -11,6 +11,7 @@ from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
+from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling import geometry_image, texture_lookup
 from scan2albedo.sampling.fitted_face import texture_doubt
 
@@ -285,7 +286,11 @@ def test_a_texture_that_lies_upside_down_is_told_by_name(shared_data):
     doubt = texture_doubt(fitted, wrong, geometry_image(fitted, wrong, 128))
     assert doubt is not None
     assert "with V flipped" in doubt.reason
-    blue = replace(scan, texture_linear=np.ascontiguousarray(scan.texture_linear[..., ::-1]))
-    doubt = texture_doubt(fitted, blue, geometry_image(fitted, blue, 128))
-    assert doubt is not None
-    assert "red and blue" in doubt.reason
+    for name, texture in (
+        ("red and blue", scan.texture_linear[..., ::-1]),
+        ("a negative", srgb_to_linear(1 - linear_to_srgb(scan.texture_linear)).astype(np.float32)),
+    ):
+        wrong = replace(scan, texture_linear=np.ascontiguousarray(texture))
+        doubt = texture_doubt(fitted, wrong, geometry_image(fitted, wrong, 128))
+        assert doubt is not None
+        assert name in doubt.reason
