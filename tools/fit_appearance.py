@@ -61,6 +61,8 @@ RIM = {"brow": 30, "eye": 16, "lip": 24, "nostril": 16}
 """Width of the line around an outline where the truth is not known."""
 BROW_DARKER, HAIR_DARKER = (0.08, 0.2), (0.25, 0.9)
 """Log brightness below the skin's up to which a texel is skin, and from which it is a brow, or hair."""
+SHADE = 0.5
+"""Part of the light that shadows leave below which skin counts as in shadow."""
 TWINS = ({"Asian_M_1", "Asian_M_3"}, {"Black_F_2", "Black_M_2"})
 BLUR, LEAST_SHARE, HAIR_SHARE, CLOTH_SHARE = 1.5, 0.002, 0.02, 0.01
 """Cells by which places err, and shares of a class anywhere: sixteen heads do not show every place."""
@@ -69,11 +71,12 @@ NUMBER = {name: number for number, name in enumerate(CLASSES)}
 
 @dataclass(frozen=True)
 class Shown:
-    """A head in one light: `features` (CELLS, CELLS, 4) and `truth` (CELLS, CELLS), 0 where not known."""
+    """A head in one light: `features` (CELLS, CELLS, 4), `truth` (CELLS, CELLS), 0 where not known, `shade`."""
 
     image: s2a.GeometryImage
     truth: NDArray[np.uint8]
     features: FloatArray
+    shade: BoolArray
 
 
 def truth_in_texture(linear: FloatArray) -> NDArray[np.uint8]:
@@ -160,29 +163,38 @@ def painted(
     return texture, truth
 
 
-def lit(texture: FloatArray, normal: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Return a texture under an environment and up to two lamps with shadows, each of its own colour."""
+def lit(
+    texture: FloatArray, normal: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, NDArray[np.float32]]:
+    """Return a texture under an environment and up to two lamps with shadows, each of its own colour.
+
+    And (SIZE, SIZE) the part of the light that the shadows leave.
+    """
     light = (
         rng.uniform(0.1, 1)
         * np.exp(rng.normal(0, 0.12, 3))
         * (1 + 0.3 * rng.uniform(-1, 1) * normal[..., 1:2])
     )
+    whole = light
     for _ in range(rng.integers(0, 3)):
         direction = rng.normal(0, 1, 3)
         direction[2] = abs(direction[2]) + 0.3
         cosine = np.maximum(normal @ (direction / np.linalg.norm(direction)), 0)
+        strength = rng.uniform(0.3, 1.5) * np.exp(rng.normal(0, 0.12, 3))
+        whole = whole + strength * cosine[..., None]
         if rng.random() < 0.6:
             field = gaussian_filter(rng.standard_normal(cosine.shape), 25) * 80
             cosine = cosine / (1 + np.exp(np.clip(rng.uniform(2, 20) * (field - rng.uniform(0, 2)), -30, 30)))
-        light = light + rng.uniform(0.3, 1.5) * np.exp(rng.normal(0, 0.12, 3)) * cosine[..., None]
+        light = light + strength * cosine[..., None]
     shown = texture * light
-    return np.asarray(0.8 * shown / np.percentile(shown, 99))
+    left = (light / whole).max(-1).astype(np.float32)
+    return np.asarray(0.8 * shown / np.percentile(shown, 99)), left
 
 
 def shown(image: s2a.GeometryImage, truth: NDArray[np.uint8], rng: np.random.Generator) -> Shown:
     """Return a head in one light, its features by its true skin."""
     texture, now = painted(image, truth, rng)
-    texture = lit(np.where(image.mask[..., None], texture, 0), image.normal, rng)
+    texture, left = lit(np.where(image.mask[..., None], texture, 0), image.normal, rng)
     seen = image.seen.astype(np.float32)
     part = area_mean(seen, (CELLS, CELLS)).astype(np.float32)
     mean = np.maximum(part, 1e-6)[..., None]
@@ -199,20 +211,26 @@ def shown(image: s2a.GeometryImage, truth: NDArray[np.uint8], rng: np.random.Gen
     start = np.median(colors[skin], axis=0)
     light = skin_in_light(light_basis(normal)[skin], colors[skin], np.full(skin.sum(), 1.0), start)
     relative = np.dstack([colors - light_basis(normal) @ light, grain])
-    return Shown(replace(image, texture_linear=texture.astype(np.float32)), cells, relative)
+    shade = area_mean(left, (CELLS, CELLS)) < SHADE
+    return Shown(replace(image, texture_linear=texture.astype(np.float32)), cells, relative, shade)
 
 
 def learn(heads: list[list[Shown]], plain: list[NDArray[np.uint8]]) -> AppearanceModel:
     """Return the model of heads in several lights; `plain` (SIZE, SIZE) are their classes before painting."""
     every = [one for head in heads for one in head]
     share, means, covariances = [], [], []
-    for name in CLASSES[1:]:
-        number = NUMBER[name]
-        found = np.concatenate([one.features[one.truth == number] for one in every])
+    of = {name: [one.truth == NUMBER[name] for one in every] for name in CLASSES[1:]}
+    of["shade"] = [where & one.shade for where, one in zip(of["skin"], every, strict=True)]
+    of["skin"] = [where & ~one.shade for where, one in zip(of["skin"], every, strict=True)]
+    lit, shaded = (sum(int(where.sum()) for where in of[name]) for name in ("skin", "shade"))
+    for where in of.values():
+        found = np.concatenate([one.features[w] for one, w in zip(every, where, strict=True)])
         mean = np.median(found, axis=0)
         off = np.clip(found - mean, -1.5, 1.5)
         means.append(mean)
         covariances.append(np.cov(off.T) + np.diag([0.03, 0.03, 0.03, 0.1]) ** 2)
+    for name in CLASSES[1:]:
+        number = NUMBER[name]
         # Painted hair and beards show where they may be, of caps and masks only that they may be anywhere.
         many = name in ("beard", "hair", "cloth")
         maps = (
@@ -231,7 +249,8 @@ def learn(heads: list[list[Shown]], plain: list[NDArray[np.uint8]]) -> Appearanc
     }
     shares = np.array([one / known + least[name] for one, name in zip(share, CLASSES[1:], strict=True)])
     coarse = shares.reshape(len(shares), CELLS // 2, 2, CELLS // 2, 2).mean((2, 4))
-    return AppearanceModel(coarse / coarse.sum(0), np.array(means), np.array(covariances))
+    parts = np.array(means), np.array(covariances)
+    return AppearanceModel(coarse / coarse.sum(0), *parts, shaded / (lit + shaded))
 
 
 def main() -> None:
@@ -255,8 +274,9 @@ def main() -> None:
             share=model.share.astype(np.float16),
             mean=model.mean.astype(np.float32),
             covariance=model.covariance.astype(np.float32),
+            shaded=model.shaded,
         )
-        for name, mean, covariance in zip(CLASSES[1:], model.mean, model.covariance, strict=True):
+        for name, mean, covariance in zip([*CLASSES[1:], "shade"], model.mean, model.covariance, strict=True):
             print(f"{name:8s}", mean.round(2), np.sqrt(np.diag(covariance)).round(2))
     if given.leave_out:
         print("head".ljust(14), *(name.rjust(8) for name in CLASSES[1:]))

@@ -63,12 +63,13 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class AppearanceModel:
-    """Of the classes but the first: `share` (C, n, n) by place on the chart, `mean` (C, 4) and `covariance`
-    (C, 4, 4) of the features."""
+    """Of the classes but the first: `share` (C, n, n) by place on the chart, `mean` (C + 1, 4) and `covariance`
+    (C + 1, 4, 4) of the features, the last of skin in cast shadow, and which part of the skin that is."""
 
     share: FloatArray
     mean: FloatArray
     covariance: FloatArray
+    shaded: float
 
     @classmethod
     @cache
@@ -76,7 +77,8 @@ class AppearanceModel:
         """Return the one that the package ships."""
         with files("scan2albedo.face_model").joinpath("data/appearance.npz").open("rb") as file:
             arrays = np.load(file)
-            return cls(*(arrays[name].astype(np.float64) for name in ("share", "mean", "covariance")))
+            names = "share", "mean", "covariance"
+            return cls(*(arrays[n].astype(np.float64) for n in names), float(arrays["shaded"]))
 
     def log_likelihood(self, features: FloatArray, wider: float = 1.0) -> FloatArray:
         """Return (C, N) of features (N, 4), where the skin's spread is `wider` times as large."""
@@ -86,6 +88,8 @@ class AppearanceModel:
             square = _square(features - mean, spread)
             width = np.linalg.slogdet(spread)[1] + (_FREEDOM + len(mean)) * np.log1p(square / _FREEDOM)
             found.append(-width / 2)
+        found[0] += np.log1p(-self.shaded)
+        found[0] = np.logaddexp(found[0], found.pop() + np.log(self.shaded))
         return np.array(found)
 
 

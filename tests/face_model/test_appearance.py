@@ -119,6 +119,16 @@ def test_a_dense_beard_is_not_skin(person):
     assert Person.found(bearded).skin[jaw & (person.row > 0.82)].mean() < 0.3
 
 
+def test_a_deep_shadow_over_the_cheek_stays_skin(person):
+    shaded = Person(0)
+    shade = (person.column > 0.62) & (person.row > 0.42)
+    shaded.albedo, shaded.light = person.albedo, person.light * np.where(shade, 0.12, 1)[..., None]
+    found = Person.found(shaded)
+    cheek = person.image.mask & (person.column > 0.7) & (person.row > 0.5) & (person.row < 0.62)
+    assert found.skin[cheek].mean() > 0.8
+    assert person.share(found.labels, "cloth", shade) < 0.1
+
+
 def test_a_texture_of_another_shape_speaks_against_it(person):
     right = person.found().log_odds
     turned = Person(0)
