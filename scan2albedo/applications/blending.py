@@ -62,6 +62,7 @@ def blend_faces(
         texture_linear=None,
         texture_valid=a.image.seen & b.image.seen,
         specular_scale=scale,
+        labels=nearer.image.labels if weight in (0, 1) else None,
     )
     skins = []
     for face, other, part, gain in ((a, b, weight, gains[0]), (b, a, 1 - weight, gains[1])):

@@ -51,7 +51,7 @@ class RelightOptions:
     """"found" is the highlight of the estimate, "none" leaves it off; "auto" gives a face fitted with a model
     skin's usual highlight where the estimate found none."""
     fill_gaps: bool = True
-    """Put smooth skin where none was seen and on dark sides before the ears, which are black patches else."""
+    """Put smooth skin where none was seen and on hair before the ears, which are black patches else."""
 
     def __post_init__(self) -> None:
         if self.gloss not in get_args(Gloss):
@@ -225,7 +225,7 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
         if filled is not face:
             part = np.mean((filled.albedo_linear != face.albedo_linear).any(-1)[face.mask])
             notes.append(
-                f"{100 * part:.1f} % of the face was filled from beside it: not seen, or dark at its sides"
+                f"{100 * part:.1f} % of the face was filled from beside it: not seen, or hair at its sides"
             )
         face = filled
     skin = face.reflectance

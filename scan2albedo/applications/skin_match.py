@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from scan2albedo.applications.face_features import blurred_inside
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import needs_extra
@@ -85,3 +85,10 @@ def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     value = np.log(np.maximum(albedo.max(-1), 1e-4 * max(float(albedo.max()), 1e-12)))
     rest = np.where(mask, value - blurred_inside(value, mask, _LOCAL * max(mask.shape)), 0.0)
     return np.asarray(rest / max(float(np.std(rest[mask])), 1e-6))
+
+
+def blurred_inside(field: NDArray[np.floating], mask: BoolArray, sigma: float) -> FloatArray:
+    """Return the Gaussian means of a field (H, W) over the texels of `mask` (H, W) alone."""
+    inside = mask.astype(np.float64)
+    weight = np.maximum(gaussian_filter(inside, sigma, mode="mirror"), 1e-6)
+    return np.asarray(gaussian_filter(field * inside, sigma, mode="mirror") / weight)

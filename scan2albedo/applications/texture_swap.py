@@ -73,7 +73,11 @@ def swap_texture(
     albedo = gains * continued_skin(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     image = replace(
-        shape.image, texture_linear=None, texture_valid=shape.mask, specular_scale=skin.image.specular_scale
+        shape.image,
+        texture_linear=None,
+        texture_valid=shape.mask,
+        specular_scale=skin.image.specular_scale,
+        labels=None,
     )
     return replace(
         shape,
@@ -97,8 +101,8 @@ def continued_skin(
 
 
 def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
-    """Return (H, W) texels that were seen, without those close to one that was not, and without hair or black
-    at the sides."""
+    """Return (H, W) texels that were seen, without those close to one that was not, and without hair at the
+    sides."""
     near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")
     return np.asarray(face.mask & ~near & ~dark_sides(face, model))
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from scan2albedo.applications import SwapOptions, blend_faces, swap_texture
 from scan2albedo.applications.face_features import feature_texels, taken_features, without_catchlights
+from scan2albedo.face_model.appearance import CLASSES
 
 
 def with_half_of(face, feature):
@@ -59,6 +60,16 @@ def test_a_feature_that_both_lack_stays_and_so_does_a_small_gap(person):
 def test_no_features_are_known_of_another_models_face(person):
     assert feature_texels(replace(person(0), model_name="of mine")) == {}
     assert not taken_features(replace(person(0), model_name="of mine"), person(1))[1].any()
+
+
+def test_labels_widen_a_feature_and_are_known_of_any_model(person):
+    face = person(0)
+    eyes = feature_texels(face)["eyes"]
+    lower = np.roll(eyes, 3, axis=0) & face.mask
+    labels = np.where(lower, CLASSES.index("eye"), CLASSES.index("skin")).astype(np.uint8)
+    marked = replace(face, image=replace(face.image, labels=labels))
+    np.testing.assert_array_equal(feature_texels(marked)["eyes"], eyes | lower)
+    np.testing.assert_array_equal(feature_texels(replace(marked, model_name="of mine"))["eyes"], lower)
 
 
 def test_catchlights_go_and_bright_skin_stays(person):

@@ -5,7 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.applications import RelightOptions, relight
-from scan2albedo.applications.face_features import dark_sides, feature_texels, without_gaps
+from scan2albedo.applications.face_features import (
+    JAWS,
+    dark_sides,
+    feature_texels,
+    named_texels,
+    without_gaps,
+)
+from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.synthetic import light_at
 
 
@@ -16,8 +23,15 @@ def with_sideburns(face):
     for row in range(24, 34):
         hair[row, first[row] : first[row] + 5] = True
     albedo = np.where(hair[..., None], 0.02 * face.albedo_linear, face.albedo_linear)
-    skin = np.where(face.mask & ~hair, 1.0, 0.0)
-    return replace(face, albedo_linear=albedo, image=replace(face.image, skin=skin)), hair
+    return replace(face, albedo_linear=albedo, image=with_labels(face.image, hair=hair)), hair
+
+
+def with_labels(image, **things):
+    """Return an image whose mask is skin but for the texels of some things."""
+    labels = np.where(image.mask, CLASSES.index("skin"), 0)
+    for name, texels in things.items():
+        labels[texels & image.mask] = CLASSES.index(name)
+    return replace(image, labels=labels.astype(np.uint8))
 
 
 def test_a_black_side_is_filled_from_beside_it(person):
@@ -35,9 +49,25 @@ def test_a_dark_place_away_from_the_rim_stays(person):
     mole = np.zeros(face.mask.shape, bool)
     mole[36:40, 14:17] = True
     albedo = np.where(mole[..., None], 0.02 * face.albedo_linear, face.albedo_linear)
-    skin = np.where(face.mask & ~mole, 1.0, 0.0)
-    marked = replace(face, albedo_linear=albedo, image=replace(face.image, skin=skin))
+    marked = replace(face, albedo_linear=albedo, image=with_labels(face.image, hair=mole))
     assert without_gaps(marked) is marked
+
+
+def test_a_beard_stays_and_a_sideburn_alone_does_not(person):
+    face, sideburns = with_sideburns(person(0))
+    jaws = named_texels(face, JAWS)
+    beard = jaws | (sideburns & face.mask) | named_texels(face, ("left_cheek", "right_cheek"))
+    for texels, goes in ((beard, False), (sideburns, True)):
+        grown = replace(face, image=with_labels(face.image, beard=texels))
+        assert dark_sides(grown)[sideburns & face.mask].all() == goes
+        assert dark_sides(grown).any() == goes
+
+
+def test_without_labels_nothing_is_hair_and_the_annotation_knows_features(person):
+    face = with_sideburns(person(0))[0]
+    bare = replace(face, image=replace(face.image, labels=None))
+    assert not dark_sides(bare).any()
+    assert set(feature_texels(bare)) == {"eyes", "brows", "nostrils", "mouth"}
 
 
 def test_unseen_skin_is_filled_and_unseen_eyes_stay(person):
