@@ -1,13 +1,15 @@
 """Fits how the cues of a pose are weighed to the probability that it is that of a face.
 
-    OMP_NUM_THREADS=1 python tools/calibrate_registration.py [--scans 200] [--jobs 2] [--keep cues.npz]
+    OMP_NUM_THREADS=1 python tools/calibrate_registration.py [--scans 200] [--first 0] [--jobs 2]
+        [--keep cues.npz]
 
-Of each kind of scan, so many are drawn: people in raw stereo, as measured and worse, clean people, and as
-what is not a face scraps, reliefs, bodies, heaps of solids and gratings. The best poses of the search are
-judged by the truth, and `scan2albedo.registration.evidence` gets the weights that this prints: those of a
-logistic regression whose signs are given. Every second scan judges the weights fitted to the others. No scan
-is among those of tools/bench_door.py; but the weight of scraps, and how noise counts (`relief`), were chosen
-with the first 140 of its parts in sight.
+Of each kind of scan, so many are drawn: people in raw stereo, as measured and worse, light-stage people too,
+clean people, and as what is not a face scraps, reliefs, bodies, heaps of solids and gratings. The poses that
+the search looks at are judged by the truth, and `scan2albedo.registration.evidence` gets the weights that
+this prints: those of a logistic regression whose signs are given. Every second scan judges the weights
+fitted to the others. No scan is among those of tools/bench_door.py, though its light-stage people are other
+mixtures of the same five; the weight of scraps, and how noise counts (`relief`), were chosen with the first
+140 of its parts in sight.
 """
 
 from __future__ import annotations
@@ -21,7 +23,15 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from benchmarks.door_scans import UNSEEN, Case, face_case, random_body, random_relief, scrap
+from benchmarks.door_scans import (
+    UNSEEN,
+    Case,
+    face_case,
+    light_stage_person,
+    random_body,
+    random_relief,
+    scrap,
+)
 from benchmarks.stereo_scan import StereoScanner, stereo_scan
 from scipy.optimize import minimize
 
@@ -37,13 +47,13 @@ from scan2albedo.geometry.rigid import (
     rotation_angle_rad,
     transform_points,
 )
-from scan2albedo.registration.candidates import every_candidate
+from scan2albedo.registration.candidates import Colors, ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import prepared_scan
 from scan2albedo.registration.template import Template
 
-SIGNS = {"relief": 1, "local": 1, "distance": -1, "share": 1}
+SIGNS = {"relief": 1, "distance": -1, "share": 1}
 RIGHT_DEG, RIGHT_MM = 10.0, 15.0
 NEARLY_DEG, NEARLY_MM = 20.0, 30.0
 """Poses within these and not within the others are neither right nor wrong, and are left out."""
@@ -53,7 +63,7 @@ WRONG_POSE_WEIGHT = 0.2
 RIDGE = 0.0003
 HARD = StereoScanner(noise_mm=(1.0, 6.0), holes=(10, 60), reach_mm=(70.0, 170.0))
 SCRAP_WEIGHT = 2.0
-"""Of poses on scraps: a refusal looks at more poses than this does, and scraps resemble faces most."""
+"""Of poses on scraps, which resemble faces most."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +98,14 @@ def _hard_person(seed: int, rng: np.random.Generator) -> Case:
 def _clean_person(seed: int, rng: np.random.Generator) -> Case:
     scanner = StereoScanner(spacing_mm=(2.0, 3.5), noise_mm=(0.05, 0.5), stray=(0.001, 0.01), pieces=(1, 5))
     return _sized(face_case(*stereo_scan(seed, features=(), scanner=scanner)), rng)
+
+
+def _light_stage_person(seed: int, rng: np.random.Generator) -> Case:
+    return _sized(light_stage_person(seed - UNSEEN), rng)
+
+
+def _hard_light_stage_person(seed: int, rng: np.random.Generator) -> Case:
+    return _sized(light_stage_person(seed - UNSEEN, HARD), rng)
 
 
 def _scrap(seed: int, rng: np.random.Generator) -> Case:
@@ -148,6 +166,8 @@ KINDS: dict[str, Callable[[int, np.random.Generator], Case]] = {
     "person": _person,
     "hard person": _hard_person,
     "clean person": _clean_person,
+    "light stage": _light_stage_person,
+    "hard light stage": _hard_light_stage_person,
     "scrap": _scrap,
     "relief": _object(_waves),
     "body": _object(random_body),
@@ -172,7 +192,8 @@ def rows_of(task: tuple[str, int]) -> list[Row]:
         return []
     poses = coarse_poses(prepared, _template(), options, meter, 0)
     rows = []
-    for candidate in every_candidate(prepared, _template(), poses, options, meter):
+    colors = Colors(prepared, AnnotatedFaceModel.default())
+    for candidate in ranked_candidates(prepared, _template(), colors, None, poses, options, meter):
         if candidate.evidence is not None:
             pose = invert_rigid(candidate.pose.rigid(_template().front)) @ prepared.prepared_from_scan
             cues = tuple(candidate.evidence.cues[name] for name in SIGNS)
@@ -251,7 +272,7 @@ def _print_fit(rows: list[Row]) -> None:
             values = odds[chosen & (kind == name)]
             if len(values):
                 low, middle, high = np.percentile(values, [1, 50, 99])
-                print(f"  {name:14}{label:8}{len(values):6}{low:8.1f}{middle:8.1f}{high:8.1f}")
+                print(f"  {name:18}{label:8}{len(values):6}{low:8.1f}{middle:8.1f}{high:8.1f}")
     false = np.logaddexp(0, np.where(right, -odds, odds))
     missed, let_in = np.mean(odds[right] < 0), np.mean(odds[~right] > 0)
     print(f"mean loss {weights @ false / weights.sum():.4f}; missed {missed:.1%}, let in {let_in:.2%}")
@@ -265,10 +286,13 @@ def _print_fit(rows: list[Row]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scans", type=int, default=200, help="of each kind")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first scan")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--keep", type=Path, help="NPZ to write the cues into")
     arguments = parser.parse_args()
-    tasks = [(kind, seed) for seed in range(arguments.scans) for kind in KINDS]
+    tasks = [
+        (kind, seed) for seed in range(arguments.first, arguments.first + arguments.scans) for kind in KINDS
+    ]
     with ProcessPoolExecutor(arguments.jobs) as processes:
         rows = [row for found in processes.map(rows_of, tasks, chunksize=8) for row in found]
     if arguments.keep:

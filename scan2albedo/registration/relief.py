@@ -28,9 +28,8 @@ _SMOOTHING_PIXELS, _WINDOW_PIXELS = 1.5, 4.0
 _FLAT_SLOPE_SQUARED = 0.01
 _NOISE_LEFT = 4.0
 """Noise of blurred slopes, relative to that of independent depths of the vertices: those between vertices are
-interpolated, so that a blur lessens it less. Chosen so that people agree as much with noise
-as without, as the two numbers below with the first 140 scans of tools/bench_door.py in sight: judge them by
-its others (--offset)."""
+interpolated, so that a blur lessens it less. Chosen so that people agree as much with noise as without,
+as were the two numbers below, with the first 140 scans of tools/bench_door.py in sight (see --offset)."""
 _LEAST_VARIANCE = 0.1
 """Of slopes that noise is compared with: a third of a face's, so that a flat scrap is not excused."""
 
@@ -93,14 +92,13 @@ class ReliefAgreement:
     noise_mm: float = 0.0
     signal: float = 1.0
 
-    def without_noise(self) -> tuple[float, float]:
-        """Return `local` and `whole` as they would be without noise: divided by the root of `signal` [1]_.
+    def without_noise(self) -> float:
+        """Return `whole` as it would be without noise: divided by the root of `signal` [1]_, at most 1.
 
         .. [1] C. Spearman, "The proof and measurement of association between two things", 1904: correction
            for attenuation.
         """
-        root = float(np.sqrt(self.signal))
-        return min(self.local / root, 1.0), min(self.whole / root, 1.0)
+        return min(self.whole / float(np.sqrt(self.signal)), 1.0)
 
 
 class FaceImage:

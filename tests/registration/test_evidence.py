@@ -40,6 +40,16 @@ def test_a_face_is_beyond_doubt(face, template):
     assert found.rms_mm < 1.5
 
 
+def test_relief_says_as_much_as_there_is_face_that_shows_it(face, template):
+    """Shared by a scrap it may be chance; shared exactly, it does not outweigh all else."""
+    found = evidence_at(*face, template)
+    scrap = replace(found, relief=replace(found.relief, coverage=found.relief.coverage / 4))
+    assert scrap.cues["relief"] == pytest.approx(found.cues["relief"] / 4)
+    exact, opposite = (replace(found, relief=replace(found.relief, whole=r)) for r in (1.0, -1.0))
+    assert found.cues["relief"] <= exact.cues["relief"] < 5
+    assert opposite.cues["relief"] == 0
+
+
 def test_a_flat_face_as_template_finds_other_people(face, model):
     """What is usual beside the default model is not so beside a user's own face."""
     flat = replace(model, control_vertices=model.control_vertices * [1, 1, 0.75], _subdivisions={})

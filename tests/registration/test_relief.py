@@ -191,9 +191,7 @@ def test_what_noise_takes_from_the_agreement_is_given_back(image, model, noise_m
     noisy = vertices + rng.normal(scale=noise_mm, size=(len(vertices), 1)) * vertex_normals(vertices, faces)
     found = image.agreement(noisy, faces, np.eye(4), noise=SurfaceNoise.of(noisy, faces))
     assert found.whole < clean.whole
-    local, whole = found.without_noise()
-    assert whole > 0.99
-    assert clean.local - 0.01 < local < clean.local + 0.05
+    assert found.without_noise() > 0.99
 
 
 def test_noise_excuses_no_other_shape(image):
@@ -203,4 +201,4 @@ def test_noise_excuses_no_other_shape(image):
     points = points + [0, 0, image.vertices[:, 2].max() - 105]
     found = image.agreement(points, faces, np.eye(4), noise=SurfaceNoise.of(points, faces))
     assert found.noise_mm > 1.5
-    assert max(found.without_noise()) < 0.5
+    assert found.without_noise() < 0.5
