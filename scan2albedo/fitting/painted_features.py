@@ -90,14 +90,13 @@ class _Places:
 
     def moved(self, motions: FloatArray, middle: FloatArray) -> FloatArray:
         """Return (M, N, 2) for motions (M, 7)."""
-        right, up, turn, wide, above, below, bend = motions.T[:, :, None]
-        x = self.along[:, 0] - middle[0]
-        y = self.along[:, 1] - middle[1] + self.up * np.exp(np.where(self.up < 0, below, above))
-        x, y = x * np.exp(wide), y + bend * (x / _HALF_WIDTH_MM) ** 2
-        cosine, sine = np.cos(turn), np.sin(turn)
-        return np.stack(
-            [cosine * x - sine * y + middle[0] + right, sine * x + cosine * y + middle[1] + up], axis=-1
-        )
+        right, up, turn, wide, above, below, bend = motions.T
+        (x, y), one = (self.along - middle).T, np.ones(len(self.up))
+        parts = x, y, np.minimum(self.up, 0), np.maximum(self.up, 0), (x / _HALF_WIDTH_MM) ** 2, one
+        rise = np.stack([np.ones(len(motions)), np.exp(below), np.exp(above), bend])[:, None]
+        axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+        factors = [np.exp(wide) * axes[:1], rise * axes[1], [middle[:, None] + [right, up]]]
+        return np.asarray(np.stack(parts, axis=1) @ np.concatenate(factors).transpose(2, 0, 1))
 
 
 @dataclass(frozen=True)
@@ -142,8 +141,8 @@ class _Template:
             used = np.flatnonzero(np.isfinite(cue.label))
             label, channel = cue.label[used], int(cue.red)
             share = np.where(label > 0, 0.5 / max(label.sum(), 1), 0.5 / max((1 - label).sum(), 1))
-            low, step_mm, light = picture.low, picture.step_mm, cue.light[used]
-            gram = _grams(channels, moved, used, low, step_mm, channel, light, label, share)
+            known = np.column_stack([np.ones_like(label), cue.light[used], label])
+            gram = _grams(channels[channel], moved, used, picture.low, picture.step_mm, known, np.sqrt(share))
             # Points count as far as they are seen, on the feature and beside it, here and at the model's own
             # place: the scan may have a hole for an eye, and nothing beside the hole is one.
             least = 2 * np.minimum(gram[:, 0, 3], gram[:, 0, 0] - gram[:, 0, 3])
@@ -187,13 +186,13 @@ def painted_features(
     color, seen = picture.color, picture.seen
     if not seen.any() or not np.median(color[seen]) > 0:
         return []
-    # Channels are log darkness, log redness, and 1 where there is scan; 0 elsewhere.
+    # Channels are log darkness and log redness; NaN where there is no scan.
     bright = color @ _BRIGHTNESS
     black = _BLACK * np.median(bright[seen])
     dark = -np.log(evenly_lit(picture, bright) + _BLACK)
     red = np.log((color[..., 0] + black) / (color[..., 1] + black))
     dark, red = (np.clip(values, *np.percentile(values[seen], [1, 99])) for values in (dark, red))
-    channels = np.stack([dark, red, np.ones_like(dark)], axis=-1) * seen[..., None]
+    channels = np.where(seen, [dark, red], np.nan)
     here = landmarks[:, :2]
     sides = _lips(here), _eye(here, 36), _eye(here, 42), _brow(here, 17), _brow(here, 22)
     found = []
@@ -327,7 +326,7 @@ def _posterior(
                 away = polyline_distance(squares[near], _closed(lids))
                 hidden = near[inside_polygon(squares[near], lids) | (away < _LINE_MM)]
                 shown = channels.copy()
-                shown.reshape(-1, channels.shape[-1])[hidden] = 0
+                shown.reshape(len(channels), -1)[:, hidden] = np.nan
             precision = np.linalg.inv(covariance)
             others = precision - certain[k]
             middle = np.linalg.solve(others, precision @ now - toward[k])
@@ -361,27 +360,27 @@ def _draws() -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
-def _grams(channels, moved, used, low, step_mm, channel, light, label, share):  # type: ignore[no-untyped-def]
-    """Return (M, 5, 5), sums over the points seen of products of 1, light (2), label and colour."""
-    rows, columns = channels.shape[:2]
-    gram, values = np.zeros((len(moved), 5, 5)), np.ones(5)
+def _grams(channel, moved, used, low, step_mm, known, root):  # type: ignore[no-untyped-def]
+    """Return (M, 5, 5), sums over the points seen of products of `known` (N, 4) and colour, times root^2."""
+    rows, columns = channel.shape
+    gram, values = np.empty((len(moved), 5, 5)), np.empty((len(used), 5))
     for m in range(len(moved)):
+        count = 0
         for n in range(len(used)):
             column = (moved[m, used[n], 0] - low[0]) / step_mm
             row = (moved[m, used[n], 1] - low[1]) / step_mm
             if not (0 <= column < columns - 1 and 0 <= row < rows - 1):
                 continue
             left, under = int(column), int(row)
-            a, b = channels[under, left], channels[under, left + 1]
-            c, d = channels[under + 1, left], channels[under + 1, left + 1]
-            if a[2] * b[2] * c[2] * d[2] == 0:
+            right, up = column - left, row - under
+            below = (1 - right) * channel[under, left] + right * channel[under, left + 1]
+            above = (1 - right) * channel[under + 1, left] + right * channel[under + 1, left + 1]
+            color = (1 - up) * below + up * above
+            if np.isnan(color):
                 continue
-            right, up, k = column - left, row - under, channel
-            values[1], values[2], values[3] = light[n, 0], light[n, 1], label[n]
-            values[4] = (1 - up) * ((1 - right) * a[k] + right * b[k]) + up * (
-                (1 - right) * c[k] + right * d[k]
-            )
-            for i in range(5):
-                for j in range(5):
-                    gram[m, i, j] += share[n] * values[i] * values[j]
+            for i in range(4):
+                values[count, i] = root[n] * known[n, i]
+            values[count, 4] = root[n] * color
+            count += 1
+        gram[m] = values[:count].T @ values[:count]
     return gram
