@@ -71,7 +71,7 @@ NUMBER = {name: number for number, name in enumerate(CLASSES)}
 
 @dataclass(frozen=True)
 class Shown:
-    """A head in one light: `features` (CELLS, CELLS, 4), `truth` (CELLS, CELLS), 0 where not known, `shade`."""
+    """A head in one light, on (CELLS, CELLS): four `features`, `truth`, 0 where not known, and `shade`."""
 
     image: s2a.GeometryImage
     truth: NDArray[np.uint8]

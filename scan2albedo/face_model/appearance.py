@@ -63,8 +63,8 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class AppearanceModel:
-    """Of the classes but the first: `share` (C, n, n) by place on the chart, `mean` (C + 1, 4) and `covariance`
-    (C + 1, 4, 4) of the features, the last of skin in cast shadow, and which part of the skin that is."""
+    """Of the classes but the first: `share` (C, n, n) by place on the chart, `mean` (C + 1, 4), `covariance`
+    (C + 1, 4, 4) of the features; the last ones are of skin in cast shadow, which `shaded` of it is."""
 
     share: FloatArray
     mean: FloatArray
@@ -77,8 +77,8 @@ class AppearanceModel:
         """Return the one that the package ships."""
         with files("scan2albedo.face_model").joinpath("data/appearance.npz").open("rb") as file:
             arrays = np.load(file)
-            names = "share", "mean", "covariance"
-            return cls(*(arrays[n].astype(np.float64) for n in names), float(arrays["shaded"]))
+            share, mean, covariance = (arrays[n].astype(float) for n in ("share", "mean", "covariance"))
+            return cls(share, mean, covariance, float(arrays["shaded"]))
 
     def log_likelihood(self, features: FloatArray, wider: float = 1.0) -> FloatArray:
         """Return (C, N) of features (N, 4), where the skin's spread is `wider` times as large."""
