@@ -218,3 +218,17 @@ def test_shut_eyes_are_not_put_on_black_brows(shared_data, model, scene, skin):
     fitted = fit(scan, model, register(scan, model))
     places = transform_points(invert_rigid(fitted.model_from_scan), fitted.landmarks)
     assert np.linalg.norm(places - landmarks, axis=1)[EYES].max() < 5.0
+
+
+@pytest.mark.slow
+def test_a_green_statue_in_the_light_is_fitted_as_its_bare_shape(shared_data, model):
+    scan = load_scan(shared_data / "james.obj")
+    bare = replace(scan, uv=None, texture_linear=None)
+    shading = 0.3 + 0.7 * np.clip(vertex_normals(scan.vertices, scan.faces) @ [0.3, 0.5, 0.81], 0, 1)
+    grain = np.exp(0.02 * np.random.default_rng(0).standard_normal(len(shading)))
+    green = np.outer(shading * grain, [0.1, 0.5, 0.15]).astype(np.float32)
+    found = []
+    for other in (bare, replace(bare, vertex_color_linear=green)):
+        fitted = fit(other, model, register(other, model, seed=0))
+        found.append(transform_points(invert_rigid(fitted.model_from_scan), fitted.landmarks))
+    assert np.linalg.norm(found[0] - found[1], axis=1).max() < 0.3
