@@ -222,7 +222,7 @@ def learn(heads: list[list[Shown]], plain: list[NDArray[np.uint8]]) -> Appearanc
     of = {name: [one.truth == NUMBER[name] for one in every] for name in CLASSES[1:]}
     of["shade"] = [where & one.shade for where, one in zip(of["skin"], every, strict=True)]
     of["skin"] = [where & ~one.shade for where, one in zip(of["skin"], every, strict=True)]
-    lit, shaded = (sum(int(where.sum()) for where in of[name]) for name in ("skin", "shade"))
+    bright, shaded = (sum(int(where.sum()) for where in of[name]) for name in ("skin", "shade"))
     for where in of.values():
         found = np.concatenate([one.features[w] for one, w in zip(every, where, strict=True)])
         mean = np.median(found, axis=0)
@@ -250,7 +250,7 @@ def learn(heads: list[list[Shown]], plain: list[NDArray[np.uint8]]) -> Appearanc
     shares = np.array([one / known + least[name] for one, name in zip(share, CLASSES[1:], strict=True)])
     coarse = shares.reshape(len(shares), CELLS // 2, 2, CELLS // 2, 2).mean((2, 4))
     parts = np.array(means), np.array(covariances)
-    return AppearanceModel(coarse / coarse.sum(0), *parts, shaded / (lit + shaded))
+    return AppearanceModel(coarse / coarse.sum(0), *parts, shaded / (bright + shaded))
 
 
 def main() -> None:
