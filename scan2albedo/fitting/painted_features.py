@@ -262,7 +262,7 @@ def _template(
     cues: tuple[_Cue, ...],
 ) -> _Template:
     marks = _Places.of(landmarks[list(numbers)], line)
-    mirror = np.ones(_MOTIONS) if line[:, 0].mean() < landmarks[27:31, 0].mean() else _MIRROR
+    mirror = _MIRROR if numbers[0] in (22, 42) else np.ones(_MOTIONS)
     return _Template(name, numbers, _Places.of(points, line), marks, cues, line.mean(0), mirror)
 
 
