@@ -152,21 +152,21 @@ def appearance(
         others = len(learned.share) - 1
         prior = np.concatenate([skin[None], np.repeat((1 - skin)[None] / others, others, axis=0)])
     log_prior = np.log(np.maximum(prior, 1e-6) / np.maximum(prior, 1e-6).sum(0))
-    colors, log_odds = np.zeros_like(log_prior), 0.0
+    told, log_odds = np.zeros_like(log_prior), 0.0
     if np.count_nonzero(known) >= _FEWEST_TEXELS:
         if texture_linear is not None:
             color, turned = grid.mean(texture_linear), grid.mean(normal)
-            found, log_odds = _explained(grid, known, color, turned, log_prior, learned)
-            colors = found
+            told, log_odds = _explained(grid, known, color, turned, log_prior, learned)
             if place is not None:
-                log_odds += _belonging(log_prior[:, known], colors[:, known], grid.independent)
+                log_odds += _belonging(log_prior[:, known], told[:, known], grid.independent)
         if residual_mm is not None:
             # How rough the scan is around, in parts of the face's own skin: the fitted surface is smooth.
-            rough = grid.around(grid.mean(np.minimum(residual_mm, _CLOSE_MM)), _RELIEF_MM)
+            error_mm = grid.mean(np.minimum(residual_mm, _CLOSE_MM))
+            rough = local_mean(error_mm, grid.part, odd_side(_RELIEF_MM / grid.texel_mm))
             likely = known & (prior[0] >= np.median(prior[0][known]))
             usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
-            colors[0] -= _PER_RELIEF * np.maximum(rough / usual_mm - _TOLERATED_RELIEF, 0)
-    shares = _agreed(log_prior + colors, grid.part)
+            told[0] -= _PER_RELIEF * np.maximum(rough / usual_mm - _TOLERATED_RELIEF, 0)
+    shares = _agreed(log_prior + told, grid.part)
     likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
     weight = np.where(seen, np.minimum(likeliest / SURE, 1), np.float32(0))
     for number, one in enumerate(shares[1:].astype(np.float32), 2):
@@ -357,10 +357,6 @@ class _Grid:
         return np.asarray(
             _resized(kept, self.part.shape) / (weight if flat else weight[..., None]), np.float32
         )
-
-    def around(self, field: Image, side_mm: float) -> FloatArray:
-        """Return the means over squares of `side_mm`."""
-        return local_mean(field, self.part, odd_side(side_mm / self.texel_mm))
 
 
 def _square(off: FloatArray, covariance: FloatArray) -> FloatArray:

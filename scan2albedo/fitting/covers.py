@@ -2,8 +2,8 @@
 
 Lenses lie a centimetre before the eyes, and an elastic surface follows them. So a person's face, the modes by
 which people differ, is first fitted with little weight for what lies before it. What stands before it and an
-eye is a cover or not by one decision: the likelihood of its heights and of its ends, and a prior. A cover
-leaves a hole, over which the model keeps its own shape.
+eye is a cover or not by one sum of log odds: ends like a thing's speak for it, heights that faces have and
+how rare covers are against it. A cover leaves a hole, over which the model keeps its own shape.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ FARTHEST_MM = 45.0
 EYE_MM, BELOW_EYES_MM = 8.0, 18.0
 """A cover lies before an eye, this near to its middle; squares of this side err for themselves. Covers are
 looked for down to the lower rim of large lenses."""
-STEEP, STEPS_AT_END, PER_STEPS = 0.6, 0.27, 11.0
-"""A step rises by STEEP of its length and more. Half of a cover's ends are steps or the scan's border, of a
-face's a tenth: the share that speaks for neither, and the log odds of a share 1 higher, by five ends."""
+STEEP, JUMPS_AT_END, PER_JUMPS = 0.6, 0.27, 11.0
+"""A jump rises by STEEP of its length and more. Half of a cover's ends are jumps or the scan's border, of a
+face's a tenth: the share that speaks for neither, and the log odds of a share that is 1 higher."""
 RARE = 7.0
 """Log odds against covers, and against people's faces that stand so far before what the modes make."""
 
@@ -79,8 +79,7 @@ def uncovered(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray,
     gone = np.any(cover[scan.faces], axis=1)
     if not gone.any() or gone.all():
         return Uncovered(scan)
-    border = np.zeros(len(cover), bool)
-    border[scan.faces[gone]] = True
+    border = np.isin(np.arange(len(cover)), scan.faces[gone])
     covered_mm2 = float(face_areas(scan.vertices, scan.faces[gone]).sum())
     return Uncovered(_part(scan, ~gone, border), _part(scan, gone, border), covered_mm2)
 
@@ -149,12 +148,12 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     # Heights are normal about a face that the modes make, and even before covers and other faces.
     odds = -np.log(FARTHEST_MM) - norm.logpdf(before_mm[cover], scale=deviation_mm)
     told = float(vertex_areas(scan.vertices, scan.faces)[cover] @ odds) / EYE_MM**2
-    # A cover ends as a thing does: at the scan's border, or by steps. A brow rises gradually.
+    # A cover ends as a thing does: at the scan's border, or by jumps. A brow rises gradually.
     edges, _ = edges_with_faces(scan.faces)
     one, other = edges[cover[edges[:, 0]] != cover[edges[:, 1]]].T
     length_mm = np.linalg.norm(scan.vertices[one] - scan.vertices[other], axis=1)
-    steps = np.abs(before_mm[one] - before_mm[other]) > STEEP * length_mm
-    share = np.append(steps, np.ones(1 + np.count_nonzero(scan.boundary & cover))).mean()
-    log_odds = min(told - RARE, 0.0) + PER_STEPS * (share - STEPS_AT_END)
+    jumps = np.abs(before_mm[one] - before_mm[other]) > STEEP * length_mm
+    share = np.append(jumps, np.ones(1 + np.count_nonzero(scan.boundary & cover))).mean()
+    log_odds = min(told - RARE, 0.0) + PER_JUMPS * (share - JUMPS_AT_END)
     cover[edges[cover[edges].any(1)]] = True
     return cover & (log_odds > 0)

@@ -45,7 +45,7 @@ width of a mouth or a brow."""
 _SAMPLES, _POWERS = 512, (0.2, 0.5, 1.0, 1.0, 1.0)
 """Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far."""
 _UNSEEN, _CHANCE = 3.0, 0.25
-"""Log odds that the colours do not show a feature, and what they tell by chance, of what the prior tells."""
+"""Log odds that colours do not show a feature; what they seem to tell then, as a part of the prior."""
 _EXACT_MM = {"brow": 1.5, "eye": 1.0, "lips": 0.6}
 """Standard deviation of a landmark of a feature whose motion is known."""
 _INDEPENDENT = 6
@@ -320,7 +320,7 @@ def _posterior(
         for k, side in enumerate(sides):
             (now, covariance), shown = motion(k), channels
             if side.name == "brow":
-                # What is dark in and about an eye is not a brow, nor skin below one. Eyes stand before brows.
+                # What is dark in and about an eye is no brow, nor skin below one. It stands two before.
                 lids = sides[k - 2].places(*motion(k - 2)).mean(axis=0)
                 near = np.flatnonzero(np.all(np.abs(squares - lids.mean(0)) < _MARGIN_MM, axis=1))
                 away = polyline_distance(squares[near], _closed(lids))

@@ -154,6 +154,8 @@ class ProcessResult:
             parts.append("no albedo (see the plan)")
         if self.registration is not None and self.registration.confidence < SURE:
             parts.append(f"pose unsure (confidence {self.registration.confidence:.2f})")
+        if any(step.stage == "texture" for step in self.plan.doubts()):
+            parts.append("texture doubtful")
         stages = {"register": self.registration, "fit": self.fitted, "albedo": self.albedo}
         if unfinished := [name for name, found in stages.items() if found and not found.converged]:
             parts.append(f"not converged: {', '.join(unfinished)}")

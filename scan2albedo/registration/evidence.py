@@ -15,6 +15,7 @@ from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 
 _MOST_RMS_MM, _LEAST = 10.0, 0.02
+"""Bounds of what is weighed: distances, and 1 - r^2 and the share before their logarithm."""
 _NOISE_IN_DISTANCE = 0.3
 """Part of the noise's variance that the squared distance holds: it is to samples averaged over 4 mm."""
 _INTERCEPT, _WEIGHTS = 4.51, {"relief": 5.56, "distance": -1.11, "share": 3.91}

@@ -18,6 +18,7 @@ from PIL import Image
 import scan2albedo as s2a
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
+from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -228,6 +229,9 @@ def test_what_is_doubtful_is_told(case, result, monkeypatch):
     assert any("pose is unsure (confidence 0.21)" in note for note in told.notes)
     assert any("strength is known to 36 %" in note for note in told.notes)
     assert "pose unsure (confidence 0.21)" in told.summary()
+    assert "texture" not in told.summary()
+    flipped = replace(told, plan=told.plan + Plan((PlanStep.doubt("texture", "with V flipped"),)))
+    assert "texture doubtful" in flipped.summary()
 
 
 def test_a_hole_where_the_nose_should_be_is_told(case, result):
