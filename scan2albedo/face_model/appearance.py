@@ -178,17 +178,17 @@ def appearance(
     return Appearance(weight.astype(np.float32), labels, log_odds)
 
 
-def _belonging(log_prior: FloatArray, colors: FloatArray, independent: float) -> float:
-    """Return the log odds of log likelihoods (C, N) of the classes where they are, against the same anywhere.
+def _belonging(log_prior: FloatArray, likelihood: FloatArray, independent: float) -> float:
+    """Return the log odds of the classes' log `likelihood` (C, N) where it is, against the same anywhere.
 
     Each feature speaks once, and may as well be one that this face does not show. All may be one material,
     wherever it lies: then nothing is said.
     """
-    anywhere = np.logaddexp.reduce(np.log(np.exp(log_prior).mean(1))[:, None] + colors)
-    told = np.logaddexp.reduce(log_prior + colors) - anywhere
+    anywhere = np.logaddexp.reduce(np.log(np.exp(log_prior).mean(1))[:, None] + likelihood)
+    told = np.logaddexp.reduce(log_prior + likelihood) - anywhere
     features = np.bincount(log_prior.argmax(0), told) * independent
     shown, hidden = np.log1p(-_HIDDEN), np.log(_HIDDEN)
-    even = float((colors[0] - anywhere).sum()) * independent
+    even = float((likelihood[0] - anywhere).sum()) * independent
     belongs = shown + float(np.logaddexp(hidden, shown + features).sum())
     return float(np.logaddexp(belongs, hidden + even) - np.logaddexp(shown, hidden + even))
 

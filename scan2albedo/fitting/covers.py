@@ -34,6 +34,7 @@ from scan2albedo.geometry.mesh import (
 )
 
 STEPS, LEVEL = 10, 1
+"""Iterations of the alignment with a person's face, and the refinement at which heights are measured."""
 FIRST_MM, BEFORE_MM, BEHIND_MM = 12.0, 2.0, 6.0
 """Scale of Geman and McClure's weights: at first, and at last for scan before and behind the face."""
 NOISE_MM, SIZE_SD = 2.6, 0.1
