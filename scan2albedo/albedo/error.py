@@ -20,14 +20,8 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
     """Return the error of an albedo with the single best global scale a.
 
     a = sum(A A_true) / sum(A^2): light strength and albedo cannot be separated. ValueError for shapes that
-    disagree, an empty mask, or values that are not finite inside it.
-
-    Parameters
-    ----------
-    estimate, truth : (H, W, C) or (H, W) array_like of float
-        Linear albedo.
-    mask : (H, W) array_like of bool
-        Texels compared.
+    disagree, an empty mask, or values that are not finite inside it. `estimate` and `truth` are linear,
+    (H, W, C) or (H, W); `mask` (H, W) has the texels compared.
 
     >>> albedo_error([[0.2, 0.4]], [[0.1, 0.2]], [[True, True]]).mse_percent
     0.0

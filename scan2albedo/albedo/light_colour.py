@@ -27,7 +27,7 @@ bodies and daylight and across: white balance errs by two degrees [1]_.
 .. [1] D. Cheng, D. Prasad, M. Brown, "Illuminant estimation for color constancy: why spatial-domain methods
    work and the role of the color distribution", JOSA A 31(5), 2014.
 """
-_CAST = 0.3
+CAST = 0.3
 """Variance of the colour of light that no part stands for, as a part of that of its brightness."""
 
 
@@ -151,7 +151,7 @@ class _Colours:
         for number, (c, ratio) in enumerate(zip(self.channels, self.ratios, strict=True)):
             x = self.x[self.at(number)]
             light, white = self.light(x)
-            cast = _CAST * p.field.light_covariance @ (ratio.precision @ ratio.u)
+            cast = CAST * p.field.light_covariance @ (ratio.precision @ ratio.u)
             gain = math.exp(x[-2]) / white
             gain /= float(np.average(np.exp(p.nodes @ cast), weights=light * p.level.weight))
             found.lamps[:, c] = gain * np.exp(x[: self.lamps])
@@ -184,7 +184,7 @@ class _Ratio:
         grain = p.prior.deviation_at(p.places)[:, 1:] ** 2 @ signs**2
         self.variance = (grain + NOISE**2 + dark**2) / cell_trust(level)
         fields = [s**2 * p.field.of_used(p.prior.covariance(n)) for n, s in enumerate(signs, 1)]
-        covariance = np.add(*fields) + _CAST * p.field.light_covariance
+        covariance = np.add(*fields) + CAST * p.field.light_covariance
         self.precision = inverse(cho_factor(covariance, lower=True)[0])
         self.weight = 1 / (p.repeats * self.variance)
         self.u = np.zeros(len(covariance))

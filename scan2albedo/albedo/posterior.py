@@ -137,13 +137,7 @@ class Point:
     """
 
     def __init__(
-        self,
-        problem: Posterior,
-        model: LightModel,
-        x: FloatArray,
-        known: Start,
-        *,
-        fixed: bool = False,
+        self, problem: Posterior, model: LightModel, x: FloatArray, known: Start, *, fixed: bool = False
     ) -> None:
         problem.meter.count()
         self.problem, self.model = problem, model

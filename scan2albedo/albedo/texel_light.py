@@ -11,14 +11,14 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
-from scan2albedo.albedo.light_colour import LightColours
+from scan2albedo.albedo.light_colour import CAST, LightColours
 from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
-from scan2albedo.albedo.posterior import EXTRA, FREEDOM, Point
+from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
@@ -90,108 +90,124 @@ def _of_solution(
         return shade_rows(*surface, seen, state.rows[order], scene.toward, reflectance, scale, colors.lamps)
 
     whole = shading(np.ones_like(visible)).lamps
-    known, environment, soft = None if point is None else _Expected(scene, point), None, np.zeros((1, 3))
+    known = None if point is None else _Expected(scene, point, colours.step.ran)
+    environment, soft = None, np.zeros((1, 3))
     softly = known is not None or any(map(solution.model.has, ("occlusion", "bounce", "environment")))
     if softly:
         environment, soft = _soft_light(scene, solution, visible * whole, colors)
     if known is not None and lights and caster is not None:
-        visible = _seen_shadows(scene, known, visible, facing, whole, soft.mean(-1))
+        visible = _seen_shadows(known, mask, visible, facing, whole[..., None] * colors.lamps[:, None], soft)
     shaded = shading(visible)
+    gloss = shaded.specular_linear
     light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST) if softly else shaded.light_linear
     if known is not None:
-        for k, color in enumerate(colors.lamps):
+        for k, (lamp, color) in enumerate(zip(lights, colors.lamps, strict=True)):
             # A colour's mean goes into the lamp's intensity.
             mean = float(color.mean())
             red, green, blue = (color / mean).tolist()
-            intensity = lights[k].intensity * mean
-            lights[k] = replace(lights[k], intensity=intensity, color_linear=(red, green, blue))
-        lead = known.point.problem.lead
-        stray = _unmodelled(scene, known, light[:, lead], shaded.specular / unit)
-        light *= np.exp(known.nodes @ colors.cast + stray[:, None])
-    return TexelLight(
-        light,
-        shaded.specular_linear,
-        visible.min(0, initial=1).astype(np.float64),
-        np.zeros(len(light)),
-        tuple(lights),
-        environment,
-        reflectance,
-    )
+            lights[k] = replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))
+        light *= np.exp(known.nodes @ colors.cast)
+        share, stray = _left_over(known, light, gloss / unit)
+        gloss, light = gloss * share, light * np.exp(stray)
+    seen, spread = visible.min(0, initial=1).astype(np.float64), np.zeros(len(light))
+    return TexelLight(light, gloss, seen, spread, tuple(lights), environment, reflectance)
 
 
 class _Expected:
-    """What a point knows of log albedo on N texels: the faces' `mean` (N,), the `deviation` (N,) of single
-    texels, and the weights `nodes` (N, M) of the field's nodes."""
+    """What a point knows of log albedo on N texels: the `level` (N,) of the leading channel with the
+    `deviation` of single texels, the `ratios` (N, 3) of the others to it, and the nodes' weights `nodes`.
+    `parts` of a lamp, or of twice a highlight, are compared."""
 
-    def __init__(self, scene: LitImage, point: Point) -> None:
-        self.point = point
-        field, places, first = point.problem.field, scene.places, slice(1)
-        self.mean = field.prior.mean_at(places, first)[:, 0]
-        self.deviation = field.prior.deviation_at(places, first)[:, 0]
+    parts = np.linspace(0, 1, 9)
+
+    def __init__(self, scene: LitImage, point: Point, coloured: bool) -> None:
+        (field, places), mask = (point.problem.field, scene.places), scene.image.mask
+        self.point, self.coloured, self.usable = point, coloured, scene.usable[mask]
+        self.lead, self.first = point.problem.lead, np.arange(3) == point.problem.lead
+        mean, self.deviation = field.prior.mean_at(places), field.prior.deviation_at(places, slice(1))
         weights = field.weights(places)
         # Texels beyond the nodes in use have those that are near.
         whole = np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)
         self.nodes = (sparse.diags(1 / whole) @ weights).tocsr()
+        level, nodes = point.albedo_nodes()
+        self.level = level + point.x[-1] * mean[:, 0] + self.nodes @ nodes
+        mean[:, 0] = 0.0
+        self.ratios = mean - mean[:, [self.lead]]
+        assert scene.image.texture_linear is not None
+        texels = np.where(self.first, scene.value[mask][:, None], scene.image.texture_linear[mask])
+        self.texels = np.maximum(texels, 0.0) / point.problem.level.unit
+
+    def left(self, light: FloatArray, highlights: FloatArray | float = 0.0) -> FloatArray:
+        """Return (N, 3) log texels less log light and log albedo: the leading channel, others beside it."""
+        logs = np.log(np.maximum(self.texels - highlights, HALF_STEP) / np.maximum(light, DARKEST))
+        ratios = logs - logs[:, [self.lead]] - self.ratios
+        return np.where(self.first, logs - self.level[:, None], self.coloured * ratios)
+
+    def settle(self, light: FloatArray, highlights: FloatArray | float = 0.0) -> None:
+        """Let most texels tell the person's ratios, in this light."""
+        self.ratios += np.median(self.left(light, highlights)[self.usable], 0) * ~self.first
+
+    def mean_part(self, left: list[FloatArray], dark: FloatArray | float, prior: FloatArray) -> FloatArray:
+        """Return (N,) the mean of parts 0 to 1, by what each leaves, `dark` of its variance, and a prior."""
+        fits = -0.5 * self.usable * (np.stack(left) ** 2).sum(2) / (SPREADS[0] ** 2 + dark)
+        chance = np.exp(np.maximum(fits - fits.max(0), -6.0)) * prior
+        return np.asarray(self.parts @ chance / chance.sum(0))
 
 
 def _seen_shadows(
-    scene: LitImage, known: _Expected, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
+    known: _Expected, mask: BoolArray, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
 ) -> NDArray[np.float32]:
-    """Return (L, N) how probably each lamp reaches each texel.
+    """Return (L, N) the part of each lamp that reaches each texel, as far as is known.
 
-    The prior odds are those of the traced shadow, blurred by what the surface may err by; the picture adds
-    those of the texel's brightness, under the albedo that is expected there, with the lamp and without.
-    `lamps` (L, N) is the light of each lamp where nothing hides it, `soft` (N,) all other light.
+    Its prior is the traced shadow, blurred by what the surface may err by: none, all or, beside an outline,
+    any part. The picture adds how well brightness and colour go with the albedo that is expected there.
+    `lamps` (L, N, 3) is the light of each lamp where nothing hides it, `soft` (N, 3) all other light.
     """
-    point, mask, side = known.point, scene.image.mask, max(scene.image.shape)
-    scale, likeness = point.x[-EXTRA:]
-    expected = scale + likeness * known.mean + known.nodes @ point.u
-    value = np.log(np.maximum(scene.value[mask] / point.problem.level.unit, 1e-3)) - expected
+    away = facing == 0
 
-    def blurred(values: FloatArray, sigma: float) -> FloatArray:
+    def blurred(values: FloatArray) -> FloatArray:
         field = np.zeros(mask.shape)
         field[mask] = values
-        return np.asarray(gaussian_filter(field, sigma * side)[mask])
+        return np.asarray(gaussian_filter(field, known.point.problem.blur * max(mask.shape))[mask])
 
-    blur = point.problem.blur
-    whole = blurred(np.ones(len(value)), blur)
-    seen, judged = visible.astype(np.float64), scene.usable[mask].astype(np.float64)
-    away = facing == 0
+    whole, seen = blurred(np.ones(len(soft))), visible.astype(np.float64)
     priors = [
-        np.clip(blurred(np.where(hid, 1.0, v), blur) / whole, _LEAST, 1 - _LEAST)
+        np.clip(blurred(np.where(hid, 1.0, v)) / whole, _LEAST, 1 - _LEAST)
         for v, hid in zip(visible, away, strict=True)
     ]
+    known.settle(soft + np.einsum("ln,lnc->nc", seen, lamps))
     for _ in range(2):
-        for k, prior in enumerate(priors):
-            others = np.maximum(soft + (seen * lamps).sum(0) - seen[k] * lamps[k], DARKEST)
-            without, lit = np.log(others), np.log(others + lamps[k])
-            step = lit - without
-            odds = (value - 0.5 * (without + lit)) * step / (SPREADS[0] ** 2 + DARKEST / others) * judged
-            odds = np.clip(odds, -6.0, 6.0)
-            odds += np.log(prior / (1 - prior))
-            seen[k] = np.where(away[k], 1.0, 1 / (1 + np.exp(-odds)))
+        for k, lit in enumerate(priors):
+            others = soft + np.einsum("ln,lnc->nc", seen, lamps) - seen[k][:, None] * lamps[k]
+            prior = np.tile(lit * (1 - lit) / (len(known.parts) - 2), (len(known.parts), 1))
+            prior[0], prior[-1] = (1 - lit) * (1 - lit / 2), lit * (1 + lit) / 2
+            left = [known.left(others + part * lamps[k]) for part in known.parts]
+            dark = DARKEST / np.maximum(others[:, known.lead], DARKEST)
+            seen[k] = np.where(away[k], 1.0, known.mean_part(left, dark, prior))
     return np.where(away, 0.0, seen).astype(np.float32)
 
 
-def _unmodelled(scene: LitImage, known: _Expected, light: FloatArray, specular: FloatArray) -> FloatArray:
-    """Return (N,) the log of light that no part stands for, as the posterior has it at each texel.
+def _left_over(known: _Expected, light: FloatArray, gloss: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (N, 1) what the highlights `gloss` (N, 3) are times, and (N, 3) the log of stray light.
 
-    Log V is the sum of log light, of what is known of log albedo here, of grain, and of this: it takes the
-    part of what is left that its variance, large where light ends, has of the variance of both.
+    Highlights err by half, and none exceeds its texel. Of what log light and what is known of log albedo
+    leave, stray light takes the part that its variance, large where light ends, has of its and grain's.
     """
-    point, p, mask = known.point, known.point.problem, scene.image.mask
-    level, nodes = point.albedo_nodes()
-    value = np.maximum(scene.value[mask] / p.level.unit - specular, HALF_STEP)
-    left = np.log(value / light) - level - point.x[-1] * known.mean - known.nodes @ nodes
-    usable = scene.usable[mask]
+    known.settle(light, gloss)
+    prior = [np.exp(-2 * (2 * p - 1) ** 2) * (known.texels >= 2 * p * gloss).all(1) for p in known.parts]
+    rest = [known.left(light, 2 * part * gloss) for part in known.parts]
+    share = 2 * known.mean_part(rest, 0.0, np.stack(prior))[:, None]
+    left, first, usable = known.left(light, share * gloss), known.first, known.usable
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
-    measured = float(norm.ppf(0.75) ** -1 * np.median(np.abs(left[usable])))
-    grain = np.maximum(known.deviation, measured) ** 2
+    measured = norm.ppf(0.75) ** -1 * np.median(np.abs(left[usable]), 0)
+    grain = np.where(first, np.maximum(known.deviation, measured), np.hypot(measured, SPREADS[1])) ** 2
     # A brow, a mole, hair: Student's t, whose variance grows with what is seen. Little is that bright.
-    grain = (FREEDOM * grain + np.minimum(left, 0.0) ** 2) / FREEDOM
-    stray = point.known.scales.light * deviation_of_light(light, float(np.median(light[usable])))
-    unknown = stray**2 + (HALF_STEP / value) ** 2
-    return np.asarray(left * unknown / (grain + unknown))
+    grain = (FREEDOM * grain + np.where(first, np.minimum(left, 0.0), left) ** 2) / FREEDOM
+    lead, value = light[:, [known.lead]], np.maximum(known.texels - share * gloss, HALF_STEP)
+    stray = known.point.known.scales.light * deviation_of_light(lead, float(np.median(lead[usable])))
+    unknown = np.where(first, 1.0, CAST) * stray**2 + (HALF_STEP / value) ** 2
+    found = left * unknown / (grain + unknown)
+    return share, found + found[:, [known.lead]] * ~first
 
 
 def _soft_light(

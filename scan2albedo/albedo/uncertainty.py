@@ -70,10 +70,7 @@ class LightUncertainty:
 
 
 def expected_error(
-    noise: FloatArray,
-    deviation: FloatArray | None,
-    mask: BoolArray,
-    skin: NDArray | None = None,
+    noise: FloatArray, deviation: FloatArray | None, mask: BoolArray, skin: NDArray | None = None
 ) -> NDArray[np.float32]:
     """Return (H, W) the relative error that two texels in three stay below, in [0, 1]; 0 outside the mask.
 

@@ -108,6 +108,16 @@ def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth, scen
         assert np.abs(off[shadow] - np.median(off)).mean() < 0.4 * step
 
 
+def test_a_highlight_leaves_light_on_skin_however_strong_it_is(lit_face):
+    solution = _solution(lit_face, tail=[0.3, np.log(8.0)], specular=True)
+    found, texture = _found(lit_face, solution), lit_face.image.texture_linear[lit_face.image.mask]
+    assert found.solution.hypothesis.reflectance.specular_strength > 0
+    strong = replace(found.explanation, colours=replace(found.explanation.colours, gloss=20.0))
+    lit = light_on_texels(lit_face, replace(found, explanation=strong))
+    assert lit.specular.any()
+    assert (lit.specular < texture).all()
+
+
 def test_colours_go_with_their_lamps(lit_face):
     colors = np.array([[2.0, 1.0, 0.0], [1.0, 1.0, 1.0]])
     lit = light_on_texels(lit_face, _found(lit_face, _solution(lit_face), lamps=colors))
