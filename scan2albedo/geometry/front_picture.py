@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rasterization import bilinear, rasterize
 from scan2albedo.geometry.rigid import transform_points
@@ -54,24 +54,30 @@ def front_picture(
     covered = raster.covered
     face, barycentric = used[raster.face[covered]], raster.barycentric[covered]
     looked, shown = np.zeros((*shape, 4)), covered.copy()
-    if scan.uv is not None and scan.texture_linear is not None:
-        places = scan.uv[face]
-        places = places - np.floor(places.min(axis=1, keepdims=True) + _HAIR)  # by whole periods
-        u, v = np.einsum("nk,nkc->nc", barycentric, places).T % (1 + 2 * _HAIR)
-        height, width = scan.texture_linear.shape[:2]
-        pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
-        colors = bilinear(scan.texture_linear, pixels)
-        if scan.color_seen is not None:
-            shown[covered] = bilinear(scan.color_seen[..., None].astype(np.float32), pixels)[:, 0] > 1 - _HAIR
-    else:
-        assert scan.vertex_color_linear is not None
-        colors = np.einsum("nk,nkc->nc", barycentric, scan.vertex_color_linear[scan.faces[face]])
-        if scan.color_seen is not None:
-            shown[covered] = scan.color_seen[scan.faces[face]].all(1)
-    looked[covered, :3] = np.maximum(colors, 0) * shown[covered, None]
+    colors, shown[covered] = scan_colors(scan, face, barycentric)
+    looked[covered, :3] = colors * shown[covered, None]
     looked[covered, 3] = np.einsum("nk,nk->n", barycentric, vertices[scan.faces[face], 2])
     blocks = rows, 2, columns, 2
     count, seen = (looks.reshape(blocks).sum((1, 3)) for looks in (covered, shown))
     total = looked.reshape(*blocks, 4).sum((1, 3))
     color, depth = total[..., :3] / np.maximum(seen, 1)[..., None], total[..., 3] / np.maximum(count, 1)
     return FrontPicture(color, depth, seen > 0, low, step_mm)
+
+
+def scan_colors(scan: RawScan, face: IntArray, barycentric: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return a coloured scan's colours (N, 3) at points of its faces (N,), and where a picture showed it."""
+    if scan.uv is None or scan.texture_linear is None:
+        assert scan.vertex_color_linear is not None
+        corners = scan.faces[face]
+        colors = np.einsum("nk,nkc->nc", barycentric, scan.vertex_color_linear[corners])
+        shown = None if scan.color_seen is None else scan.color_seen[corners].all(1)
+    else:
+        places = scan.uv[face]
+        places = places - np.floor(places.min(axis=1, keepdims=True) + _HAIR)  # by whole periods
+        u, v = np.einsum("nk,nkc->nc", barycentric, places).T % (1 + 2 * _HAIR)
+        height, width = scan.texture_linear.shape[:2]
+        pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
+        colors, shown = bilinear(scan.texture_linear, pixels), None
+        if scan.color_seen is not None:
+            shown = bilinear(scan.color_seen[..., None].astype(np.float32), pixels)[:, 0] > 1 - _HAIR
+    return np.maximum(colors, 0.0), np.ones(len(face), bool) if shown is None else np.asarray(shown)

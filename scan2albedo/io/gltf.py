@@ -117,11 +117,8 @@ def _part(
                 pictures[id(image)] = decode_picture(np.asarray(image.convert("RGBA"), np.uint8))
         if image is not None and id(image) in pictures:
             texture = pictures[id(image)]
-            texture = (
-                texture
-                if (color == 1).all()
-                else texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
-            )
+            if (color < 1).any():
+                texture = texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
         base = (float(color[0]), float(color[1]), float(color[2]))
         title = str(getattr(source, "name", None) or "material")
         materials[id(source)] = Material(title, texture, base)
@@ -134,13 +131,21 @@ def _part(
     uv = getattr(visual, "uv", None)
     # A mesh without material and colours has no attributes either.
     others = getattr(visual, "vertex_attributes", {})
-    colors = visual.vertex_colors if visual.kind == "vertex" else others.get("color")
+    given = visual.vertex_colors if visual.kind == "vertex" else others.get("color")
+    number = list(materials).index(id(source))
+    if given is None:  # of alpha 0, for no picture showed it
+        colors = np.tile([*materials[id(source)].base_color_linear, 0], (len(vertices), 1)).astype(np.float32)
+    else:
+        colors = _scaled(np.asarray(given))
+        colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
+    if uv is None or len(uv) != len(vertices):
+        uv = np.full((len(vertices), 2), np.nan)
     return ParsedMesh(
         vertices=(linear @ vertices[:, :, None])[:, :, 0] + shift,
         faces=faces,
-        uv=None if uv is None or len(uv) != len(vertices) else np.asarray(uv, np.float64)[faces],
-        material=np.full(len(faces), list(materials).index(id(source))),
-        vertex_color_linear=None if colors is None else _scaled(np.asarray(colors)),
+        uv=np.asarray(uv, np.float64)[faces],
+        material=np.full(len(faces), number),
+        vertex_color_linear=colors,
     )
 
 
@@ -151,28 +156,20 @@ def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tuple[str, ...]) -> ParsedMesh:
-    """Concatenate parts; those without coordinates get NaN, without vertex colours their base colour."""
+    """Concatenate parts; colours and coordinates that none of them has are left out."""
     if not parts:
         return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=notes)
     offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
-    uvs = [np.full((len(p.faces), 3, 2), np.nan) if p.uv is None else p.uv for p in parts]
-    material = [p.material for p in parts if p.material is not None]
-    colors = None
-    if any(p.vertex_color_linear is not None for p in parts):
-        every = []
-        for p in parts:
-            own = Material("") if p.material is None or not len(p.material) else materials[p.material[0]]
-            plain = np.tile(np.array([*own.base_color_linear, 0], np.float32), (len(p.vertices), 1))
-            given = plain if p.vertex_color_linear is None else p.vertex_color_linear
-            every.append(np.pad(given, ((0, 0), (0, 4 - given.shape[1])), constant_values=1))
-        colors = np.concatenate(every)
+    faces = [p.faces + offset for p, offset in zip(parts, offsets, strict=False)]
+    names = ("vertices", "uv", "material", "vertex_color_linear")
+    vertices, uv, material, colors = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
     return ParsedMesh(
-        vertices=np.concatenate([p.vertices for p in parts]),
-        faces=np.concatenate([p.faces + offset for p, offset in zip(parts, offsets, strict=False)]),
-        uv=np.concatenate(uvs) if any(p.uv is not None for p in parts) else None,
-        material=np.concatenate(material),
+        vertices=vertices,
+        faces=np.concatenate(faces),
+        uv=uv if np.isfinite(uv).any() else None,
+        material=material,
         materials=materials,
-        vertex_color_linear=colors,
+        vertex_color_linear=colors if colors[:, 3].any() else None,
         notes=notes,
     )
 

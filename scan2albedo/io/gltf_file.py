@@ -24,17 +24,16 @@ MARK = "_"
 """Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
 _DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5124: "<i4", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_DRACO = "KHR_draco_mesh_compression"
+_DRACO, _OF_ARRAYS = "KHR_draco_mesh_compression", "bytes of arrays"
 _NOT_DECODED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 @dataclass
 class GltfFile:
-    """A file: its bytes, the JSON `tree` in it, and the bytes `rest` that follow that in a GLB."""
+    """A file: the JSON `tree` in it, and the bytes `rest` that follow that in a GLB."""
 
     path: Path
     folder: ScanFolder
-    data: bytes
     tree: dict[str, Any]
     rest: bytes = b""
     binary: bool = False
@@ -44,11 +43,18 @@ class GltfFile:
     def read(cls, path: Path, folder: ScanFolder) -> GltfFile:
         """Read a GLB or glTF file."""
         data = limits.read_bytes(path, advice="decimate it")
-        if data[:4] != b"glTF":
-            return cls(path, folder, data, limits.parse_json(path.name, data))
-        start = 20  # behind the headers of the file and of its first chunk
-        end = start + int.from_bytes(data[12:16], "little")
-        return cls(path, folder, data, limits.parse_json(path.name, data[start:end]), data[end:], binary=True)
+        start, end = 0, len(data)
+        if binary := data[:4] == b"glTF":
+            start = 20  # behind the headers of the file and of its first chunk
+            end = start + int.from_bytes(data[12:16], "little")
+        tree = limits.parse_json(path.name, data[start:end])
+        for material in tree.get("materials", ()):
+            base = material.setdefault("pbrMetallicRoughness", {})
+            if "emissiveTexture" in material and "baseColorTexture" not in base:
+                # Shadeless exports have the colour in the slot of what glows.
+                base["baseColorTexture"] = material["emissiveTexture"]
+                base["baseColorFactor"] = [*material.get("emissiveFactor", (0, 0, 0)), 1]
+        return cls(path, folder, tree, data[end:], binary)
 
     def __getitem__(self, uri: str) -> bytes:
         """Return the content of a file that the scan may refer to; FileNotFoundError for any other."""
@@ -82,13 +88,16 @@ class GltfFile:
                 f"{name}: is compressed with Draco; install what reads it with: "
                 f"pip install 'scan2albedo[draco]', or {advice}"
             )
+        for view in tree.get("bufferViews", ()):
+            if view["buffer"] < 0 or view.get("byteStride", 4) < 4:
+                raise ValueError(f"a view of buffer {view['buffer']}, of stride {view.get('byteStride', 4)}")
         total = 0
         for accessor in tree.get("accessors", ()):
             if accessor["count"] < 0:
                 raise ValueError(f"an accessor has {accessor['count']} elements")
             dtype = np.dtype(_DTYPES[accessor["componentType"]])
             total += dtype.itemsize * _COMPONENTS[accessor["type"]] * accessor["count"]
-        limits.require_at_most(name, "bytes of arrays", total, limits.FILE_BYTES, "decimate it")
+        limits.require_at_most(name, _OF_ARRAYS, total, limits.FILE_BYTES, "decimate it")
         # Vertices, triangles and primitives of all meshes, in the file and as often as its scene shows them.
         meshes = []
         for mesh in tree.get("meshes", ()):
@@ -148,35 +157,39 @@ class GltfFile:
     def for_trimesh(self) -> bytes:
         """Return the file's bytes with what trimesh leaves out or misreads changed.
 
-        Texture coordinates of 8 or 16 bits become floats; for skins nodes are numbered, attributes marked.
+        Positions and coordinates, whole numbers or sparse, become floats, as the base colour's `texCoord` and
+        KHR_texture_transform choose and move them. For skins nodes are numbered, attributes marked.
         """
-        tree, changed = json.loads(json.dumps(self.tree)), False
-        meshes, accessors = tree.get("meshes", ()), tree.get("accessors", ())
-        every = [primitive for mesh in meshes for primitive in mesh["primitives"]]
-        for number in {primitive["attributes"].get("TEXCOORD_0") for primitive in every} - {None}:
-            entry = accessors[number]
-            if "bufferView" in entry and _DTYPES[entry["componentType"]] in ("u1", "<u2"):
-                stored = self._array(self.tree["accessors"][number])
-                data = (stored / float(np.iinfo(stored.dtype).max)).astype("<f4").tobytes()
-                uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-                tree["bufferViews"].append({"buffer": len(tree["buffers"]), "byteLength": len(data)})
-                tree["buffers"].append({"byteLength": len(data), "uri": uri})
-                place = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": 5126}
-                accessors[number] = {**place, "count": entry["count"], "type": "VEC2"}
-                changed = True
-        self.tree = tree
-        if tree.get("skins"):
-            tree, changed = json.loads(json.dumps(tree)), True
-            for number, node in enumerate(tree.get("nodes", [])):
-                node["name"] = str(number)
-            for mesh in tree.get("meshes", []):
-                for primitive in mesh["primitives"]:
-                    primitive["attributes"] = {
-                        MARK + name if name.startswith(("JOINTS_", "WEIGHTS_")) else name: accessor
-                        for name, accessor in primitive["attributes"].items()
-                    }
-        if not changed:
-            return self.data
+        tree, made, size = json.loads(json.dumps(self.tree)), dict[str, int](), 0
+        for primitive in (primitive for mesh in tree.get("meshes", ()) for primitive in mesh["primitives"]):
+            attributes = dict(primitive["attributes"])
+            material = tree["materials"][primitive["material"]] if "material" in primitive else {}
+            picture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+            moved = picture.get("extensions", {}).get("KHR_texture_transform", {})
+            chosen = f"TEXCOORD_{moved.get('texCoord', picture.get('texCoord', 0))}"
+            changes: dict[str, Any] = {"POSITION": {}, chosen: moved}
+            for source in changes.keys() & attributes.keys():
+                number, change = attributes[source], changes[source]
+                entry, key = self.tree["accessors"][number], json.dumps([number, change])
+                if key not in made and ("sparse" in entry or entry["componentType"] != 5126 or change):
+                    values = self._numbers(entry) * change.get("scale", 1)
+                    cos, sin = np.cos(turn := change.get("rotation", 0)), np.sin(turn)
+                    turned = values @ np.array([[cos, -sin], [sin, cos]]) if turn else values  # v points down
+                    data = (turned + change.get("offset", 0)).astype("<f4").tobytes()
+                    size += len(data)
+                    limits.require_at_most(self.path.name, _OF_ARRAYS, size, limits.FILE_BYTES, "decimate it")
+                    made[key], buffers = len(tree["accessors"]), tree.setdefault("buffers", [])
+                    views = tree.setdefault("bufferViews", [])
+                    plain = {"bufferView": len(views), "componentType": 5126, "count": len(values)}
+                    tree["accessors"].append({**plain, "type": entry["type"]})
+                    views.append({"buffer": len(buffers), "byteLength": len(data)})
+                    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+                    buffers.append({"byteLength": len(data), "uri": uri})
+                attributes["TEXCOORD_0" if source == chosen else source] = made.get(key, number)
+            marked = ("JOINTS_", "WEIGHTS_") if tree.get("skins") else ()
+            primitive["attributes"] = {MARK * n.startswith(marked) + n: k for n, k in attributes.items()}
+        for number, node in enumerate(tree.get("nodes", []) if tree.get("skins") else ()):
+            node["name"] = str(number)
         return glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
 
     def inverse_binds(self, skin: int) -> FloatArray:
@@ -190,6 +203,23 @@ class GltfFile:
             raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
         stored = self._array(accessor)[:count].reshape(count, 4, 4)
         return stored.transpose(0, 2, 1).astype(np.float64)
+
+    def _numbers(self, accessor: dict[str, Any]) -> FloatArray:
+        """Return (count, components) of an accessor, whole numbers as parts of their range (glTF 3.6.2)."""
+        if "bufferView" not in accessor and "sparse" not in accessor:
+            raise ValueError("compressed coordinates are moved (KHR_texture_transform) or whole numbers")
+        shape = accessor["count"], _COMPONENTS[accessor["type"]]
+        stored = np.zeros(shape, _DTYPES[accessor["componentType"]])
+        if "bufferView" in accessor:
+            stored[:] = self._array(accessor)
+        if "sparse" in accessor:
+            few = accessor["sparse"]
+            at = self._array({"type": "SCALAR", "count": few["count"], **few["indices"]})[:, 0]
+            stored[at] = self._array({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
+        quantized = "KHR_mesh_quantization" in self.tree.get("extensionsUsed", ())
+        if stored.dtype.kind == "f" or not accessor.get("normalized", not quantized):
+            return stored.astype(np.float64)
+        return np.maximum(stored / np.iinfo(stored.dtype).max, -1)
 
     def _array(self, accessor: dict[str, Any]) -> NDArray[Any]:
         """Return (count, components) what an accessor of a buffer view holds."""

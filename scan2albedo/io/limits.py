@@ -7,6 +7,7 @@ head of 0.1 mm resolution has five million triangles, and a geometry image of it
 from __future__ import annotations
 
 import json
+import re
 import stat
 import struct
 import tokenize
@@ -43,24 +44,19 @@ GROWTH = 16
 """Arrays and EXR pictures of more bytes than that are read from files that are large themselves: masks shrink
 more, measured numbers less. What a file of zeros declares may be a thousand times its size."""
 
+_FOREIGN = {
+    rb"version https://git-lfs": "a Git LFS pointer in its place: fetch the file itself (git lfs pull)",
+    rb"<!doctype html|<html": "a web page: download the file itself",
+    rb"pk\x03\x04|\x1f\x8b|7z\xbc\xaf|rar!": "an archive: unpack it",
+    rb"#vrml": "a VRML scene: export the scan as OBJ, PLY or GLB",
+}
+"""Beginnings, in lower case, of files that are no scan's, whatever their names end with."""
+
 DAMAGE = (
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    NameError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError, OSError,
+    RuntimeError, SyntaxError, TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
     zlib.error,
-)
+)  # fmt: skip
 """What parsers, NumPy's and trimesh's among them, raise of bytes that are not what was written."""
 
 
@@ -87,7 +83,17 @@ def require_file(file: Path, limit: float = FILE_BYTES, advice: str = "make it s
     return status.st_size
 
 
+def require_own_kind(file: Path) -> None:
+    """Raise ScanError for a file whose beginning says that it is none of a scan; OSError if missing."""
+    with file.open("rb") as opened:
+        beginning = opened.read(1024).lstrip().lower()
+    for beginnings, what in _FOREIGN.items():
+        if re.match(beginnings, beginning):
+            raise ScanError(f"{file.name}: is {what}")
+
+
 def read_bytes(file: Path, limit: int = FILE_BYTES, advice: str = "make it smaller") -> bytes:
-    """Return the content of a file; raises as `require_file` does."""
+    """Return the content of a scan's file; raises as `require_file` and `require_own_kind` do."""
     require_file(file, limit, advice)
+    require_own_kind(file)
     return file.read_bytes()

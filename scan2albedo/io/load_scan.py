@@ -181,15 +181,14 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
         raise ScanError(f"{file}: is a folder; name the scan file in it ({', '.join(SUPPORTED_SCANS)})")
     extension = file.suffix.lower()
     if extension not in SUPPORTED_SCANS:
+        if file.is_file():
+            limits.require_own_kind(file)
         raise ScanError(
             f"{file.name}: {extension or 'a name without extension'} is not supported; "
             f"save the scan as one of {', '.join(SUPPORTED_SCANS)}"
         )
     try:
-        size = limits.require_file(file, advice="decimate it")
-        with file.open("rb"):
-            pass
-        if size == 0:
+        if limits.require_file(file, advice="decimate it") == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
         reader = READERS[extension]
         with memory_errors_named(file.name):

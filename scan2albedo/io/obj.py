@@ -19,7 +19,7 @@ from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_trian
 from scan2albedo.io.scan_folder import ScanFolder
 
 
-class _Lines:
+class ObjLines:
     """The lines of an OBJ file by their first words, with the byte ranges of what follows these."""
 
     def __init__(self, data: bytes, name: str) -> None:
@@ -86,7 +86,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     ScanError, naming file and line, when a line is damaged or an index points outside the file; TooLargeError
     for more than is read.
     """
-    lines = _Lines(limits.read_bytes(path, advice="decimate it"), path.name)
+    lines = ObjLines(limits.read_bytes(path, advice="decimate it"), path.name)
     positions, tokens = lines.numbers(b"v", 6, least=3, most=limits.VERTICES)
     coordinates, _ = lines.numbers(b"vt", 2, least=1, most=limits.TEXT_LINES)
     # Corners as written, then as indices from 0 of vertex and coordinates, -1 for none.
@@ -151,7 +151,7 @@ def write_obj(path: str | Path, vertices: FloatArray, faces: IntArray) -> None:
 
 
 def _materials(
-    lines: _Lines, pictures: ScanPictures
+    lines: ObjLines, pictures: ScanPictures
 ) -> tuple[IntArray | None, tuple[Material, ...], tuple[str, ...]]:
     """Return (material index of each polygon or None, materials used, notes)."""
     notes: list[str] = []

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import ScanError
+from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.mtl import MaterialText, ScanPictures
 from scan2albedo.io.parsed_mesh import ParsedMesh, cut_note, damaged, fan_triangles, require_few_triangles
 from scan2albedo.io.scan_folder import ScanFolder
-from scan2albedo.io.text_tables import NumberLines, number_lines, walk_rows
+from scan2albedo.io.text_tables import NumberLines, byte_ranges, number_lines, walk_rows
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -39,7 +40,7 @@ class _ListColumn(NamedTuple):
 
 
 @dataclass
-class _Element:
+class Element:
     """Rows as the header declares them; `properties` are (name, type, type of a list's count or None)."""
 
     name: str
@@ -53,19 +54,36 @@ Columns = dict[str, "NDArray[Any] | _ListColumn"]
 def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
     """Read a PLY file.
 
-    Vertex colours are sRGB, 8 or 16 bits or floats in [0, 1]. Texture coordinates stand with the corners (the
-    ``texcoord`` list) or with the vertices, textures in ``TextureFile`` comments. Raises ScanError when the
-    file is damaged or holds triangle strips; the message names it.
+    Colours of vertices, else of faces, are sRGB, 8 or 16 bits or floats in [0, 1]. Texture coordinates stand
+    with the corners (the ``texcoord`` list) or with the vertices, textures in ``TextureFile`` comments.
+    Raises ScanError when the file is damaged; the message names it.
     """
-    elements, texture_files = _read_elements(path)
-    columns, face = elements.get("vertex", {}), elements.get("face", {})
-    vertex: Columns = {name: values for name, values in columns.items() if isinstance(values, np.ndarray)}
-    if "tristrips" in elements and not face:
-        raise ScanError(f"{path.name}: holds triangle strips; export it again as plain triangles")
+    return mesh_of_columns(path, folder, *_read_elements(path))
+
+
+def mesh_of_columns(
+    path: Path, folder: ScanFolder, elements: dict[str, Columns], texture_files: list[str]
+) -> ParsedMesh:
+    """Return the mesh of a file's elements, named as those of PLY, with its textures."""
+    face = elements.get("face", {})
+    vertex, of_face = (
+        {name: values for name, values in elements.get(kind, {}).items() if isinstance(values, np.ndarray)}
+        for kind in ("vertex", "face")
+    )
+    strips = elements.get("tristrips", {}).get("vertex_indices")
+    if isinstance(strips, _ListColumn) and not face:
+        # Strips end with their row, or at an index below 0; every second triangle is turned over.
+        items = np.insert(strips.items.astype(np.int64), np.cumsum(strips.counts), -1)
+        place = np.arange(len(items))
+        odd = (place - np.maximum.accumulate(np.where(items < 0, place, -1))) % 2 == 0
+        rows = np.stack([np.roll(items, -k) for k in range(3)], axis=1)
+        rows[odd] = rows[odd][:, [1, 0, 2]]
+        rows = rows[(rows >= 0).all(axis=1)]
+        face = {"vertex_indices": _ListColumn(np.full(len(rows), 3), rows.ravel())}
     missing = [axis for axis in "xyz" if axis not in vertex]
     if missing:
         raise ScanError(f"{path.name}: its vertices have no {missing[0]}; export the scan again")
-    vertices = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=1)
+    vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
     index = face.get("vertex_indices", face.get("vertex_index"))
     if not isinstance(index, _ListColumn):
         return ParsedMesh(vertices, np.zeros((0, 3), np.int64))
@@ -85,23 +103,23 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
         of_corners[np.repeat(complete, index.counts)] = whole.reshape(-1, 2)
         uv = of_corners[corners] if complete.any() else None
     elif of_vertices is not None:
-        per_vertex = np.stack([np.asarray(vertex[name], np.float64) for name in of_vertices], axis=1)
+        per_vertex = np.stack([vertex[name] for name in of_vertices], axis=1).astype(np.float64)
         inside = (faces >= 0) & (faces < len(per_vertex))
         uv = per_vertex[np.where(inside, faces, 0)]
-    names = next((names for names in _COLOR_NAMES if all(name in vertex for name in names)), None)
-    colors = None
-    if names is not None and len(vertices):
-        colors = linear_of_srgb_numbers(np.stack([vertex[name] for name in names], axis=1))
-        if isinstance(alpha := vertex.get("alpha"), np.ndarray) and np.isfinite(alpha).all():
-            colors = np.column_stack([colors, alpha.astype(np.float32)])
+    colors = _colors(vertex)
+    if colors is None and (of_faces := _colors(of_face)) is not None:
+        known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
+        around = of_faces[polygon[known]].T.astype(np.float64)
+        means = [vertex_average(len(vertices), faces[known], channel) for channel in around]
+        colors = np.stack(means, axis=1).astype(np.float32)
     count = len(texture_files)
     limits.require_at_most(path.name, "textures", count, limits.MATERIALS, "join them into one")
     pictures = ScanPictures(folder)
     materials, notes = pictures.materials(MaterialText(name, texture_file=name) for name in texture_files)
     materials, notes = pictures.or_named_like(path, uv, materials, notes)
-    number, material = face.get("texnumber"), None
-    if len(materials) > 1 and isinstance(number, np.ndarray):
-        chosen = number.astype(np.int64)[polygon]
+    material = None
+    if len(materials) > 1 and "texnumber" in of_face:
+        chosen = of_face["texnumber"].astype(np.int64)[polygon]
         material = np.where((chosen >= 0) & (chosen < len(materials)), chosen, -1)
     return ParsedMesh(
         vertices=vertices,
@@ -112,6 +130,17 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
         vertex_color_linear=colors,
         notes=cut_note(index.counts) + notes,
     )
+
+
+def _colors(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:
+    """Return the linear colours (N, 3) of rows, or with alpha (N, 4); None where they have none."""
+    names = next((names for names in _COLOR_NAMES if all(name in columns for name in names)), None)
+    if names is None or not len(columns[names[0]]):
+        return None
+    colors = linear_of_srgb_numbers(np.stack([columns[name] for name in names], axis=1))
+    if "alpha" in columns and np.isfinite(columns["alpha"]).all():
+        colors = np.column_stack([colors, columns["alpha"].astype(np.float32)])
+    return colors
 
 
 def files_of_ply(path: Path, folder: ScanFolder) -> list[str]:
@@ -137,14 +166,14 @@ def _read_elements(path: Path) -> tuple[dict[str, Columns], list[str]]:
     # Byte order "<" or ">", None for text.
     orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
     order: str | None = "?"
-    elements: list[_Element] = []
+    elements: list[Element] = []
     for line in header.splitlines():
         words = line.split()
         try:
             if words[:1] == ["format"]:
                 order = orders[words[1]]
             elif words[:1] == ["element"]:
-                elements.append(_Element(words[1], int(words[2])))
+                elements.append(Element(words[1], int(words[2])))
             elif words[:2] == ["property", "list"]:
                 count_type, item_type = (np.dtype(_TYPES[word]) for word in words[2:4])
                 elements[-1].properties.append((words[4], item_type, count_type))
@@ -165,25 +194,16 @@ def _read_elements(path: Path) -> tuple[dict[str, Columns], list[str]]:
         count, what = len(element.properties), f"properties of {element.name}"
         limits.require_at_most(path.name, what, count, limits.MATERIALS, "export it again")
     if order is None:
-        columns = _ascii_columns(path, number_lines(data, end.end(), path.name), elements)
+        columns = ascii_columns(path, number_lines(data, end.end(), path.name), elements)
         return columns, _texture_files(header)
     columns, body = {}, np.frombuffer(data, np.uint8, offset=end.end())
     for element in elements:
-        result = _uniform_rows(body, element, order)
-        # A property of a row has a byte at least: a count beyond the file is not worth making room for.
-        cells = element.count * len(element.properties)
-        if result is None and cells <= len(body):
-            what = f"properties of {element.name} with lists of several lengths"
-            limits.require_at_most(path.name, what, cells, 8 * limits.TRIANGLES, "decimate it")
-            result = _ragged_rows(body, element, order)
-        if result is None:
-            raise _cut_short(path, element)
-        columns[element.name], size = result
+        columns[element.name], size = _binary_rows(path, body, element, order)
         body = body[size:]
     return columns, _texture_files(header)
 
 
-def _ascii_columns(path: Path, lines: NumberLines, elements: list[_Element]) -> dict[str, Columns]:
+def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> dict[str, Columns]:
     """Split rows of numbers into properties; a list takes its count and its entries."""
     columns: dict[str, Columns] = {}
     row = 0
@@ -194,18 +214,20 @@ def _ascii_columns(path: Path, lines: NumberLines, elements: list[_Element]) -> 
             raise _cut_short(path, element)
         table = lines.table(rows)
         if table.bad >= 0:
-            raise damaged(path, f"{element.name} {table.bad} is not made of numbers", "PLY")
+            raise damaged(path, f"{element.name} {table.bad} is not made of numbers", path.suffix[1:].upper())
         found = columns[element.name] = {}
         column = np.zeros(element.count, np.int64)
         for name, item_type, count_type in element.properties:
             if (short := np.flatnonzero(column >= table.counts)).size:
-                raise damaged(path, f"{element.name} {short[0]} is cut short", "PLY")
+                raise damaged(path, f"{element.name} {short[0]} is cut short", path.suffix[1:].upper())
             values = table.values[table.first + column]
             column = column + 1
             counts = None
             if count_type is not None:
                 if not ((values >= 0) & (column + values <= table.counts)).all():  # NaN is neither
-                    raise damaged(path, f"a list {name} of {element.name} is cut short", "PLY")
+                    raise damaged(
+                        path, f"a list {name} of {element.name} is cut short", path.suffix[1:].upper()
+                    )
                 counts = values.astype(np.int64)
                 values = table.ranges(column, counts)
                 column = column + counts
@@ -214,64 +236,40 @@ def _ascii_columns(path: Path, lines: NumberLines, elements: list[_Element]) -> 
                 fits = (values >= bounds.min) & (values < float(bounds.max) + 1)
                 if not fits.all():
                     wrong = f"{values[~fits][0]:g}, which {item_type.name} cannot hold"
-                    raise damaged(path, f"{name} of {element.name} holds {wrong}", "PLY")
+                    raise damaged(path, f"{name} of {element.name} holds {wrong}", path.suffix[1:].upper())
             with np.errstate(over="ignore"):  # to infinity; infinite vertices in use raise later
                 items = values.astype(item_type)
             found[name] = items if counts is None else _ListColumn(counts, items)
     return columns
 
 
-def _cut_short(path: Path, element: _Element) -> ScanError:
+def _cut_short(path: Path, element: Element) -> ScanError:
     what = f"it declares {element.count} {element.name} rows, but ends before that"
-    return damaged(path, what, "PLY")
+    return damaged(path, what, path.suffix[1:].upper())
 
 
-def _uniform_rows(body: NDArray[np.uint8], element: _Element, order: str) -> tuple[Columns, int] | None:
-    """Return (columns, bytes of all rows); None where lists differ in length or the body ends before."""
-    lengths: dict[str, int] = {}
-    fields: list[Any] = []
-    for name, item_type, count_type in element.properties:
-        shape: tuple[int, ...] = ()
-        if count_type is not None:
-            start, count_type = np.dtype(fields).itemsize, count_type.newbyteorder(order)  # type: ignore[arg-type]
-            fields.append((f"#{name}", count_type))
-            if element.count:
-                if start + count_type.itemsize > len(body):
-                    return None
-                lengths[name] = int(body[start : start + count_type.itemsize].view(count_type)[0])
-                if not 0 <= lengths[name] * item_type.itemsize <= len(body):
-                    return None
-            shape = (lengths.get(name, 0),)
-        fields.append((name, item_type.newbyteorder(order), shape))  # type: ignore[arg-type]
-    row_type = np.dtype(fields)
-    size = row_type.itemsize * element.count
-    if size > len(body):
-        return None
-    rows = body[:size].view(row_type) if size else np.zeros(element.count, row_type)
-    if any((rows[f"#{name}"] != length).any() for name, length in lengths.items()):
-        return None
-    columns: Columns = {}
-    for name, item_type, count_type in element.properties:
-        values = rows[name].astype(item_type)
-        if count_type is not None:
-            columns[name] = _ListColumn(rows[f"#{name}"].astype(np.int64), values.reshape(-1))
-        else:
-            columns[name] = values
-    return columns, size
-
-
-def _ragged_rows(body: NDArray[np.uint8], element: _Element, order: str) -> tuple[Columns, int] | None:
-    """Read rows whose lists differ in length: walk once for the offsets, then gather by length."""
-    items = np.array([item_type.itemsize for _, item_type, _ in element.properties])
+def _binary_rows(path: Path, body: NDArray[np.uint8], element: Element, order: str) -> tuple[Columns, int]:
+    """Return (columns, bytes of all rows); ScanError where the body ends before."""
+    types = [(name, item_type.newbyteorder(order)) for name, item_type, _ in element.properties]  # type: ignore[arg-type]
+    if all(count_type is None for _, _, count_type in element.properties):
+        size = np.dtype(types).itemsize * element.count
+        if size > len(body):
+            raise _cut_short(path, element)
+        rows = np.ndarray(element.count, np.dtype(types), body)
+        return {name: rows[name].astype(item_type) for name, item_type, _ in element.properties}, size
+    # A property of a row has a byte at least: a count beyond the file is not worth making room for.
+    cells = element.count * len(types)
+    if cells > len(body):
+        raise _cut_short(path, element)
+    what = f"properties of {element.name} in all its rows"
+    limits.require_at_most(path.name, what, cells, 8 * limits.TRIANGLES, "decimate it")
+    items = np.array([item_type.itemsize for _, item_type in types])
     counters = np.array([count_type.itemsize if count_type else 0 for _, _, count_type in element.properties])
     offsets, counts, size = walk_rows(body, element.count, items, counters, order == ">")
     if size < 0:
-        return None
+        raise _cut_short(path, element)
     columns: Columns = {}
     for i, (name, item_type, count_type) in enumerate(element.properties):
-        bytes_per_row = counts[:, i] * items[i]
-        first = np.cumsum(bytes_per_row) - bytes_per_row
-        source = np.arange(int(bytes_per_row.sum())) + np.repeat(offsets[:, i] - first, bytes_per_row)
-        values = body[source].view(item_type.newbyteorder(order)).astype(item_type)  # type: ignore[arg-type]
+        values = byte_ranges(body, offsets[:, i], counts[:, i] * items[i]).view(types[i][1]).astype(item_type)
         columns[name] = values if count_type is None else _ListColumn(counts[:, i], values)
     return columns, size

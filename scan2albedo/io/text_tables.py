@@ -207,6 +207,17 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
     return offsets, counts, position
 
 
+@njit(cache=True, nogil=True)
+def byte_ranges(body, starts, sizes):  # type: ignore[no-untyped-def]
+    """Return the `sizes` (N,) bytes of `body` from each of `starts` (N,) on, one after the other."""
+    found, place = np.empty(sizes.sum(), np.uint8), 0
+    for row in range(starts.size):
+        for k in range(sizes[row]):
+            found[place + k] = body[starts[row] + k]
+        place += sizes[row]
+    return found
+
+
 class NumberTable(NamedTuple):
     """The numbers of lines of any length, one after the other, `counts` (N,) of each from `first` (N,)."""
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.appearance import appearance
 from scan2albedo.geometry.closest_points import NearestSurface
+from scan2albedo.geometry.front_picture import scan_colors
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
@@ -56,7 +57,9 @@ class ColourScorer:
         keeps the place of its front.
         """
         sized = self._front + face_scale * (self._points[self._covered] - self._front)
-        color, near = self._colors(transform_points(invert_rigid(model_from_scan), sized))
+        hits = self._surface.query(transform_points(invert_rigid(model_from_scan), sized))
+        color, shown = scan_colors(self._scan, hits.face * self._stride, hits.barycentric)
+        near = shown & (hits.distance < _NEAR_MM) & (color.max(1) > 0)
         if near.mean() < _LEAST_SEEN:
             return 0.0
         texture, seen = np.zeros((*self._covered.shape, 3), np.float32), self._covered.copy()
@@ -64,21 +67,3 @@ class ColourScorer:
         position = face_scale * self._points
         looks = appearance(position, self._normals, seen, texture, place=self._place)
         return float(np.clip(looks.log_odds, *_CAPS))
-
-    def _colors(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return the colours (N, 3) of the scan nearest to points (N, 3) in its frame, and which are near."""
-        scan, hits = self._scan, self._surface.query(points)
-        face = hits.face * self._stride
-        if scan.uv is not None and scan.texture_linear is not None:
-            height, width = scan.texture_linear.shape[:2]
-            u, v = (np.einsum("nk,nkc->nc", hits.barycentric, scan.uv[face]) % 1.0).T
-            row = np.minimum(((1 - v) * height).astype(np.int64), height - 1)
-            column = np.minimum((u * width).astype(np.int64), width - 1)
-            color = scan.texture_linear[row, column].astype(np.float64)
-            shown = True if scan.color_seen is None else scan.color_seen[row, column]
-        else:
-            assert scan.vertex_color_linear is not None
-            color = np.einsum("nk,nkc->nc", hits.barycentric, scan.vertex_color_linear[scan.faces[face]])
-            shown = True if scan.color_seen is None else scan.color_seen[scan.faces[face]].all(1)
-        color = np.maximum(color, 0)
-        return color, shown & (hits.distance < _NEAR_MM) & (color.max(1) > 0)

@@ -28,6 +28,30 @@ def test_empty_files(tmp_path, extension):
         load_scan(tmp_path / f"a{extension}")
 
 
+@pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb", "a.stl", "a.off", "a.zip", "a"])
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "a Git LFS pointer"),
+        (b"\n\n<!DOCTYPE html>\n<html></html>", "a web page: download the file itself"),
+        (b"PK\x03\x04" + bytes(40), "an archive: unpack it"),
+        (b"\x1f\x8b" + bytes(40), "an archive: unpack it"),
+        (b"#VRML V2.0 utf8\n", "a VRML scene: export the scan as"),
+    ],
+)
+def test_what_is_no_scan_is_named_by_its_beginning(tmp_path, name, data, message):
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(ScanError, match=rf"{name}: is {message}"):
+        load_scan(tmp_path / name)
+
+
+def test_a_texture_that_is_a_pointer_is_named(tmp_path):
+    (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 90 0 0\nv 0 90 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+    (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd a.jpg\n")
+    (tmp_path / "a.jpg").write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
+    assert any("a.jpg: is a Git LFS pointer" in note for note in load_scan(tmp_path / "a.obj").notes)
+
+
 @pytest.mark.parametrize("extension", ["", *SUPPORTED_SCANS])
 def test_folders(tmp_path, extension):
     (tmp_path / f"folder{extension}").mkdir()

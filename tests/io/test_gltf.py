@@ -238,3 +238,91 @@ def test_a_glb_without_texture_and_wrong_calls(tmp_path):
     with pytest.raises(ValueError, match="expected"):
         write_glb(tmp_path / "b.glb", SQUARE_MM[:, :2], SQUARE_FACES)
     assert not (tmp_path / "b.glb").exists()
+
+
+def with_array(tree, binary, values, **accessor):
+    """Return the number of a new accessor of values (N, K), and the buffer with them."""
+    binary += b"\0" * (-len(binary) % 4)
+    data = np.ascontiguousarray(values).tobytes()
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data)})
+    tree["buffers"] = [{"byteLength": len(binary + data)}]
+    kinds = {"i2": 5122, "u2": 5123, "f4": 5126}
+    place = {"bufferView": len(tree["bufferViews"]) - 1, "componentType": kinds[values.dtype.str[1:]]}
+    kind = f"VEC{values.shape[1]}"
+    tree["accessors"].append({"count": len(values), "type": kind, **place, **accessor})
+    return len(tree["accessors"]) - 1, binary + data
+
+
+def turned(uv, turn, scale, offset):
+    """Undo the transform of KHR_texture_transform: scaled, turned counter-clockwise (v is down), moved."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    return (uv - offset) @ np.array([[cos, sin], [-sin, cos]]) / scale
+
+
+@pytest.mark.parametrize(
+    "dialect", ["quantized", "second set", "transform", "transform of its set", "emissive", "sparse"]
+)
+def test_dialects_of_exporters_show_the_same(tmp_path, dialect):
+    tree, binary = square_gltf(png_bytes(quarters()))
+    attributes = tree["meshes"][0]["primitives"][0]["attributes"]
+    material = tree["materials"][0]["pbrMetallicRoughness"]
+    uv = np.column_stack([SQUARE_UV[:, 0], 1 - SQUARE_UV[:, 1]])
+    if dialect == "quantized":
+        middle, half = SQUARE_MM.mean(0), np.abs(SQUARE_MM - SQUARE_MM.mean(0)).max()
+        whole = np.round((SQUARE_MM - middle) / half * 32767).astype("<i2")
+        attributes["POSITION"], binary = with_array(tree, binary, np.pad(whole, ((0, 0), (0, 1)))[:, :3])
+        tree["accessors"][attributes["POSITION"]]["normalized"] = True
+        tree["nodes"][0] |= {"scale": [half] * 3, "translation": middle.tolist()}
+        tree["extensionsUsed"] = tree["extensionsRequired"] = ["KHR_mesh_quantization"]
+    elif dialect == "second set":
+        attributes["TEXCOORD_1"] = attributes["TEXCOORD_0"]
+        attributes["TEXCOORD_0"], binary = with_array(tree, binary, np.zeros((4, 2), "<f4"))
+        material["baseColorTexture"]["texCoord"] = 1
+    elif dialect.startswith("transform"):
+        place = {"rotation": 0.4, "scale": [0.5, 2.0], "offset": [0.1, -0.2]}
+        stored = turned(uv, place["rotation"], place["scale"], place["offset"]).astype("<f4")
+        name = "TEXCOORD_0" if dialect == "transform" else "TEXCOORD_1"
+        attributes[name], binary = with_array(tree, binary, stored)
+        place |= {"texCoord": int(name[-1])}
+        material["baseColorTexture"]["extensions"] = {"KHR_texture_transform": place}
+    elif dialect == "emissive":
+        tree["materials"][0] |= {"emissiveTexture": material.pop("baseColorTexture")}
+        tree["materials"][0]["emissiveFactor"] = [1, 1, 1]
+        material["baseColorFactor"] = [0, 0, 0, 1]
+    else:
+        number, binary = with_array(tree, binary, SQUARE_MM[[1, 3]].astype("<f4"))
+        _, binary = with_array(tree, binary, np.array([[1], [3]], "<u2"))
+        last, moved = tree["accessors"].pop(), tree["accessors"].pop(number)
+        first = SQUARE_MM.astype("<f4") * [[1], [0], [1], [0]]
+        attributes["POSITION"], binary = with_array(tree, binary, first.astype("<f4"))
+        tree["accessors"][attributes["POSITION"]]["sparse"] = {
+            "count": 2,
+            "indices": {"bufferView": last["bufferView"], "componentType": 5123},
+            "values": {"bufferView": moved["bufferView"]},
+        }
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    scan = load_scan(tmp_path / "a.glb", unit="mm")
+    np.testing.assert_allclose(scan.vertices, SQUARE_MM, atol=2e-3)
+    for position, color in zip(scan.vertices, CORNER_LINEAR, strict=True):
+        np.testing.assert_allclose(color_near_corner(scan, position), color, atol=1e-5)
+
+
+def test_moved_coordinates_that_are_compressed_are_refused_by_name(tmp_path):
+    draco_square(tmp_path / "a.glb")
+    data = (tmp_path / "a.glb").read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    tree = json.loads(data[20 : 20 + size])
+    picture = tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    picture["extensions"] = {"KHR_texture_transform": {"scale": [2, 2]}}
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, data[28 + size :]))
+    with pytest.raises(ScanError, match=r"a\.glb: .*compressed coordinates are moved"):
+        load_scan(tmp_path / "a.glb")
+
+
+@pytest.mark.parametrize("view", [{"buffer": -1}, {"byteStride": 3}])
+def test_views_of_no_buffer_are_refused_by_name(tmp_path, view):
+    tree, binary = square_gltf(None)
+    tree["bufferViews"][1] |= view
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    with pytest.raises(ScanError, match=r"a\.glb: .*a view of buffer"):
+        load_scan(tmp_path / "a.glb")

@@ -188,7 +188,7 @@ def test_truncated_files_are_refused_by_name(tmp_path, layout, part):
         ((b"100.0 0.0 0.0", b"1e99 0.0 0.0"), "1 vertices used by faces are NaN or infinite.*vertex 1"),
         ((b"100.0 0.0 0.0", b"100.0 zero 0.0"), "vertex 1 is not made of numbers"),
         ((b"element face 2", b"element face 0"), "point cloud of 4 vertices"),
-        ((b"element face 2", b"element tristrips 2"), "triangle strips"),
+        ((b"element face 2", b"element strips 2"), "point cloud of 4 vertices"),
     ],
 )
 def test_damaged_files_are_refused_by_name(tmp_path, change, message):
@@ -245,3 +245,25 @@ def test_a_picture_of_the_scans_own_name_stands_in_for_what_is_missing(tmp_path)
     scan = load_scan(path)
     assert_corner_colors(scan)
     assert "texture a.png was found by the scan's name" in scan.notes
+
+
+@pytest.mark.parametrize("layout", FORMATS)
+@pytest.mark.parametrize("rows", [[[0, 1, 2, -1, 2, 3, 0]], [[1, 2, 0, 3]], [[0, 1, 2], [2, 3, 0, -1]]])
+def test_triangle_strips(tmp_path, layout, rows):
+    strips = [[("i4", [len(row)]), ("i4", row)] for row in rows]
+    elements = {"vertex": (XYZ, positions()), "tristrips": (["list int int vertex_indices"], strips)}
+    scan = load_scan(ply(tmp_path / "a.ply", layout, elements))
+    np.testing.assert_array_equal(scan.vertices, SQUARE_MM)
+
+    def begins(faces):
+        return {tuple(np.roll(face, -np.argmin(face))) for face in faces.tolist()}
+
+    assert begins(scan.faces) == begins(SQUARE_FACES)
+
+
+def test_colours_of_faces_are_averaged_at_vertices(tmp_path):
+    colors = ["uchar red", "uchar green", "uchar blue"]
+    rows = [[*row, ("u1", [255 * k, 0, 255])] for k, row in enumerate(triangles())]
+    path = ply(tmp_path / "a.ply", "ascii", {"vertex": (XYZ, positions()), "face": (INDICES + colors, rows)})
+    np.testing.assert_allclose(load_scan(path).vertex_color_linear[:, 0], [0.5, 0, 0.5, 1])
+    np.testing.assert_allclose(load_scan(path).vertex_color_linear[:, 2], 1)
