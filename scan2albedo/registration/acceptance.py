@@ -13,11 +13,13 @@ from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.geometry.alignment import Alignment
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, procrustes
 from scan2albedo.io.npz import Arrays, read_npz
 from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidates, every_candidate
 from scan2albedo.registration.coarse_search import coarse_poses
-from scan2albedo.registration.icp import residuals, shaped_icp, stretch
+from scan2albedo.registration.evidence import Evidence
+from scan2albedo.registration.icp import loosely_shaped, residuals, shaped_icp
 from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import PreparedScan, box_text
 from scan2albedo.registration.template import Template
@@ -36,9 +38,7 @@ _OTHER_FACE_MM = 100.0
 _FACE_LIKENESS = 0.55
 """Likeness at which a pose that was not looked at closely is reported as another face."""
 
-NAMES = ("width to height", "depth to height", "depth to width", "size")
-CONTRASTS = np.array([[1, -1, 0], [0, -1, 1], [-1, 0, 1], [1 / 3, 1 / 3, 1 / 3]])
-"""Of the logarithms of width, height and depth: those of `NAMES`."""
+NAMES = ("width", "height", "depth", "size")
 
 
 def accepted(
@@ -158,45 +158,51 @@ def probability(candidates: Candidates) -> float:
 def people() -> Arrays:
     """Return what `tools/fit_proportions.py` learned of people's faces.
 
-    Of the logarithms of `NAMES`, relative to the default model, `mean`, standard `deviation` and how far from
-    the mean nearly all people `reach` (4,); and of how many `heads` and `synthetic` people.
+    `weights` (4, K + 1) of a shape (see `shape_of`) give the logarithms by which it is stretched along the
+    axes, and of its size, relative to the `mean` (4,) of people; their standard `deviation` (4,), and the
+    lowest and highest (2, 4) that people `reach`; and of how many `heads` and `synthetic` people.
     """
     with as_file(files("scan2albedo.registration") / "data" / "proportions.npz") as path:
         return read_npz(path, what="people's proportions", advice="install it again", error=RegistrationError)
 
 
-def template_stretch(model: AnnotatedSurface, seed: int) -> FloatArray | None:
-    """Return logarithms (3,) of a model's width, height, depth by the default's; None without landmarks."""
-    default = default_model()
-    if model.control_vertices is default.control_vertices:
-        return np.zeros(3)
-    if model.landmarks is None or default.landmarks is None:
-        return None
-    pose = procrustes(default.landmarks, model.landmarks)
-    scan, template = Template.of(model, seed).samples, Template.of(default, seed)
-    start = Similarity(pose[:3, :3], pose[:3, 3])
-    return stretch(scan, template, shaped_icp(scan, template, start, Meter("icp", "mm")))
+def shape_of(scan: PreparedScan, model: AnnotatedSurface, found: Evidence, seed: int) -> FloatArray | None:
+    """Return the shape of a face, by the default model's modes whatever the model; None without landmarks.
 
-
-def proportion_doubts(found: FloatArray) -> Iterator[PlanStep]:
-    """Yield a row where a face's proportions are beyond people's, and one where its size is.
-
-    `found` (3,) are the logarithms of its width, height and depth in mm relative to the default model's.
+    That is (K + 1,) the logarithm of its scale, and the coefficients with the stretches hardly held.
     """
-    learned, words = people(), dict[str, str]()
-    sample = f"{learned['heads']} heads and {learned['synthetic']} synthetic people"
-    off = CONTRASTS @ found - learned["mean"]
-    for name, value, deviation, reach in zip(NAMES, off, learned["deviation"], learned["reach"], strict=True):
-        if abs(value) > reach:
-            low, ratio, high = np.exp([-reach, value, reach])
-            words[name] = (
-                f"{name} {ratio:.2f} times the mean of {sample}, {low:.2f} to {high:.2f} expected; it is "
-                f"{abs(value) / deviation:.1f} standard deviations from the mean"
+    default, start = default_model(), Alignment(found.pose, found.coefficients)
+    template = Template.of(default, seed)
+    if model.control_vertices is not default.control_vertices:
+        if model.landmarks is None or default.landmarks is None:
+            return None
+        own, pose = procrustes(default.landmarks, model.landmarks), found.pose
+        placed = Similarity(pose.rotation @ own[:3, :3], pose.apply(own[:3, 3]), pose.scale)
+        start = shaped_icp(scan.samples, template, placed, Meter("icp", "mm"))
+    shape = loosely_shaped(scan.samples, template, start)
+    return np.concatenate([[np.log(shape.pose.scale)], shape.coefficients])
+
+
+def proportion_doubts(shape: FloatArray) -> Iterator[PlanStep]:
+    """Yield a row where a face's proportions are beyond people's, and one where its size is (`shape_of`).
+
+    A stretch g s of the shape by the logarithm s has the likeliest value g^T C^-1 (x - m) / g^T C^-1 g beside
+    people's mean m and covariance C: what is stretched alike differs from how people differ.
+    """
+    learned = people()
+    off = learned["weights"] @ shape - learned["mean"]
+    excess = np.maximum(off / learned["reach"][1], off / learned["reach"][0])
+    axis = int(np.argmax(excess[:3]))
+    reasons = {
+        axis: "the scan may be stretched along an axis: its proportions are beyond those of faces measured",
+        3: "the unit or scale of the scan may be wrong: its face has another size than adults'",
+    }
+    for number, reason in reasons.items():
+        if excess[number] > 1:
+            ratio, low, high = np.exp([off[number], *learned["reach"][:, number]])
+            text = (
+                f"{NAMES[number]} {ratio:.2f} times the mean of {learned['heads']} heads and "
+                f"{learned['synthetic']} synthetic people, {low:.2f} to {high:.2f} expected; it is "
+                f"{abs(off[number]) / learned['deviation'][number]:.1f} standard deviations from the mean"
             )
-    size = words.pop("size", "")
-    if words:
-        reason = "the scan may be stretched along an axis: its proportions are beyond those of faces measured"
-        yield PlanStep.doubt("register.proportions", reason, "; ".join(words.values()))
-    if size:
-        reason = "the unit or scale of the scan may be wrong: its face has another size than adults'"
-        yield PlanStep.doubt("register.size", reason, size)
+            yield PlanStep.doubt("register.size" if number == 3 else "register.proportions", reason, text)

@@ -9,7 +9,7 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import Similarity
-from scan2albedo.registration.icp import residuals, shaped_icp, stretch
+from scan2albedo.registration.icp import residuals, shaped_icp
 from scan2albedo.registration.relief import ReliefAgreement
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
@@ -29,7 +29,7 @@ class Evidence:
 
     `pose` is `scan_from_model`, `coefficients` (K,) are those of the template's modes in standard deviations.
     `share` is the part of the template's area with scan within 10 mm that faces the same way, `rms_mm` the
-    distance there; `relief` compares their depth images; `stretch` (3,) see `icp`.
+    distance there; `relief` compares their depth images.
     """
 
     pose: Similarity
@@ -37,7 +37,6 @@ class Evidence:
     share: float
     rms_mm: float
     relief: ReliefAgreement
-    stretch: FloatArray
 
     @property
     def cues(self) -> dict[str, float]:
@@ -72,5 +71,4 @@ def evidence(scan: PreparedScan, template: Template, start: Similarity, meter: M
         float(samples.areas[measured.inlier].sum() / samples.areas.sum()),
         measured.trimmed_rms_mm(samples.areas),
         template.image.agreement(scan.vertices, scan.faces, shaped.pose.inverse(), surface, scan.noise),
-        stretch(scan.samples, template, shaped),
     )

@@ -167,17 +167,10 @@ def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, mete
     return icp(scan, template, shaped, last, shaped=True, settled=_SETTLED, meter=meter)
 
 
-def stretch(scan: OrientedPoints, template: Template, shaped: Alignment) -> FloatArray:
-    """Return the logarithms (3,) of a face's width, height and depth relative to the template's.
-
-    It is fitted further for them, its stretches hardly held.
-    """
-    rest, sigmas_mm = template.first(FEW), _FEW_STEPS * [_SHAPED_MM[1]]
-    found = icp(scan, rest, shaped, sigmas_mm, shaped=True, stretch_sd=_LOOSE)
-    areas, moved = rest.samples.areas, rest.modes @ found.coefficients
-    offset = rest.samples.points - areas @ rest.samples.points / areas.sum()
-    growth = found.pose.scale * (1 + (areas @ (offset * moved)) / (areas @ offset**2))
-    return np.log(np.maximum(growth, np.finfo(float).tiny))
+def loosely_shaped(scan: OrientedPoints, template: Template, shaped: Alignment) -> Alignment:
+    """Fit the shape further, with the template's stretches hardly held: for judging proportions."""
+    last = _MOST_STEPS * [_SHAPED_MM[1]]
+    return icp(scan, template.first(FEW), shaped, last, shaped=True, stretch_sd=_LOOSE)
 
 
 def tightened(

@@ -14,7 +14,7 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
-from scan2albedo.registration.acceptance import accepted, probability, proportion_doubts, template_stretch
+from scan2albedo.registration.acceptance import accepted, probability, proportion_doubts, shape_of
 from scan2albedo.registration.candidates import Colors, ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
@@ -106,8 +106,8 @@ def register(
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
     final = annealed(prepared, person, tight, options, annealing, seed)
     plan += (step, final.step)
-    if best.evidence is not None and (own := template_stretch(model, seed)) is not None:
-        plan += tuple(proportion_doubts(best.evidence.stretch + own))
+    if best.evidence is not None and (shape := shape_of(prepared, model, best.evidence, seed)) is not None:
+        plan += tuple(proportion_doubts(shape))
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid(model.front)) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),

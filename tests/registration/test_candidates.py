@@ -55,7 +55,7 @@ def test_a_missing_system_library_is_one_line_with_the_command(monkeypatch, erro
 
 def looked_at(pose, relief):
     agreement = ReliefAgreement(1.0, relief, relief)
-    return Candidate(pose, agreement, 1.0, Evidence(pose, np.zeros(65), 1.0, 1.0, agreement, np.zeros(3)))
+    return Candidate(pose, agreement, 1.0, Evidence(pose, np.zeros(65), 1.0, 1.0, agreement))
 
 
 def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(model):

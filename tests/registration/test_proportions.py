@@ -7,13 +7,7 @@ import pytest
 
 from scan2albedo import RawScan, register
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.registration.acceptance import (
-    CONTRASTS,
-    NAMES,
-    people,
-    proportion_doubts,
-    template_stretch,
-)
+from scan2albedo.registration.acceptance import NAMES, people, proportion_doubts
 from scan2albedo.synthetic.face_shape import person
 
 TOLD = {"register.proportions", "register.size"}
@@ -64,15 +58,18 @@ def test_a_flat_template_tells_of_the_scans_that_the_default_model_tells_of(upri
     stretched = replace(upright, vertices=upright.vertices * [1, 1.35, 1])
     assert told(stretched, model) == {"register.proportions"}
     assert "register.proportions" in told(stretched, flat)
-    own = template_stretch(flat, 0)
-    assert own[2] < -0.15
-    np.testing.assert_allclose(own[:2], 0, atol=0.05)
-    assert template_stretch(replace(flat, landmark_points=None), 0) is None
+    assert told(stretched, replace(flat, landmark_points=None)) == set()
 
 
-@pytest.mark.parametrize("stretch", [[1.25, 1, 1], [0.75, 1, 1], [1, 1.3, 1], [1, 0.75, 1]])
-def test_wider_narrower_higher_and_lower_scans_are_told(upright, model, stretch):
-    assert "register.proportions" in told(replace(upright, vertices=upright.vertices * stretch), model)
+@pytest.mark.parametrize(
+    ("axis", "factor"),
+    [(axis, factor) for axis in (0, 1) for factor in (1.25, 0.8, 1.5, 1 / 1.5)] + [(2, 1.5), (2, 1 / 1.5)],
+)
+def test_a_stretched_scan_is_told_by_its_axis(upright, model, axis, factor):
+    vertices = upright.vertices * np.where(np.arange(3) == axis, factor, 1)
+    rows = [row for row in register(replace(upright, vertices=vertices), model).plan if row.stage in TOLD]
+    named = [row.evidence.split()[0] for row in rows if row.stage == "register.proportions"]
+    assert named == [NAMES[axis]]
 
 
 @pytest.mark.parametrize("factor", [0.78, 1.25])
@@ -87,15 +84,20 @@ def test_no_synthetic_person_is_told(model):
         assert told(RawScan(shape, faces), model) == set()
 
 
-@pytest.mark.parametrize("number", range(3))
-def test_the_words_agree_with_the_verdict(number):
-    learned, contrast = people(), CONTRASTS[number]
-    usual = np.linalg.lstsq(CONTRASTS, learned["mean"], rcond=None)[0]
+@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("side", range(2))
+def test_the_words_agree_with_the_verdict(number, side):
+    learned = people()
+    usual = np.linalg.lstsq(learned["weights"], learned["mean"], rcond=None)[0]
     assert list(proportion_doubts(usual)) == []
-    reach = float(learned["reach"][number])
-    inside, outside = (usual + part * reach * contrast / (contrast @ contrast) for part in (0.95, 1.05))
-    assert not any(NAMES[number] in row.evidence for row in proportion_doubts(inside))
+    end = np.where(np.arange(4) == number, learned["reach"][side], 0)
+    inside, outside = (
+        usual + part * np.linalg.lstsq(learned["weights"], end, rcond=None)[0] for part in (0.95, 1.05)
+    )
+    assert list(proportion_doubts(inside)) == []
     (row,) = proportion_doubts(outside)
-    assert NAMES[number] in row.evidence
-    assert f"{np.exp(-reach):.2f} to {np.exp(reach):.2f} expected" in row.evidence
+    low, high = np.exp(learned["reach"][:, number])
+    assert row.stage == ("register.size" if number == 3 else "register.proportions")
+    assert row.evidence.startswith(f"{NAMES[number]} ")
+    assert f"{low:.2f} to {high:.2f} expected" in row.evidence
     assert "21 heads and 164 synthetic people" in row.evidence
