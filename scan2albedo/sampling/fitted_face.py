@@ -31,7 +31,7 @@ SOFTENING = 1 / 50
 
 WRONG = 0.05
 """Part of the scans whose texture does not belong to them as it is: turned by an exporter, or another's."""
-_CHECK_SIZE = 64
+_CHECK_SIZE = 48
 """Side of the grid on which the texture is held against the shape."""
 
 

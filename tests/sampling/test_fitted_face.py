@@ -308,7 +308,7 @@ def test_what_was_done_to_a_texture_is_told_by_name(shared_data):
     model = AnnotatedFaceModel.default()
     fitted = fit(scan, model, register(scan, model, seed=0))
     assert texture_doubt(fitted, scan, geometry_image(fitted, scan, 128)) is None
-    noise = np.random.default_rng(0).random(scan.texture_linear.shape).astype(np.float32)
+    noise = srgb_to_linear(np.random.default_rng(0).random(scan.texture_linear.shape)).astype(np.float32)
     for name, texture in (
         ("with V flipped", scan.texture_linear[::-1]),
         ("with U flipped", scan.texture_linear[:, ::-1]),
