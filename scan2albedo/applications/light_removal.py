@@ -260,12 +260,7 @@ def _unlit_texture(
             rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
             box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             filtered = divide_light(
-                tile[box],
-                divisor[box],
-                np.zeros(there[box].shape),
-                there[box],
-                usable[box],
-                usual=usual,
+                tile[box], divisor[box], np.zeros(there[box].shape), there[box], usable[box], usual=usual
             )
             albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
             near = np.zeros((*tile.shape[:2], 2))

@@ -90,11 +90,7 @@ def transfer_expression(
 ) -> None:
     """Give B's face the expression of A's; the scans need no colour."""
     from scan2albedo import applications
-    from scan2albedo.applications.expression_transfer import (
-        TWO_PEOPLE_MM,
-        apart_where_still,
-        level_to_refine,
-    )
+    from scan2albedo.applications.expression_transfer import TWO_PEOPLE_MM, apart_where_still, level_to_refine
     from scan2albedo.templates import chosen_model
 
     try:

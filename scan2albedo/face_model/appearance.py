@@ -41,14 +41,16 @@ _LIGHT_SD = np.array([3.0] + [1.0] * 8), np.array([3.0] + [0.3] * 3 + [0.15] * 5
 _FREEDOM, _POWER, _AGREEMENT, _ROUNDS = 15.0, 0.6, 2.0, 5
 """Degrees of freedom of the features' t distributions; power of their likelihood, for features of one texel
 are not independent of its neighbours'; log odds for the class that all neighbours have; mean-field rounds."""
-_SOME, _EVENTS = 3000, 1.0
+_SOME, _EVENTS = 1000, 1.0
 """Texels of which the skin's light is found; patches that the usual share of a class counts, against this
 face's."""
 _WIDER = (2.0, 1.5, 1.0, 1.0, 1.0)
 """By what skin is wider in each round of expectation maximisation: light is known the less at first."""
 PATCH_MM, _HIDDEN = 30.0, 0.1
-"""Texels nearer than this speak together, not each for itself, of the whole face. Probability of a feature
-that a face does not show in its colours, and of a face that shows none."""
+"""Texels nearer than this speak together, not each for itself, of the whole face. Probability of a face that
+shows no features in its colours."""
+_PLACED = 3.0
+"""Weight of what places say of a texture beside its colours' own evidence, by right and wrong ones."""
 _FEWEST_TEXELS, _DARKEST, _GRAIN_MM, _FAINT = 64, 1e-3, 7.0, 0.004
 """Parts of white below which there is no colour; side over which grain is averaged; contrast of an even
 skin."""
@@ -82,15 +84,14 @@ class AppearanceModel:
 
     def log_likelihood(self, features: FloatArray, wider: float = 1.0) -> FloatArray:
         """Return (C, N) of features (N, 4), where the skin's spread is `wider` times as large."""
-        found = []
-        for k, (mean, covariance) in enumerate(zip(self.mean, self.covariance, strict=True)):
-            spread = covariance * (wider**2 if k == 0 else 1.0)
-            square = _square(features - mean, spread)
-            width = np.linalg.slogdet(spread)[1] + (_FREEDOM + len(mean)) * np.log1p(square / _FREEDOM)
-            found.append(-width / 2)
+        wide = np.where(np.arange(len(self.mean)) == 0, wider**2, 1.0)[:, None, None]
+        off, spread = features - self.mean[:, None], self.covariance * wide
+        square = ((off @ np.linalg.inv(spread)) * off).sum(-1)
+        width = (_FREEDOM + self.mean.shape[1]) * np.log1p(square / _FREEDOM)
+        found = -(np.linalg.slogdet(spread)[1][:, None] + width) / 2
         found[0] += np.log1p(-self.shaded)
-        found[0] = np.logaddexp(found[0], found.pop() + np.log(self.shaded))
-        return np.array(found)
+        found[0] = np.logaddexp(found[0], found[-1] + np.log(self.shaded))
+        return np.asarray(found[:-1])
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ class Appearance:
     """The likeliest of `CLASSES`."""
     log_odds: float
     """Of a texture that belongs to the places where it lies on a face, against one that does not; 0 where
-    there is no colour or no place."""
+    there is no colour or no place, or all is one material."""
 
 
 def appearance(
@@ -145,20 +146,20 @@ def appearance(
     grid = _Grid.of(position, seen)
     known = grid.part > 0.25
     if place is not None:
-        spot = (np.moveaxis(grid.mean(place), -1, 0) * len(learned.share[0])) - 0.5
-        prior = np.array([map_coordinates(one, spot, order=1, mode="nearest") for one in learned.share])
+        prior = _at_places(grid, place, learned)
     else:
         skin = SURE * (np.ones(known.shape) if share is None else np.clip(grid.mean(share), 0.05, 1.0))
         others = len(learned.share) - 1
         prior = np.concatenate([skin[None], np.repeat((1 - skin)[None] / others, others, axis=0)])
-    log_prior = np.log(np.maximum(prior, 1e-6) / np.maximum(prior, 1e-6).sum(0))
+    log_prior = np.log(prior / prior.sum(0))
     told, log_odds = np.zeros_like(log_prior), 0.0
     if np.count_nonzero(known) >= _FEWEST_TEXELS:
         if texture_linear is not None:
             color, turned = grid.mean(texture_linear), grid.mean(normal)
             told, log_odds = _explained(grid, known, color, turned, log_prior, learned)
             if place is not None:
-                log_odds += _belonging(log_prior[:, known], told[:, known], grid.independent)
+                fits = _fitting(log_prior[:, known], told[:, known], log_odds, grid.independent)
+                log_odds = float(np.logaddexp(fits[0], fits[1]) - np.logaddexp(0.0, fits[1]))
         if residual_mm is not None:
             # How rough the scan is around, in parts of the face's own skin: the fitted surface is smooth.
             error_mm = grid.mean(np.minimum(residual_mm, _CLOSE_MM))
@@ -178,19 +179,35 @@ def appearance(
     return Appearance(weight.astype(np.float32), labels, log_odds)
 
 
-def _belonging(log_prior: FloatArray, likelihood: FloatArray, independent: float) -> float:
-    """Return the log odds of the classes' log `likelihood` (C, N) where it is, against the same anywhere.
+def placed(
+    position: FloatArray, normal: FloatArray, seen: BoolArray, place: Image, texture_linear: Image
+) -> FloatArray:
+    """Return how well a texture fits the places where it lies (3,); arguments of `appearance`.
 
-    Each feature speaks once, and may as well be one that this face does not show. All may be one material,
-    wherever it lies: then nothing is said.
+    Log odds of the classes there, and of skin's hue, against any other thing's texture; of one material
+    everywhere, which says nothing of places, against the same; and the log likelihood of the colours
+    themselves, to be compared between parts of one texture.
     """
+    model, grid = AppearanceModel.default(), _Grid.of(position, seen)
+    known, prior = grid.part > 0.25, _at_places(grid, place, model)
+    log_prior, color = np.log(prior / prior.sum(0)), grid.mean(texture_linear)
+    told, hue = _explained(grid, known, color, grid.mean(normal), log_prior, model)
+    return _fitting(log_prior[:, known], told[:, known], hue, grid.independent)
+
+
+def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independent: float) -> FloatArray:
+    """Return what `placed` does of log likelihoods (C, N)."""
     anywhere = np.logaddexp.reduce(np.log(np.exp(log_prior).mean(1))[:, None] + likelihood)
-    told = np.logaddexp.reduce(log_prior + likelihood) - anywhere
-    features = np.bincount(log_prior.argmax(0), told) * independent
-    shown, hidden = np.log1p(-_HIDDEN), np.log(_HIDDEN)
-    even = float((likelihood[0] - anywhere).sum()) * independent
-    belongs = shown + float(np.logaddexp(hidden, shown + features).sum())
-    return float(np.logaddexp(belongs, hidden + even) - np.logaddexp(shown, hidden + even))
+    here = np.logaddexp.reduce(log_prior + likelihood)
+    told = np.array([_PLACED * (here - anywhere), likelihood[0] - anywhere, here]).sum(1)
+    return np.asarray(independent * told + (hue, np.log(_HIDDEN), 0.0))
+
+
+def _at_places(grid: _Grid, place: NDArray[np.floating], model: AppearanceModel) -> FloatArray:
+    """Return the shares (C, h, w) of the classes at places (H, W, 2), before they sum to one."""
+    spot = (np.moveaxis(grid.mean(place), -1, 0) * len(model.share[0])) - 0.5
+    found = [map_coordinates(one, spot, order=1, mode="nearest") for one in model.share]
+    return np.maximum(found, 1e-6)
 
 
 def features_of(

@@ -63,18 +63,9 @@ EXPRESSION_BUMPS: dict[str, tuple[Bump, ...]] = {
         Bump((48,), 12, (0.5, -3.5, -0.5), paired=True),
         Bump((57,), 10, (0, 1.5, 1.0)),
     ),
-    "pout": (
-        Bump((48,), 11, (-5.0, 0, 2.0), paired=True),
-        Bump((51, 57), 12, (0, 0, 5.0)),
-    ),
-    "puff": (
-        Bump((3, 48), 18, (4.5, 0, 6.0), paired=True),
-        Bump((48,), 10, (-1.5, 0, 1.0), paired=True),
-    ),
-    "surprise": (
-        Bump((19,), 16, (0, 5.5, 0.8), paired=True),
-        Bump((8,), 28, (0, -3.0, -0.5)),
-    ),
+    "pout": (Bump((48,), 11, (-5.0, 0, 2.0), paired=True), Bump((51, 57), 12, (0, 0, 5.0))),
+    "puff": (Bump((3, 48), 18, (4.5, 0, 6.0), paired=True), Bump((48,), 10, (-1.5, 0, 1.0), paired=True)),
+    "surprise": (Bump((19,), 16, (0, 5.5, 0.8), paired=True), Bump((8,), 28, (0, -3.0, -0.5))),
 }
 
 CAPTURE_BUMPS = (

@@ -116,12 +116,7 @@ def read_npz_record(
         path, ("header", *arrays), optional=optional or (), what=what, advice=advice, error=error
     )
     header = parse_record(
-        str(found.pop("header")),
-        kind,
-        place=f"{what} {path}",
-        whole="the header",
-        advice=advice,
-        error=error,
+        str(found.pop("header")), kind, place=f"{what} {path}", whole="the header", advice=advice, error=error
     )
     for name, array in found.items():
         if array.dtype.kind not in kinds[name]:

@@ -54,10 +54,7 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
         heat = heat_colors(distance, 0, max(most, 1e-9), "viridis")
         how = "unbent, own shape" if canonical.unbent else "to the mean"
         how += f"\nmoved by {np.sqrt(np.mean(distance**2)):.2f} mm rms (0 to {most:.2g} mm)"
-        states = (
-            (f"{name}\nas given", placed, canonical.weights @ hues),
-            (how, canonical.vertices, heat),
-        )
+        states = ((f"{name}\nas given", placed, canonical.weights @ hues), (how, canonical.vertices, heat))
         for view, side in zip(views, ("front", "above"), strict=True):
             for title, vertices, color in states:
                 picture = render_mesh(

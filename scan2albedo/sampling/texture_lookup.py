@@ -25,6 +25,18 @@ CROP_MARGIN = 0.1
 """Faces are searched in the queried points' box, enlarged by this part of its size."""
 FEWEST_TAPS, MOST_TAPS, TAPS_PERCENTILE = 3, 64, 95
 """Bilinear samples along each side of a texel's footprint: one a pixel, for this part of the texels."""
+MOVES = {
+    "as it is": (1, 1, 0.0, 0.0),
+    "with V flipped": (1, -1, 0.0, 1.0),
+    "with U flipped": (-1, 1, 1.0, 0.0),
+    "turned by 180 degrees": (-1, -1, 1.0, 1.0),
+    "with U shifted by +3 %": (1, 1, -0.03, 0.0),
+    "with U shifted by -3 %": (1, 1, 0.03, 0.0),
+    "with V shifted by +3 %": (1, 1, 0.0, 0.03),
+    "with V shifted by -3 %": (1, 1, 0.0, -0.03),
+}
+"""Where a pixel's colour is if the texture was moved: signs of its column and row, and parts of the texture's
+width and height that are added."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +56,7 @@ class ChartTexture:
 
 
 def texture_on_chart(
-    scan: RawScan | None,
-    inside: BoolArray,
-    points: FloatArray,
-    normals: FloatArray,
-    steps: FloatArray,
+    scan: RawScan | None, inside: BoolArray, points: FloatArray, normals: FloatArray, steps: FloatArray
 ) -> ChartTexture:
     """Return the texture on a chart.
 
@@ -77,13 +85,15 @@ def texture_on_chart(
 class Samples:
     """Linear colour (N, 3) of surface points, the scan's `face` (N,), and two judgements of it (N,).
 
-    Whether it was well `seen`, and whether it was `pictured`, of which `RawScan.color_seen` knows.
+    Whether it was well `seen`, and whether it was `pictured`, of which `RawScan.color_seen` knows. With a
+    texture, `pixel` (N, 2) is where they lie in it.
     """
 
     color_linear: NDArray[np.float32]
     seen: BoolArray
     face: IntArray
     pictured: BoolArray
+    pixel: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -118,8 +128,9 @@ class TextureLookup:
         offset = points - hits.points
         sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
         valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
+        pixel = None
         if scan.uv is not None and scan.texture_linear is not None:
-            color, inside, pictured = self._photograph(near, hits, steps)
+            color, inside, pictured, pixel = self._photograph(near, hits, steps)
             # Faces need enough photograph pixels for their area.
             e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
             texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
@@ -133,15 +144,15 @@ class TextureLookup:
             color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
             seen = np.ones(len(scan.vertices), bool) if scan.color_seen is None else scan.color_seen
             pictured = np.asarray(seen[scan.faces[face]].all(1))
-        return Samples(color, valid & pictured, face, pictured)
+        return Samples(color, valid & pictured, face, pictured, pixel)
 
     def _photograph(
         self, near: IntArray, hits: ClosestHits, steps: FloatArray
-    ) -> tuple[NDArray[np.float32], BoolArray, BoolArray]:
+    ) -> tuple[NDArray[np.float32], BoolArray, BoolArray, FloatArray]:
         """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
         Also return whether its centre is in the photograph, which wraps around only by whole periods for a
-        face, and whether a picture showed most of it: the mean is over that part.
+        face, whether a picture showed most of it (the mean is over that part), and the centre.
         """
         scan = self.scan
         assert scan.uv is not None
@@ -167,12 +178,12 @@ class TextureLookup:
         taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
         if scan.color_seen is None:
             color = mean_over_footprints(scan.texture_linear, center, footprint, taps)
-            return color, inside, np.ones(len(color), bool)
+            return color, inside, np.ones(len(color), bool), center
         shown = scan.color_seen[..., None].astype(np.float32)
         weighted = np.concatenate([scan.texture_linear * shown, shown], axis=2)
         total = mean_over_footprints(weighted, center, footprint, taps)
         color = total[:, :3] / np.maximum(total[:, 3:], np.finfo(np.float32).tiny)
-        return color, inside, total[:, 3] > 0.5
+        return color, inside, total[:, 3] > 0.5, center
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
@@ -186,6 +197,28 @@ def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tu
     inverse[usable] = np.linalg.inv(chart_edges[usable])
     height, width = shape
     return edges @ inverse @ np.array([[1 / width, 0.0], [0.0, -1 / height]])
+
+
+def moved_colors(
+    scan: RawScan, seen: BoolArray, points: FloatArray, normals: FloatArray
+) -> dict[str, NDArray[np.float32]]:
+    """Return the colours (H, W, 3) at the texels `seen` (H, W), by what may have been done to the texture.
+
+    Of those texels are `points` and `normals` (N, 3), mm in the scan's frame.
+    """
+    pixel = TextureLookup(scan).sample(points, normals, np.zeros((len(points), 3, 2))).pixel
+    assert pixel is not None
+    assert scan.texture_linear is not None
+    last = np.array(scan.texture_linear.shape[1::-1]) - 1
+    # Means over squares of about a texel.
+    step = float(np.median(np.linalg.norm(np.diff(pixel, axis=0), axis=1)))
+    square = np.tile(step * np.eye(2), (len(pixel), 1, 1))
+    found = {}
+    for name, (sign_u, sign_v, u, v) in MOVES.items():
+        there = pixel * (sign_u, sign_v) + last * (u, v)
+        found[name] = np.zeros((*seen.shape, 3), np.float32)
+        found[name][seen] = mean_over_footprints(scan.texture_linear, there, square, FEWEST_TAPS)
+    return found
 
 
 @njit(cache=True, nogil=True)

@@ -156,11 +156,7 @@ def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
 
 
 def _chart(
-    uv: FloatArray | None,
-    template: CleanTemplate,
-    control: ControlMesh,
-    matrix: sparse.csr_matrix,
-    name: str,
+    uv: FloatArray | None, template: CleanTemplate, control: ControlMesh, matrix: sparse.csr_matrix, name: str
 ) -> tuple[FloatArray, str]:
     """Return (C, 2), the given chart solved for control vertices or a new one, and a note where it is new."""
     from scan2albedo.geometry.parametrization import parametrize_disc

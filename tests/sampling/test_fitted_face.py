@@ -14,6 +14,7 @@ from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, t
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling import geometry_image, texture_lookup
 from scan2albedo.sampling.fitted_face import texture_doubt
+from scan2albedo.sampling.texture_lookup import MOVES, moved_colors
 
 
 class FlatAnnotation:
@@ -276,17 +277,44 @@ def test_texels_of_the_default_model_know_their_own_places():
     assert image.face_chart[image.mask] == pytest.approx(own[image.mask], abs=1e-6)
 
 
+def test_a_texture_is_looked_up_as_if_what_was_done_to_it_were_undone():
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    faces, points = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[30, 40, 0], [61, 45, 0], [52, 70, 0.0]])
+    row, column = np.indices((100, 140)) / 140
+    smooth = np.stack([row, column, row * column], axis=-1).astype(np.float32)
+    vertices = np.column_stack([100.0 * corners, np.zeros(4)])
+    scan = RawScan(vertices, faces, uv=(0.1 + 0.8 * corners)[faces], texture_linear=smooth)
+    seen, up = np.array([[True, False], [True, True]]), np.tile([0, 0, 1.0], (3, 1))
+    right = moved_colors(scan, seen, points, up)["as it is"]
+    assert not right[0, 1].any()
+    for name, wrong in (
+        ("with V flipped", replace(scan, texture_linear=smooth[::-1].copy())),
+        ("with U flipped", replace(scan, texture_linear=smooth[:, ::-1].copy())),
+        ("turned by 180 degrees", replace(scan, texture_linear=smooth[::-1, ::-1].copy())),
+        ("with U shifted by +3 %", replace(scan, uv=scan.uv + (0.03, 0))),
+        ("with U shifted by -3 %", replace(scan, uv=scan.uv - (0.03, 0))),
+        ("with V shifted by +3 %", replace(scan, uv=scan.uv + (0, 0.03))),
+        ("with V shifted by -3 %", replace(scan, uv=scan.uv - (0, 0.03))),
+    ):
+        found = moved_colors(wrong, seen, points, up)
+        assert set(found) == set(MOVES)
+        np.testing.assert_allclose(found[name], right, atol=2e-3, err_msg=name)
+        assert np.abs(found["as it is"] - right).max() > 1e-2
+
+
 @pytest.mark.slow
-def test_a_texture_that_lies_upside_down_is_told_by_name(shared_data):
+def test_what_was_done_to_a_texture_is_told_by_name(shared_data):
     scan = load_scan(shared_data / "james.obj")
     model = AnnotatedFaceModel.default()
     fitted = fit(scan, model, register(scan, model, seed=0))
     assert texture_doubt(fitted, scan, geometry_image(fitted, scan, 128)) is None
-    wrong = replace(scan, texture_linear=np.ascontiguousarray(scan.texture_linear[::-1]))
-    doubt = texture_doubt(fitted, wrong, geometry_image(fitted, wrong, 128))
-    assert doubt is not None
-    assert "with V flipped" in doubt.reason
+    noise = srgb_to_linear(np.random.default_rng(0).random(scan.texture_linear.shape)).astype(np.float32)
     for name, texture in (
+        ("with V flipped", scan.texture_linear[::-1]),
+        ("with U flipped", scan.texture_linear[:, ::-1]),
+        ("turned by 180", scan.texture_linear[::-1, ::-1]),
+        ("with V shifted by +3 %", np.roll(scan.texture_linear, round(0.03 * len(noise)), axis=0)),
+        ("another scan's", noise),
         ("red and blue", scan.texture_linear[..., ::-1]),
         ("a negative", srgb_to_linear(1 - linear_to_srgb(scan.texture_linear)).astype(np.float32)),
     ):

@@ -18,11 +18,7 @@ from scan2albedo.lighting.environment import texel_directions, texel_solid_angle
 
 _SMOOTH = 0.3
 """Cosine to its face below which a smoothed normal is replaced by the face's: winding differs around it."""
-_LAMPS = (
-    ((-0.6, 0.6, 0.7), 0.82, 7.0),
-    ((0.9, 0.15, 0.6), 0.86, 1.6),
-    ((0.15, 0.95, -0.45), 0.86, 3.0),
-)
+_LAMPS = (((-0.6, 0.6, 0.7), 0.82, 7.0), ((0.9, 0.15, 0.6), 0.86, 1.6), ((0.15, 0.95, -0.45), 0.86, 3.0))
 """Direction (to the wearer's left, up, to the front), cosine of half the angle and radiance of each soft
 lamp: key, fill, and one above the sitter."""
 _SOFTNESS = 0.08

@@ -100,10 +100,7 @@ def keypoints_beside(mesh: Path) -> Path:
 
 
 def read_frame(
-    mesh: Path,
-    keypoints: Path | None = None,
-    unit: str = "auto",
-    widths_mm: tuple[float, float] = WIDTHS_MM,
+    mesh: Path, keypoints: Path | None = None, unit: str = "auto", widths_mm: tuple[float, float] = WIDTHS_MM
 ) -> GlassesFrame:
     """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
 

@@ -230,11 +230,7 @@ def surface_of(scan: RawScan, albedo: ArrayLike = (0.5, 0.5, 0.5), roughness_rad
 
 
 def run_lenses(
-    source: GlassesInput,
-    lenses: Lenses,
-    options: LensPictureOptions,
-    out: Path,
-    say: Callable[[str], None],
+    source: GlassesInput, lenses: Lenses, options: LensPictureOptions, out: Path, say: Callable[[str], None]
 ) -> LensesRecord:
     """Render what was read, write the files into `out` and return their record.
 
