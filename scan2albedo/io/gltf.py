@@ -87,12 +87,10 @@ def _read_parts(file: GltfFile) -> ParsedMesh:
             by_joints = _skinning_transforms(file, scene, node, mesh) if file.tree.get("skins") else None
             moved = np.asarray(transform, np.float64) if by_joints is None else by_joints
             parts.append(_part(mesh, moved, materials, pictures, file.path.name))
-    lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in textured]
-    notes = (
-        f"the texture of {name} is missing, damaged or of an unknown kind: went on without it"
-        for name in lost
-    )
-    return _joined(parts, tuple(materials.values()), tuple(dict.fromkeys(notes)))
+    lost = (m.name for m in materials.values() if m.texture_linear is None and m.name in textured)
+    why = "is missing, damaged or of an unknown kind: went on without it"
+    notes = dict.fromkeys(f"the texture of {name} {why}" for name in lost)
+    return _joined(parts, tuple(materials.values()), tuple(notes))
 
 
 def _part(

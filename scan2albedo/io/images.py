@@ -20,9 +20,10 @@ from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_picture, encode_srgb_bytes, label_colors
 
+_TARGA = (b"\0\2", b"\0\n", b"\1\1", b"\1\t", b"\0\3", b"\0\v")  # whether it has a palette, and its kind
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
-SUPPORTED_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", ".exr", ".hdr")
+SUPPORTED_IMAGES = (*re.findall(r"\.\w+", ".png .jpg .jpeg .tif .tiff .bmp .webp .exr .hdr .tga .gif"),)
 
 
 def read_image_linear(path: str | Path, *, alpha: bool = False) -> NDArray[np.float32]:
@@ -270,7 +271,7 @@ def picture_pixels(data: bytes, place: str | Path) -> int | None:
 
 
 def declared_pixels(data: bytes) -> int | None:
-    """Return how many pixels the header of a PNG, JPEG, TIFF, BMP, WebP or Radiance picture declares.
+    """Return how many pixels the header of a picture but EXR declares.
 
     Pixels that take more bytes than three 32-bit floats count as several. None when it is none of these, or
     damaged. `data` may be the picture's beginning. EXR files have a header a part and are judged in
@@ -298,6 +299,10 @@ def declared_pixels(data: bytes) -> int | None:
             bits = tags.get(258, 1)
             pixel_bytes = (max(bits) if isinstance(bits, tuple) else bits) // 8 * tags.get(277, 1)
             width, height = tags[256] * max(-(-pixel_bytes // 12), 1), tags[257]
+        elif data.startswith((b"GIF87a", b"GIF89a")):
+            width, height = struct.unpack_from("<HH", data, 6)
+        elif data[1:3] in _TARGA and data[16] in (8, 16, 24, 32):
+            width, height = struct.unpack_from("<HH", data, 12)
         elif data.startswith(b"#?") and (size := _RADIANCE.match(data)) is not None:
             width, height = int(size[1]), int(size[2])
         elif data[8:16] == b"WEBPVP8X":  # Pillow makes room for a WebP picture when it opens one

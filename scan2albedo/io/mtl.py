@@ -42,7 +42,9 @@ def decoded(data: bytes) -> str:
 
 
 def parse_mtl(text: str) -> dict[str, MaterialText]:
-    """Return the materials of an MTL text by name; `map_Kd` options are skipped, spaces in names kept.
+    """Return the materials of an MTL text by name; options of `map_Kd` are skipped, spaces in names kept.
+
+    Shadeless exports have the picture in `map_Ka` or `map_Ke`; it is taken where `map_Kd` is missing.
 
     >>> parse_mtl("newmtl skin\\nKd 1 0 0\\nmap_Kd -s 1 1 1 -clamp on my face.png")["skin"].texture_file
     'my face.png'
@@ -64,7 +66,9 @@ def parse_mtl(text: str) -> dict[str, MaterialText]:
                 values = []
             red, green, blue = {1: values * 3, 3: values}.get(len(values), MaterialText.diffuse_srgb)
             materials[name] = replace(materials[name], diffuse_srgb=(red, green, blue))
-        elif name is not None and keyword == "map_kd" and rest:
+        elif name is not None and rest and keyword in ("map_kd", "map_ka", "map_ke"):
+            if keyword != "map_kd" and materials[name].texture_file is not None:
+                continue
             while match := _OPTION.match(rest):
                 rest = rest[match.end() :]
             materials[name] = replace(materials[name], texture_file=rest.strip().strip('"'))

@@ -81,8 +81,8 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     """Read an OBJ file with its materials.
 
     Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after the
-    position) are sRGB. Only `map_Kd` and `Kd` of the materials are used; where the material library, or every
-    texture that it names, is missing, an image of the scan's own name is taken for the texture. Raises
+    position) are sRGB. Of materials `Kd` and the pictures of `parse_mtl` are used; where the library, or
+    every texture that it names, is missing, an image of the scan's own name is taken for the texture. Raises
     ScanError, naming file and line, when a line is damaged or an index points outside the file; TooLargeError
     for more than is read.
     """

@@ -4,10 +4,12 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
 
 from scan2albedo.errors import MissingDependencyError, OutputError, ScanError
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.images import (
+    declared_pixels,
     read_exr_channels,
     read_image_linear,
     read_image_values,
@@ -28,6 +30,14 @@ def test_eight_bit_colour(tmp_path, extension):
     linear = read_image_linear(tmp_path / f"a{extension}")
     assert linear.dtype == np.float32
     np.testing.assert_allclose(linear, srgb_to_linear(pixels / 255), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "options"), [("TGA", {}), ("TGA", {"compression": "tga_rle"}), ("GIF", {})])
+def test_targa_and_gif(tmp_path, kind, options):
+    image = np.repeat(np.repeat(np.uint8([[[255, 0, 0], [0, 128, 0]], [[0, 0, 64], [9, 9, 9]]]), 3, 0), 5, 1)
+    Image.fromarray(image).save(tmp_path / "a", kind, **options)
+    np.testing.assert_allclose(read_image_linear(tmp_path / "a"), srgb_to_linear(image / 255), atol=1e-6)
+    assert declared_pixels((tmp_path / "a").read_bytes()) == 60
 
 
 @pytest.mark.parametrize("extension", [".png", ".tiff"])

@@ -306,3 +306,10 @@ def test_a_name_that_nothing_decodes_is_told_and_printable(tmp_path):
     (tmp_path / "face.mtl").write_bytes(b"newmtl skin\nmap_Kd lost\xff\xfe.png\n")
     (note,) = [note for note in load_scan(path).notes if "missing" in note]
     assert note.isprintable()
+
+
+@pytest.mark.parametrize("kind", ["map_Ka", "map_Ke"])
+def test_a_picture_in_another_slot_is_the_colour_of_a_material_without(kind):
+    assert parse_mtl(f"newmtl a\n{kind} glow.png\n")["a"].texture_file == "glow.png"
+    for lines in (f"{kind} glow.png\nmap_Kd skin.png\n", f"map_Kd skin.png\n{kind} glow.png\n"):
+        assert parse_mtl(f"newmtl a\n{lines}")["a"].texture_file == "skin.png"
