@@ -62,11 +62,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
 
 
 def flatten_disc(
-    vertices: FloatArray,
-    faces: IntArray,
-    *,
-    mirror: IntArray | None = None,
-    boundary_weight: float = 100.0,
+    vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None, boundary_weight: float = 100.0
 ) -> FloatArray:
     """Return the (V, 2) chart of `parametrize_disc` before packing: about unit area, centred.
 

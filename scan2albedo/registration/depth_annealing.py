@@ -127,13 +127,7 @@ def anneal_depth_derivatives(
     meter.record(start_error)
     # The coarse stage measures another objective, so its rows stay out of the trace.
     rough = simulated_annealing(
-        coarse,
-        here,
-        -_REACH,
-        _REACH,
-        seed=seed,
-        evaluations=half,
-        meter=meter.untraced(),
+        coarse, here, -_REACH, _REACH, seed=seed, evaluations=half, meter=meter.untraced()
     )
     meter.count(rough.evaluations + 1)
     here = rough.x if fine(rough.x) < start_error else here
