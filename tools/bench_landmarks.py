@@ -15,7 +15,8 @@ path-traced scans with the landmarks that MediaPipe finds (where the extra [land
 `bench_fit.py`: "nricp_amberg" deforms the default model from the pose that ours has found, but not on
 expressions, "autofacemonker" finds five points on scans with texture. Errors are mean distances in mm over
 the 51 inner points of iBUG-68. The last lines show how many coordinates lie within one and two of their
-stated standard deviations: 68 % and 95 % where it is right. `--mouths` counts instead, of 200 scans of shut
+stated standard deviations: 68 % and 95 % where it is right; before them the landmarks that those who placed
+them put at the most different heights. `--mouths` counts instead, of 200 scans of shut
 mouths with many expressions and of open jaws, how many jaws were judged rightly. `--lamps` paints shapes in
 one colour under a lamp, and shows by how much landmarks get worse when colours are looked at. `--glasses`
 puts glasses with lenses on them, and shows the errors of surface and landmarks around the eyes. Needs
@@ -157,6 +158,19 @@ def print_deviations(rows: list[Row]) -> None:
         )
 
 
+def print_definitions(groups: dict[str, list[Row]]) -> None:
+    """Print where whoever placed landmarks puts some higher or lower than another one does, by the model's.
+
+    No model's landmarks are nearer to all of them than half of what they lie apart.
+    """
+    names = [name for name in ("james", "flame_scan", "neutral") if name in groups]
+    above = -np.array([np.mean([row.offset_mm[:, 1] for row in groups[name]], axis=0) for name in names])
+    print(f"\n{'above the model, mm':28}" + "".join(f"{name:>12}" for name in names) + f"{'apart':>8}")
+    for number in np.argsort(-np.ptp(above, axis=0))[: len(FEATURES)]:
+        heights = "".join(f"{height:12.1f}" for height in above[:, number])
+        print(f"landmark {number:<19}{heights}{np.ptp(above[:, number]):8.1f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--expressions", action="store_true", help="also twelve expressions at two weights")
@@ -205,6 +219,7 @@ def main() -> None:
     print(f"\n{'five key points, mm':28}")
     for group, here in groups.items():
         print(f"{group:28}{np.mean([row.error_mm[list(KEY_POINTS)].mean() for row in here]):8.2f}")
+    print_definitions(groups)
     helped = ("given", SHAPE_ALONE, "MediaPipe", "auto", "nricp_amberg")
     print_deviations([row for row in rows if not any(word in row.group for word in helped)])
     if arguments.json:
