@@ -130,16 +130,17 @@ class _Expected:
         whole = np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)
         self.nodes = (sparse.diags(1 / whole) @ weights).tocsr()
         level, nodes = point.albedo_nodes()
-        self.level = level + point.x[-1] * mean[:, 0] + self.nodes @ nodes
+        self.level = (level + point.x[-1] * mean[:, 0] + self.nodes @ nodes).astype(np.float32)
         mean[:, 0] = 0.0
-        self.ratios = mean - mean[:, [self.lead]]
+        self.ratios = (mean - mean[:, [self.lead]]).astype(np.float32)
         assert scene.image.texture_linear is not None
         texels = np.where(self.first, scene.value[mask][:, None], scene.image.texture_linear[mask])
-        self.texels = np.maximum(texels, 0.0) / point.problem.level.unit
+        self.texels = (np.maximum(texels, 0.0) / point.problem.level.unit).astype(np.float32)
 
     def left(self, light: FloatArray, highlights: FloatArray | float = 0.0) -> FloatArray:
         """Return (N, 3) log texels less log light and log albedo: the leading channel, others beside it."""
-        logs = np.log(np.maximum(self.texels - highlights, HALF_STEP) / np.maximum(light, DARKEST))
+        shown = np.maximum(self.texels - np.asarray(highlights, np.float32), HALF_STEP)
+        logs = np.log(shown / np.maximum(light, DARKEST, dtype=np.float32))
         ratios = logs - logs[:, [self.lead]] - self.ratios
         return np.where(self.first, logs - self.level[:, None], self.coloured * ratios)
 
