@@ -107,7 +107,7 @@ def _of_solution(
             red, green, blue = (color / mean).tolist()
             lights[k] = replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))
         light *= np.exp(known.nodes @ colors.cast)
-        share, stray = _left_over(known, light, gloss / unit)
+        share, stray = _left_over(known, light, (gloss / unit).astype(np.float32))
         gloss, light = gloss * share, light * np.exp(stray)
     seen, spread = visible.min(0, initial=1).astype(np.float64), np.zeros(len(light))
     return TexelLight(light, gloss, seen, spread, tuple(lights), environment, reflectance)
@@ -137,16 +137,15 @@ class _Expected:
         texels = np.where(self.first, scene.value[mask][:, None], scene.image.texture_linear[mask])
         self.texels = (np.maximum(texels, 0.0) / point.problem.level.unit).astype(np.float32)
 
-    def left(self, light: FloatArray, highlights: FloatArray | float = 0.0) -> FloatArray:
+    def left(self, light: FloatArray, gloss: FloatArray | float = 0.0) -> FloatArray:
         """Return (N, 3) log texels less log light and log albedo: the leading channel, others beside it."""
-        shown = np.maximum(self.texels - np.asarray(highlights, np.float32), HALF_STEP)
-        logs = np.log(shown / np.maximum(light, DARKEST, dtype=np.float32))
+        logs = np.log(np.maximum(self.texels - gloss, HALF_STEP) / np.maximum(light, DARKEST, dtype="f4"))
         ratios = logs - logs[:, [self.lead]] - self.ratios
         return np.where(self.first, logs - self.level[:, None], self.coloured * ratios)
 
-    def settle(self, light: FloatArray, highlights: FloatArray | float = 0.0) -> None:
+    def settle(self, light: FloatArray, gloss: FloatArray | float = 0.0) -> None:
         """Let most texels tell the person's ratios, in this light."""
-        self.ratios += np.median(self.left(light, highlights)[self.usable], 0) * ~self.first
+        self.ratios += np.median(self.left(light, gloss)[self.usable], 0) * ~self.first
 
     def mean_part(self, left: list[FloatArray], dark: FloatArray | float, prior: FloatArray) -> FloatArray:
         """Return (N,) the mean of parts 0 to 1, by what each leaves, `dark` of its variance, and a prior."""

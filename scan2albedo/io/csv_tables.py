@@ -7,13 +7,13 @@ from io import StringIO
 from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError, ScanError
-from scan2albedo.io.limits import TABLE_BYTES, read_bytes
+from scan2albedo.io.limits import TABLE_BYTES, require_file
 
 
 def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError]) -> str:
     """Return the text of a UTF-8 file; raises `error`, which calls it `what`, for anything else."""
     try:
-        data = read_bytes(file, TABLE_BYTES, "split it")
+        data = file.read_bytes() if require_file(file, TABLE_BYTES, "split it") else b""
     except (OSError, ScanError) as cause:
         raise error(f"{what} cannot be read ({getattr(cause, 'strerror', '') or cause}); {advice}") from cause
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
