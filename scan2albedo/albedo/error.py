@@ -20,19 +20,20 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
     """Return the error of an albedo with the single best global scale a.
 
     a = sum(A A_true) / sum(A^2): light strength and albedo cannot be separated. ValueError for shapes that
-    disagree, an empty mask, or values that are not finite inside it. `estimate` and `truth` are linear,
-    (H, W, C) or (H, W); `mask` (H, W) has the texels compared.
+    disagree, an empty mask, or values that are not finite inside it.
+
+    Parameters
+    ----------
+    estimate, truth, mask : array_like
+        Linear albedo, (H, W, C) or (H, W) of float; and the texels compared, (H, W) of bool.
 
     >>> albedo_error([[0.2, 0.4]], [[0.1, 0.2]], [[True, True]]).mse_percent
     0.0
     """
-    ours, true = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
-    chosen = np.asarray(mask, bool)
+    ours, true, chosen = np.asarray(estimate, float), np.asarray(truth, float), np.asarray(mask, bool)
     if ours.shape != true.shape or ours.shape[: chosen.ndim] != chosen.shape or not chosen.any():
-        raise ValueError(
-            f"estimate {ours.shape}, truth {true.shape} and mask {chosen.shape} "
-            f"({int(chosen.sum())} texels) must agree and not be empty"
-        )
+        shapes = f"estimate {ours.shape}, truth {true.shape} and mask {chosen.shape}"
+        raise ValueError(f"{shapes} ({int(chosen.sum())} texels) must agree and not be empty")
     ours, true = ours[chosen], true[chosen]
     if not (np.isfinite(ours).all() and np.isfinite(true).all()):
         raise ValueError("estimate or truth holds NaN or infinite values inside the mask")

@@ -74,16 +74,15 @@ def _of_solution(
     reflectance = replace(state.reflectance, specular_strength=strength)
     order, lights = np.argsort(-state.rows[:, 4], kind="stable"), list(state.lights())
     surface = image.position[mask], image.normal[mask].astype(np.float64)
-    above = None
-    if point is not None and caster is not None:
-        above = scene.at(scene.options.sizes[2]).horizon.at(np.argwhere(mask))
+    soft_size = scene.at(scene.options.sizes[2]) if point is not None and caster is not None else None
+    above = None if soft_size is None else soft_size.horizon.at(np.argwhere(mask))
     hidden, attached = ShadowMap(caster, *surface, open_above=above), ShadowMap(None, *surface)
     visible, facing = np.ones((2, len(lights), len(surface[0])), np.float32)
     for k, lamp in enumerate(lights):
         at = lamp.direction, lamp.distance_mm, lamp.radius_deg
         visible[k], facing[k] = hidden.reached(*at), attached.reached(*at)
-    scale = np.ones(mask.shape) if image.specular_scale is None else image.specular_scale
-    scale = scale[mask].astype(np.float64)
+    ones, scaled = np.ones(len(surface[0])), image.specular_scale
+    scale = ones if scaled is None else scaled[mask].astype(np.float64)
     colors = replace(colours, lamps=colours.lamps[order])
 
     def shading(seen: NDArray) -> Shading:
@@ -115,10 +114,9 @@ def _of_solution(
 
 class _Expected:
     """What a point knows of log albedo on N texels: the `level` (N,) of the leading channel with the
-    `deviation` of single texels, the `ratios` (N, 3) of the others to it, and the nodes' weights `nodes`.
-    `parts` of a lamp, or of twice a highlight, are compared."""
+    `deviation` of single texels, the `ratios` (N, 3) of the others to it, and the nodes' weights `nodes`."""
 
-    parts = np.linspace(0, 1, 9)
+    parts = np.linspace(0, 1, 9)  # of a lamp, or of twice a highlight, that are compared
 
     def __init__(self, scene: LitImage, point: Point, coloured: bool) -> None:
         (field, places), mask = (point.problem.field, scene.places), scene.image.mask
