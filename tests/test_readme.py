@@ -89,6 +89,10 @@ def test_readme_names_the_two_make_commands():
     assert targets == ["demo", "test"]
 
 
+def test_readme_is_short():
+    assert len(text_of(ROOT / "README.md").split()) <= 1200
+
+
 def test_continuous_integration_runs_both_test_commands():
     commands = text_of(ROOT / ".ci" / "run").splitlines()
     assert commands[-2:] == ["make test", "make test-slow"]
@@ -112,7 +116,7 @@ def test_stage_pages_show_how_to_call_them():
         assert blocks(page, "python"), name
 
 
-def test_readme_names_every_command():
+def test_the_page_of_commands_names_every_command():
     def names(command: Any, path: str) -> Iterator[str]:
         if is_group(command):
             for name, inner in command.commands.items():
@@ -120,7 +124,7 @@ def test_readme_names_every_command():
         else:
             yield path
 
-    table = {span for span in code_spans(ROOT / "README.md") if span.startswith("scan2albedo ")}
+    table = {span for span in code_spans(DOCS / "commands.md") if span.startswith("scan2albedo ")}
     assert set(names(root(), "scan2albedo")) <= table
 
 
