@@ -178,7 +178,7 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
     Raises ScanError when the file is missing, of an unsupported kind or damaged.
     """
     if os.path.isdir(file):  # false, where Path.is_dir raises, for names that are too long
-        raise ScanError(f"{file}: is a folder; name the scan file in it ({', '.join(SUPPORTED_SCANS)})")
+        raise ScanError(f"{file}: is a folder; name the scan file in it, or run `scan2albedo batch {file}`")
     extension = file.suffix.lower()
     if extension not in SUPPORTED_SCANS:
         if file.is_file():

@@ -29,8 +29,7 @@ class ObjLines:
         if b"\n" not in data:
             data = data.replace(b"\r", b"\n")
         limits.require_at_most(name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
-        self.name = name
-        self.text = np.frombuffer(data, np.uint8)
+        self.name, self.text = name, np.frombuffer(data, np.uint8)
         begins, self.ends = tables.line_ranges(self.text)
         self.words, self.starts = tables.split_keywords(self.text, begins, self.ends)
 

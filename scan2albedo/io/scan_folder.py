@@ -65,7 +65,7 @@ class ScanFolder:
         """Return why `find` returns None, as the end of a sentence."""
         if os.path.isfile(self.path / name.replace("\\", "/")):
             return "lies outside the scan's folder, and only --textures (in Python: textures) allows another"
-        return "is missing beside the scan"
+        return "is missing beside the scan (--textures names another folder to look in)"
 
     def _allows(self, path: Path) -> bool:
         homes = (self.path, self.textures)

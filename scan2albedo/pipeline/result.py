@@ -151,7 +151,8 @@ class ProcessResult:
             soft = "soft light" if self.albedo.environment is not None else "no directed light"
             parts.append(f"light at {lights}" if lights else soft)
         else:
-            parts.append("no albedo (see the plan)")
+            lost = (note for note in self.scan.notes if "went on without" in note)
+            parts.insert(1, f"no albedo: {next(lost, 'see the plan')}")
         if self.registration is not None and self.registration.confidence < SURE:
             parts.append(f"pose unsure (confidence {self.registration.confidence:.2f})")
         if any(step.stage == "texture" for step in self.plan.doubts()):

@@ -55,7 +55,10 @@ def test_a_texture_that_is_a_pointer_is_named(tmp_path):
 @pytest.mark.parametrize("extension", ["", *SUPPORTED_SCANS])
 def test_folders(tmp_path, extension):
     (tmp_path / f"folder{extension}").mkdir()
-    with pytest.raises(ScanError, match=rf"folder{extension}: is a folder; name the scan file in it"):
+    with pytest.raises(
+        ScanError,
+        match=rf"folder{extension}: is a folder; name the scan file in it, or run `scan2albedo batch",
+    ):
         load_scan(tmp_path / f"folder{extension}")
 
 

@@ -232,6 +232,10 @@ def test_what_is_doubtful_is_told(case, result, monkeypatch):
     assert "texture" not in told.summary()
     flipped = replace(told, plan=told.plan + Plan((PlanStep.doubt("texture", "with V flipped"),)))
     assert "texture doubtful" in flipped.summary()
+    lost = replace(result.scan, notes=("unit: mm", "texture a.jpg is missing: went on without it"))
+    bare = replace(result, albedo=None, scan=lost).summary()
+    assert bare.split("; ")[1] == "no albedo: texture a.jpg is missing: went on without it"
+    assert "no albedo: see the plan" in replace(result, albedo=None).summary()
 
 
 def test_a_hole_where_the_nose_should_be_is_told(case, result):
