@@ -154,3 +154,23 @@ def test_an_estimate_is_relit_by_its_own_light(monkeypatch):
     off = np.linalg.norm((again - texture)[mask]) / np.linalg.norm(texture[mask])
     # Light that no part stands for, and shadows that the picture shows otherwise, are not relit.
     assert off < 0.1
+
+
+def test_colour_tells_which_part_of_a_lamp_reaches_a_texel_whose_brightness_does_not():
+    from types import SimpleNamespace
+
+    from scan2albedo.albedo.texel_light import _Expected, _seen_shadows
+
+    mask, columns = np.ones((20, 20), bool), np.arange(400) % 20
+    part = np.where(columns < 10, 0.0, np.where(columns < 15, 0.5, 1.0))
+    soft, lamp = np.ones((400, 3)), np.array([[[0.02, 0.6, 1.0]]]) * np.ones((1, 400, 1))
+    known = _Expected.__new__(_Expected)
+    known.point = SimpleNamespace(problem=SimpleNamespace(blur=0.1))
+    known.coloured, known.usable, known.lead = True, np.ones(400, bool), 0
+    known.first, known.level, known.ratios = np.arange(3) == 0, np.zeros(400), np.zeros((400, 3))
+    known.texels = (soft + part[:, None] * lamp[0]).astype(np.float32)
+    # The traced shadow is known only by half: every second row.
+    traced = (np.arange(400) // 20 % 2).astype(np.float32)[None]
+    seen = _seen_shadows(known, mask, traced, np.ones((1, 400), np.float32), lamp, soft)[0]
+    means = [seen[part == p].mean() for p in (0.0, 0.5, 1.0)]
+    np.testing.assert_allclose(means, [0.0, 0.5, 1.0], atol=0.12)
