@@ -24,8 +24,7 @@ class ObjLines:
 
     def __init__(self, data: bytes, name: str) -> None:
         data = data.removeprefix(codecs.BOM_UTF8)
-        if b"\\\n" in data or b"\\\r\n" in data:
-            data = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
+        data = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
         if b"\n" not in data:
             data = data.replace(b"\r", b"\n")
         limits.require_at_most(name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
@@ -86,7 +85,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     for more than is read.
     """
     lines = ObjLines(limits.read_bytes(path, advice="decimate it"), path.name)
-    positions, tokens = lines.numbers(b"v", 6, least=3, most=limits.VERTICES)
+    positions, tokens = lines.numbers(b"v", 7, least=3, most=limits.VERTICES)
     coordinates, _ = lines.numbers(b"vt", 2, least=1, most=limits.TEXT_LINES)
     # Corners as written, then as indices from 0 of vertex and coordinates, -1 for none.
     rows = lines.of_kind(b"f")
@@ -111,10 +110,11 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     if len(coordinates) and (corners[:, 1] >= 0).any():
         corner = corners[triangles, 1]
         uv = np.where((corner >= 0)[..., None], coordinates[corner], np.nan)
-    srgb, colors = positions[:, 3:6], None
-    # Numbers below 0 are not colours, but normals.
-    if len(positions) and (tokens >= 6).all() and np.isfinite(srgb).all() and srgb.min() >= 0:
-        colors = linear_of_srgb_numbers(srgb)
+    # Colours are the last of six numbers, or of seven with a weight; what is below 0 is a normal's.
+    coloured, colors = tokens >= 6, None
+    srgb = np.where((tokens > 6)[:, None], positions[:, 4:7], positions[:, 3:6])
+    if coloured.any() and np.isfinite(srgb[coloured]).all() and srgb[coloured].min() >= 0:
+        colors = np.column_stack([linear_of_srgb_numbers(np.where(coloured[:, None], srgb, 0)), coloured])
     pictures = ScanPictures(folder)
     material, own, notes = _materials(lines, pictures)
     materials, notes = pictures.or_named_like(path, uv, own, notes)

@@ -313,3 +313,13 @@ def test_a_picture_in_another_slot_is_the_colour_of_a_material_without(kind):
     assert parse_mtl(f"newmtl a\n{kind} glow.png\n")["a"].texture_file == "glow.png"
     for lines in (f"{kind} glow.png\nmap_Kd skin.png\n", f"map_Kd skin.png\n{kind} glow.png\n"):
         assert parse_mtl(f"newmtl a\n{lines}")["a"].texture_file == "skin.png"
+
+
+@pytest.mark.parametrize("weight", ["", "1 "])
+def test_vertices_without_a_colour_were_not_seen(tmp_path, weight):
+    colors = ["1 0 0", "", "0 1 0", "0 0 1"]
+    rows = [f"v {x} {y} {z} {weight * bool(c)}{c}" for (x, y, z), c in zip(SQUARE_MM, colors, strict=True)]
+    (tmp_path / "a.obj").write_text("\n".join([*rows, "f 1 2 3", "f 1 3 4"]))
+    scan = load_scan(tmp_path / "a.obj")
+    np.testing.assert_array_equal(scan.vertex_color_linear[[0, 2, 3]], np.eye(3)[[0, 1, 2]])
+    assert scan.color_seen.tolist() == [True, False, True, True]
