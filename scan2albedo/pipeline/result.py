@@ -129,13 +129,13 @@ class ProcessResult:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
         figures["geometry_image"] = self.geometry_image.figures()
         if self.albedo is not None:
-            figures["albedo"] = {
-                "lights": len(self.albedo.lights),
-                "parameters": dict(self.albedo.parameters),
-                "converged": self.albedo.converged,
-            }
-            if self.albedo.uncertainty is not None:
-                figures["albedo"]["uncertainty"] = self.albedo.uncertainty.figures()
+            found, error = self.albedo, self.albedo.expected_error
+            figures["albedo"] = {"lights": len(found.lights), "parameters": dict(found.parameters)}
+            figures["albedo"]["converged"] = found.converged
+            if error is not None:  # of half the texels
+                figures["albedo"]["expected_error"] = float(np.median(error[self.geometry_image.mask]))
+            if found.uncertainty is not None:
+                figures["albedo"]["uncertainty"] = found.uncertainty.figures()
         return figures
 
     def summary(self) -> str:

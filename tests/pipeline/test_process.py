@@ -236,6 +236,8 @@ def test_what_is_doubtful_is_told(case, result, monkeypatch):
     bare = replace(result, albedo=None, scan=lost).summary()
     assert bare.split("; ")[1] == "no albedo: texture a.jpg is missing: went on without it"
     assert "no albedo: see the plan" in replace(result, albedo=None).summary()
+    error = result.albedo.expected_error[result.geometry_image.mask]
+    assert np.mean(error <= result.metrics()["albedo"]["expected_error"]) == pytest.approx(0.5, abs=0.01)
 
 
 def test_a_hole_where_the_nose_should_be_is_told(case, result):

@@ -44,6 +44,7 @@ def _record(name, **changes):
             "registration": {"rmse_mm": 1.5, "confidence": 0.9},
             "albedo": {
                 "lights": 2,
+                "expected_error": 0.037,
                 "uncertainty": {
                     "direction_deviation_deg": [0.5, 1.25],
                     "intensity_deviation": [0.01, 0.02],

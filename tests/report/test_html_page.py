@@ -32,7 +32,7 @@ def test_a_scan_gets_a_page_beside_its_files(one_scan):
     assert (made.scans, made.done, made.failed, made.sections) == (1, 1, 0, 1)
     words = check(made.path.read_text(encoding="utf-8")).words()
     for told in (
-        "fit 0.125 mm mean · 2 lights at (35°, 20°), (−50°, 5°) · albedo ± 1.2 % · 12.5 s",
+        "fit 0.125 mm mean · 2 lights at (35°, 20°), (−50°, 5°) · albedo ± 3.7 % a texel · 12.5 s",
         "albedo · shadows did it shades itself at most 28 %",
         "left out no model was asked for",
         "± 0.5°",
@@ -127,11 +127,11 @@ def test_a_result_without_an_albedo_shows_its_shape(write_scan, tmp_path):
 
 
 def test_warnings_and_notes_are_told_apart(write_scan, tmp_path):
-    metrics = {"fit": {"converged": False}, "albedo": {"uncertainty": {"albedo_deviation": 0.36}}}
+    metrics = {"fit": {"converged": False}, "albedo": {"expected_error": 0.36}}
     folder = write_scan(tmp_path / "bad", metrics=metrics, notes=("unit: mm",))
     words = written(folder, tmp_path / "page.html").words()
     assert "Worth a look fit did not converge" in words
-    assert "albedo ± 36 %" in words
+    assert "albedo ± 36 % a texel" in words
     assert "Noted on the way unit: mm" in words
 
 

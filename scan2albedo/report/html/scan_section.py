@@ -28,7 +28,7 @@ from scan2albedo.report.html.texts import (
 )
 from scan2albedo.report.html.viewer_data import residual_of_result, viewer_entry
 
-_DEVIATION = "metrics_albedo_uncertainty_albedo_deviation"
+_ERROR = "metrics_albedo_expected_error"
 
 
 def scan_section(
@@ -108,7 +108,7 @@ def scan_section(
 def _figures(record: ResultRecord) -> dict[str, Any]:
     """Return what the record holds in numbers, in words: headline, warnings, figures and lights."""
     flat = flat_figures(record.metrics, "metrics")
-    residual, deviation = flat.get("metrics_fit_residual_mean_mm"), flat.get(_DEVIATION)
+    residual, error = flat.get("metrics_fit_residual_mean_mm"), flat.get(_ERROR)
     headline = [] if residual is None else [f"fit {number_text(residual)} mm mean"]
     if record.lights:
         degrees = (np.degrees((light.azimuth_rad, light.elevation_rad)) for light in record.lights)
@@ -120,8 +120,8 @@ def _figures(record: ResultRecord) -> dict[str, Any]:
         headline.append("soft light")
     else:
         headline.append("no directed light" if record.parameters else "no albedo (see the plan)")
-    if deviation is not None:
-        headline.append(f"albedo ± {number_text(100 * deviation, 2)} %")
+    if error is not None:
+        headline.append(f"albedo ± {number_text(100 * error, 2)} % a texel")
     headline.append(seconds_text(sum(record.timings_s.values())))
 
     # (label, value, unit) of each stage's figures, without those that are shown elsewhere.
