@@ -206,8 +206,7 @@ def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independ
 def _at_places(grid: _Grid, place: NDArray[np.floating], model: AppearanceModel) -> FloatArray:
     """Return the shares (C, h, w) of the classes at places (H, W, 2), before they sum to one."""
     spot = (np.moveaxis(grid.mean(place), -1, 0) * len(model.share[0])) - 0.5
-    found = [map_coordinates(one, spot, order=1, mode="nearest") for one in model.share]
-    return np.maximum(found, 1e-6)
+    return np.maximum([map_coordinates(one, spot, order=1, mode="nearest") for one in model.share], 1e-6)
 
 
 def features_of(

@@ -171,15 +171,16 @@ class GltfFile:
             for source in changes.keys() & attributes.keys():
                 number, change = attributes[source], changes[source]
                 entry, key = self.tree["accessors"][number], json.dumps([number, change])
-                if key not in made and ("sparse" in entry or entry["componentType"] != 5126 or change):
+                whole = "bufferView" in entry and entry["componentType"] != 5126
+                if key not in made and ("sparse" in entry or whole or change):
                     values = self._numbers(entry) * change.get("scale", 1)
                     cos, sin = np.cos(turn := change.get("rotation", 0)), np.sin(turn)
                     turned = values @ np.array([[cos, -sin], [sin, cos]]) if turn else values  # v points down
                     data = (turned + change.get("offset", 0)).astype("<f4").tobytes()
                     size += len(data)
                     limits.require_at_most(self.path.name, _OF_ARRAYS, size, limits.FILE_BYTES, "decimate it")
-                    made[key], buffers = len(tree["accessors"]), tree.setdefault("buffers", [])
-                    views = tree.setdefault("bufferViews", [])
+                    made[key] = len(tree["accessors"])
+                    views, buffers = (tree.setdefault(name, []) for name in ("bufferViews", "buffers"))
                     plain = {"bufferView": len(views), "componentType": 5126, "count": len(values)}
                     tree["accessors"].append({**plain, "type": entry["type"]})
                     views.append({"buffer": len(buffers), "byteLength": len(data)})
@@ -207,7 +208,7 @@ class GltfFile:
     def _numbers(self, accessor: dict[str, Any]) -> FloatArray:
         """Return (count, components) of an accessor, whole numbers as parts of their range (glTF 3.6.2)."""
         if "bufferView" not in accessor and "sparse" not in accessor:
-            raise ValueError("compressed coordinates are moved (KHR_texture_transform) or whole numbers")
+            raise ValueError("compressed coordinates are moved (KHR_texture_transform)")
         shape = accessor["count"], _COMPONENTS[accessor["type"]]
         stored = np.zeros(shape, _DTYPES[accessor["componentType"]])
         if "bufferView" in accessor:

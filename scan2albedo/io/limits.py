@@ -47,7 +47,7 @@ more, measured numbers less. What a file of zeros declares may be a thousand tim
 _FOREIGN = {
     rb"version https://git-lfs": "a Git LFS pointer in its place: fetch the file itself (git lfs pull)",
     rb"<!doctype html|<html": "a web page: download the file itself",
-    rb"pk\x03\x04|\x1f\x8b|7z\xbc\xaf|rar!": "an archive: unpack it",
+    rb"pk\x03\x04|\x1f\x8b\x08|7z\xbc\xaf|rar!": "an archive: unpack it",
     rb"#vrml": "a VRML scene: export the scan as OBJ, PLY or GLB",
 }
 """Beginnings, in lower case, of files that are no scan's, whatever their names end with."""

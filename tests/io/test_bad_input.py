@@ -35,7 +35,7 @@ def test_empty_files(tmp_path, extension):
         (b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n", "a Git LFS pointer"),
         (b"\n\n<!DOCTYPE html>\n<html></html>", "a web page: download the file itself"),
         (b"PK\x03\x04" + bytes(40), "an archive: unpack it"),
-        (b"\x1f\x8b" + bytes(40), "an archive: unpack it"),
+        (b"\x1f\x8b\x08" + bytes(40), "an archive: unpack it"),
         (b"#VRML V2.0 utf8\n", "a VRML scene: export the scan as"),
     ],
 )
