@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field
 
+from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
 from scan2albedo.io.result_records import SHA256, RunRecord
 
@@ -152,10 +153,11 @@ class BatchReport:
         if progress.scans_per_hour:
             parts.append(f"{progress.scans_per_hour:.0f} scans/h with {self.jobs} job{'s' * (self.jobs > 1)}")
         lines = ["batch: " + ", ".join(parts) + f"; files in {self.out}"]
-        shown = list(self.failures.items())[:_SHOWN]
-        lines += [f"  failed: {name}: {reason}" for name, reason in shown]
-        if len(self.failures) > _SHOWN:
-            lines.append(f"  and {len(self.failures) - _SHOWN} more; all are in catalogue.parquet")
+        told = [f"  failed: {name}: {reason}" for name, reason in self.failures.items()]
+        told += [f"  {note}" for note in self.notes if lost_texture((note,))]
+        lines += told[:_SHOWN]
+        if len(told) > _SHOWN:
+            lines.append(f"  and {len(told) - _SHOWN} more; all are in catalogue.parquet")
         return "\n".join(lines)
 
 

@@ -32,6 +32,7 @@ from scan2albedo.batch.records import (
 )
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
+from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError, ModelError, Scan2AlbedoError, needs_extra
 from scan2albedo.io.atomic import check_writable
@@ -337,4 +338,5 @@ class _Run:
             elapsed_s=time.monotonic() - self.start,
         )
         verified = sum(len(row.files) for row in kept)
-        return BatchReport(self.layout.out, progress, failures, self.jobs, verified, tuple(self.notes))
+        lost = [f"{row.name}: {note}" for row in rows if (note := lost_texture(row.notes))]
+        return BatchReport(self.layout.out, progress, failures, self.jobs, verified, (*self.notes, *lost))

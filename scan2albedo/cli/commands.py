@@ -26,7 +26,7 @@ from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.core.landmarks import AUTO
-from scan2albedo.core.raw_scan import scan_name
+from scan2albedo.core.raw_scan import lost_texture, scan_name
 from scan2albedo.errors import Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:
@@ -104,6 +104,8 @@ TextureSize = Annotated[
     ),
 ]
 
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan's texture is missing.")]
+
 
 def _process_options(context: typer.Context) -> ProcessOptions:
     """Return the options that the flags of a command set."""
@@ -141,6 +143,7 @@ def process(
     landmarks: Landmarks = None,
     unlit: Unlit = None,
     texture_size: TextureSize = 1024,
+    strict: Strict = False,
     json_summary: JsonOption = False,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
@@ -162,7 +165,7 @@ def process(
         say(f"{options.model}: {note}")
     chosen = options.arguments() | {"model": template or "none"}
     summaries: list[dict[str, Any]] = []
-    failures = 0
+    failures, lost = 0, False
     for path in scans:
         name = scan_name(path)
         with removed_if_empty(out), ProgressLines(name) as progress:
@@ -179,12 +182,15 @@ def process(
             for note in result.notes:
                 progress.say(f"{name}: {note}")
             progress.say(result.summary())
+        lost |= lost_texture(result.notes) is not None
         done = {"scan": str(path), "status": "done", "out": str(result.out)}
         summaries.append({**done, "notes": list(result.notes), **result.metrics()})
     if json_summary:
         echo_json(summaries if len(scans) > 1 else summaries[0])
     if failures:
         raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
+    if strict and lost:
+        raise typer.Exit(SOME_FAILED)
 
 
 @app.command()
@@ -226,6 +232,7 @@ def batch(
     timeout: Annotated[
         float | None, typer.Option(help="Seconds after which a scan is given up with its worker.")
     ] = None,
+    strict: Strict = False,
     json_summary: JsonOption = False,
 ) -> None:
     """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
@@ -260,6 +267,8 @@ def batch(
         echo_json(done.figures())
     if done.progress.failed:
         raise typer.Exit(SOME_FAILED if done.progress.done else USAGE_ERROR)
+    if strict and lost_texture(done.notes):
+        raise typer.Exit(SOME_FAILED)
 
 
 @app.command()

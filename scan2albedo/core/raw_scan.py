@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -44,6 +45,11 @@ def is_folder_name(name: str) -> bool:
     """Return whether results can get a folder of that name."""
     fitting = name == printable(name) and len(name.encode("utf-8", "replace")) <= LONGEST_NAME
     return fitting and not name.startswith(".") and name != "" and not set(name) & set("/\\")
+
+
+def lost_texture(notes: Iterable[str]) -> str | None:
+    """Return the first note that says that a texture or its material was not found; None without one."""
+    return next((note for note in notes if "went on without" in note), None)
 
 
 def require_valid_indices(faces: IntArray, vertex_count: int, name: str) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.applications.template_baking import FIRST_TILE, TemplateTexture, normal_bytes
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
@@ -151,8 +152,7 @@ class ProcessResult:
             soft = "soft light" if self.albedo.environment is not None else "no directed light"
             parts.append(f"light at {lights}" if lights else soft)
         else:
-            lost = (note for note in self.scan.notes if "went on without" in note)
-            parts.insert(1, f"no albedo: {next(lost, 'see the plan')}")
+            parts.insert(1, f"no albedo: {lost_texture(self.scan.notes) or 'see the plan'}")
         if self.registration is not None and self.registration.confidence < SURE:
             parts.append(f"pose unsure (confidence {self.registration.confidence:.2f})")
         if any(step.stage == "texture" for step in self.plan.doubts()):

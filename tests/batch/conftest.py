@@ -79,7 +79,8 @@ def stand_in(diary):
         (folder / "albedo.exr").write_text(task.name)
         (folder / "result.json").write_text(task.name)
         files = {path.name: file_sha256(path) for path in sorted(folder.iterdir())}
-        return {"input_sha256": sha256, "files": files, "metrics": {"seconds": 1.0}}
+        lost = ("texture skin.jpg is missing: went on without it",) if task.name.startswith("bare") else ()
+        return {"input_sha256": sha256, "files": files, "metrics": {"seconds": 1.0}, "notes": lost}
 
     return written
 

@@ -39,6 +39,15 @@ def test_exit_statuses_and_the_summary(scans_in, tmp_path, no_workers):
     assert json.loads(again.stdout)["kept"] == 1
 
 
+def test_scans_without_their_textures_are_told_and_strict_is_1(scans_in, tmp_path, no_workers):
+    manifest = scans_in("a", "bare")
+    done = invoke(manifest, "-o", tmp_path / "out", *TINY)
+    assert done.exit_code == 0
+    assert "  bare: texture skin.jpg is missing: went on without it" in done.stderr.splitlines()
+    assert invoke(manifest, "-o", tmp_path / "out", *TINY, "--resume", "--strict").exit_code == 1
+    assert invoke(scans_in("a"), "-o", tmp_path / "whole", *TINY, "--strict").exit_code == 0
+
+
 def test_a_fault_of_the_manifest_is_one_line_and_leaves_nothing(tmp_path):
     failed = subprocess.run(
         [*COMMAND, "none.csv", "-o", "out"],

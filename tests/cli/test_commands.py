@@ -279,6 +279,20 @@ def test_a_scan_that_is_too_large_does_not_stop_the_next(tmp_path, monkeypatch, 
     assert "Traceback" not in failed.stderr
 
 
+def test_strict_is_1_where_a_texture_is_missing(tmp_path, monkeypatch):
+    write_square_obj(tmp_path, name="bare", texture="tex.png")
+    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    asked = ("process", tmp_path / "bare.obj", "-o", tmp_path / "out", "--model", "none", "--unit", "cm")
+    asked += ("--size", "16", "--no-pictures")
+    assert invoke(*asked, "--strict").exit_code == 0
+    (tmp_path / "tex.png").unlink()
+    assert invoke(*asked).exit_code == 0
+    told = invoke(*asked, "--strict")
+    assert told.exit_code == 1
+    assert "no albedo: texture tex.png is missing beside the scan (--textures names" in told.stderr
+    assert (tmp_path / "out" / "bare" / "result.json").exists()
+
+
 @pytest.mark.parametrize("error", [MemoryError(), ValueError("no such light"), RecursionError("too deep")])
 def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
     def fail():
