@@ -10,7 +10,7 @@ import zlib
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,23 +20,28 @@ from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_picture, encode_srgb_bytes, label_colors
 
+if TYPE_CHECKING:
+    from PIL import Image
+
+_ALIKE = 2  # of 255: profiles of sRGB differ so much by rounding
 _TARGA = (b"\0\2", b"\0\n", b"\1\1", b"\1\t", b"\0\3", b"\0\v")  # whether it has a palette, and its kind
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
 SUPPORTED_IMAGES = (*re.findall(r"\.\w+", ".png .jpg .jpeg .tif .tiff .bmp .webp .exr .hdr .tga .gif"),)
 
 
-def read_image_linear(path: str | Path, *, alpha: bool = False) -> NDArray[np.float32]:
+def read_image_linear(path: str | Path, *, alpha: bool = False, upright: bool = False) -> NDArray[np.float32]:
     """Read an image as linear colour (H, W, 3), row 0 the top.
 
     The content decides which of `SUPPORTED_IMAGES` it is, not the extension. Integer samples (8 or 16 bit)
-    are sRGB and are decoded; float samples (EXR, HDR, float TIFF) are linear already. Grey is repeated over
-    three channels, alpha is dropped; with `alpha`, one that varies is kept, (H, W, 4). An EXIF orientation is
-    ignored: texture coordinates refer to the pixels as stored. Raises ScanError, naming the file, when it is
+    are decoded as sRGB, or by the colour profile that the file holds; float samples (EXR, HDR, float TIFF)
+    are linear already. Grey is repeated over three channels, alpha is dropped; with `alpha`, one that varies
+    is kept, (H, W, 4). A photograph is turned `upright` by its EXIF orientation; texture coordinates refer to
+    the pixels as stored. Raises ScanError, naming the file, when it is
     missing, unreadable, damaged or holds NaN; TooLargeError, before anything is decoded, when its header
     declares more than `limits.PIXELS`.
     """
-    samples = read_image_values(path, alpha=alpha)
+    samples = read_image_values(path, alpha=alpha, upright=upright)
     if samples.dtype in (np.uint8, np.uint16):
         return decode_picture(cast("NDArray[np.uint8]", samples))
     if not np.isfinite(samples).all():
@@ -45,9 +50,9 @@ def read_image_linear(path: str | Path, *, alpha: bool = False) -> NDArray[np.fl
 
 
 def read_image_values(
-    path: str | Path, *, alpha: bool = False
+    path: str | Path, *, alpha: bool = False, upright: bool = False
 ) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
-    """Read an image's samples as stored, (H, W, 3), floats may be NaN; errors as in `read_image_linear`.
+    """Read an image's samples, (H, W, 3), integers in sRGB, floats may be NaN; see `read_image_linear`.
 
     With `alpha` they are (H, W, 4) where the file has it.
     """
@@ -66,7 +71,7 @@ def read_image_values(
         data = limits.read_bytes(file)
         # Nothing is decoded whose size is not known before.
         known = picture_pixels(data, file) is not None and not is_cut_png(data)
-        pixels = _decoded(data) if known else None
+        pixels = _decoded(data, upright) if known else None
     except (OSError, ValueError) as error:
         raise ScanError(f"image {file} cannot be read: {getattr(error, 'strerror', '') or error}") from error
     if pixels is None:
@@ -85,9 +90,9 @@ def read_image_values(
     return np.ascontiguousarray(pixels, np.float32)
 
 
-def _decoded(data: bytes) -> NDArray[Any] | None:
+def _decoded(data: bytes, upright: bool) -> NDArray[Any] | None:
     """Return the samples of a picture, grey or with colours in the order RGB; None when it is damaged."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image, ImageOps, UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
@@ -95,11 +100,17 @@ def _decoded(data: bytes) -> NDArray[Any] | None:
             with Image.open(BytesIO(data)) as image:
                 deep = image.format == "TIFF" and max(getattr(image, "tag_v2", {}).get(258, (1,))) > 8  # bits
                 raw = image.tile[0].args if image.format == "PNG" and image.tile else ""
+                if upright:
+                    ImageOps.exif_transpose(image, in_place=True)
+                if (in_srgb := _in_srgb(image)) is not None:
+                    return np.asarray(in_srgb)
                 if raw in ("RGB;16B", "RGBA;16B"):
                     # Pillow keeps the first byte of such samples; read as if the second were the first.
                     high = np.asarray(image, np.uint16)
                     with Image.open(BytesIO(data)) as again:
                         again.tile = [again.tile[0]._replace(args=raw[:-1] + "L")]
+                        if upright:
+                            ImageOps.exif_transpose(again, in_place=True)
                         return high << 8 | np.asarray(again, np.uint16)
                 if raw == "LA;16B" or deep:
                     raise UnidentifiedImageError
@@ -123,6 +134,39 @@ def _decoded(data: bytes) -> NDArray[Any] | None:
     if pixels is None or pixels.ndim == 2 or pixels.shape[2] < 3:
         return pixels
     return pixels[..., [2, 1, 0, *range(3, pixels.shape[2])]]
+
+
+def _in_srgb(image: Image.Image) -> Image.Image | None:
+    """Return a picture of 8 bits a sample in sRGB, where its colour profile is another one; else None.
+
+    Of 16 bits the first 8 are kept then, which is what Pillow's transforms take.
+    """
+    from PIL import Image, ImageCms
+
+    profile = image.info.get("icc_profile")
+    if not profile or image.mode.startswith(("I", "F")):
+        return None
+    if image.mode in ("P", "PA") or "transparency" in image.info:
+        image = image.convert("RGBA")
+    kind = "RGBA" if image.mode == "RGBA" else "RGB"
+    try:
+        convert = ImageCms.buildTransform(
+            ImageCms.ImageCmsProfile(BytesIO(profile)),
+            ImageCms.createProfile("sRGB"),
+            image.mode,
+            kind,
+            ImageCms.Intent.RELATIVE_COLORIMETRIC,
+        )
+    except (ImageCms.PyCMSError, OSError):  # a damaged profile, or one of another kind of samples
+        return None
+    if image.mode == kind:
+        steps = np.linspace(0, 255, 9)
+        cube = np.stack(np.meshgrid(steps, steps, steps, [255])[: len(kind)], axis=-1)
+        cube = cube.reshape(9, 81, -1).astype(np.uint8)
+        changed = np.asarray(ImageCms.applyTransform(Image.fromarray(cube), convert), int) - cube
+        if np.abs(changed).max() <= _ALIKE:
+            return None
+    return ImageCms.applyTransform(image, convert)
 
 
 def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:

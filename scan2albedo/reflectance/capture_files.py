@@ -105,7 +105,7 @@ def read_photograph(path: str | Path) -> PhotographFiles:
         error=ReflectanceError,
     )
     scale, folder = MM_PER_UNIT[content.unit], file.parent
-    image = read_image_values(folder / content.image)
+    image = read_image_values(folder / content.image, upright=True)
     camera = np.array(content.camera, np.float64)
     camera[:, :3] /= scale
     vertices, faces = None, None
@@ -123,7 +123,7 @@ def read_photograph(path: str | Path) -> PhotographFiles:
 
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
     """Return a mask (H, W), True where its image is brighter than half of its brightest value."""
-    values = read_image_values(path)
+    values = read_image_values(path, upright=True)
     if values.shape[:2] != shape:
         height, width = values.shape[:2]
         raise ReflectanceError(
@@ -250,8 +250,8 @@ class CaptureFiles:
         `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
         """
         content, whose = self.content, f"capture {self.path}"
-        read = cache(lambda name: read_image_values(self.path.parent / name))
-        flashes = [read_image_values(self.path.parent / pair.flash_image) for pair in content.pictures]
+        read = cache(lambda name: read_image_values(self.path.parent / name, upright=True))
+        flashes = [read(pair.flash_image) for pair in content.pictures]
         rooms = [read(pair.room_image) for pair in content.pictures]
         first = flashes[0].shape[:2]
         for pair, lit, ambient in zip(content.pictures, flashes, rooms, strict=True):

@@ -1,13 +1,15 @@
+import struct
 import sys
+import zlib
 
 import cv2
 import numpy as np
 import OpenEXR
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 
 from scan2albedo.errors import MissingDependencyError, OutputError, ScanError
-from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.io.images import (
     declared_pixels,
     read_exr_channels,
@@ -73,15 +75,56 @@ def test_grey_with_alpha_palette_and_one_bit(tmp_path, mode):
     np.testing.assert_array_equal(linear, np.repeat((pixels / 255)[..., None], 3, axis=2))
 
 
-def test_exif_orientation_is_ignored(tmp_path):
-    from PIL import Image
-
-    picture = Image.fromarray(quarters(64))
+def test_exif_turns_photographs_alone(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 3  # turned by 180 degrees
-    picture.save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    Image.fromarray(quarters(64)).save(tmp_path / "turned.jpg", exif=exif, quality=95)
     linear = read_image_linear(tmp_path / "turned.jpg")
     np.testing.assert_allclose(linear[-8, 8], [1, 0, 0], atol=0.03)  # red stays in the lower left
+    upright = read_image_linear(tmp_path / "turned.jpg", upright=True)
+    np.testing.assert_array_equal(upright, linear[::-1, ::-1])
+    pixels = RNG.integers(0, 65536, (5, 7, 3)).astype(np.uint16)
+    write_png(tmp_path / "deep.png", pixels)
+    data, text = (tmp_path / "deep.png").read_bytes(), b"eXIf" + exif.tobytes().removeprefix(b"Exif\0\0")
+    chunk = struct.pack(">I", len(text) - 4) + text + struct.pack(">I", zlib.crc32(text))
+    (tmp_path / "deep.png").write_bytes(data[:33] + chunk + data[33:])
+    np.testing.assert_array_equal(read_image_values(tmp_path / "deep.png", upright=True), pixels[::-1, ::-1])
+
+
+def display_p3():
+    """Bytes of an ICC profile of Display P3, as telephones tag their pictures with."""
+    data = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    primaries = {"rXYZ": (0.51512, 0.2412, -0.00105), "gXYZ": (0.29198, 0.69225, 0.04189)}
+    primaries["bXYZ"] = (0.1571, 0.06657, 0.78407)
+    for name, values in primaries.items():
+        place = 128 + data[128:].index(name.encode())
+        at = struct.unpack_from(">I", data, place + 4)[0]
+        struct.pack_into(">3i", data, at + 8, *(round(65536 * value) for value in values))
+    return bytes(data)
+
+
+@pytest.mark.parametrize(("kind", "options"), [("PNG", {}), ("JPEG", {"quality": 100, "subsampling": 0})])
+@pytest.mark.parametrize("mode", ["RGB", "RGBA"])
+def test_a_colour_profile_is_carried_out(tmp_path, kind, options, mode):
+    p3_from_srgb = [[0.82246, 0.17754, 0], [0.03319, 0.96681, 0], [0.01708, 0.0724, 0.91052]]
+    linear = np.repeat(np.repeat(RNG.uniform(0.05, 0.9, (4, 4, 3)), 16, 0), 16, 1)
+    pixels = np.round(255 * linear_to_srgb(linear @ np.transpose(p3_from_srgb))).astype(np.uint8)
+    alpha = RNG.integers(0, 255, (64, 64, 1)).astype(np.uint8)
+    rgba = np.concatenate([pixels, alpha], -1)
+    picture = Image.fromarray(rgba if mode == "RGBA" and kind == "PNG" else pixels)
+    picture.save(tmp_path / "a", kind, icc_profile=display_p3(), **options)
+    found = read_image_linear(tmp_path / "a", alpha=True)
+    np.testing.assert_allclose(found[..., :3], linear, atol=0.02)
+    assert np.abs(read_image_linear(tmp_path / "a") - srgb_to_linear(pixels / 255)).max() > 0.05
+    if picture.mode == "RGBA":
+        np.testing.assert_allclose(found[..., 3:], alpha / 255, atol=1e-6)
+    # Tagged as sRGB, or with a damaged profile, samples stay as they are.
+    for profile in (
+        ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(),
+        display_p3()[:200],
+    ):
+        picture.save(tmp_path / "plain", "PNG", icc_profile=profile)
+        np.testing.assert_array_equal(read_image_values(tmp_path / "plain"), np.asarray(picture)[..., :3])
 
 
 def test_float_images_are_linear_already(tmp_path):

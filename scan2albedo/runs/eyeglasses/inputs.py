@@ -261,7 +261,7 @@ def read_lens_scene(
     files = {**glasses.files, "head": _hashed(head, mesh=True), "cameras": _hashed(cameras)}
     images = []
     for file, camera in zip(pictures, chosen if pictures else (), strict=True):
-        image = np.asarray(read_image_linear(file), np.float64)
+        image = np.asarray(read_image_linear(file, upright=True), np.float64)
         if image.shape[:2] != camera.shape:
             (height, width), (wanted_height, wanted_width) = image.shape[:2], camera.shape
             raise EyeglassesError(
