@@ -48,7 +48,7 @@ not; at the model's rim the face ends gradually over four times as much. Beyond 
 scan with so much between its vertices."""
 _FACING = 0.3
 """Cosine between a vertex's normal and the fitted surface's from which it belongs to the face; at 0 not."""
-_TILE = 2048
+_TILE = 1024
 """Texels of a tile's side."""
 _GUTTER = 16
 """Texels over which the light goes on beside charts; eight times as much is looked at beside a tile."""

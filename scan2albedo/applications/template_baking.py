@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
-from scan2albedo.geometry.area_mean import filled_smoothly
+from scan2albedo.geometry.area_mean import fill_smoothly
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import (
     adjacency,
@@ -24,7 +24,7 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
     without_unreferenced,
 )
-from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
@@ -61,7 +61,7 @@ class TemplateTile:
     faces: BoolArray
     color_linear: NDArray[np.float32]
     seen: BoolArray
-    normal: NDArray[np.float32]
+    normal: NDArray[np.float16]
 
 
 @dataclass(frozen=True)
@@ -109,18 +109,23 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     numbers, shown = tile_numbers(uv), without_covers(fitted, scan)
     lookup, shape, tiles = TextureLookup(shown), FineShape(fitted, shown), []
     scan_from_model, template_normals = invert_rigid(fitted.model_from_scan), vertex_normals(vertices, faces)
+    rows = max(LARGEST_TEXTURE**2 // 64 // size, 1)
+    bands = [slice(top, min(top + rows, size)) for top in range(0, size, rows)]  # of a million texels each
     for number in np.unique(numbers[numbers > 0]).tolist():
         chosen = numbers == number
         up, across = divmod(number - FIRST_TILE, 10)
         frames = tangent_mesh(vertices, faces[chosen], uv[chosen], template_normals)
         split = frames.split
-        raster = rasterize_uv(split.uv - [across, up], split.faces, size)
-        there = raster.covered
-        color, seen, stands = np.zeros((size, size, 3), np.float32), np.zeros_like(there), there.copy()
-        normal = np.tile(np.array([0, 0, 1], np.float32), (size, size, 1))
-        if there.any():
-            points = vertices[split.vertex]
-            steps = texel_steps(points, split.uv, split.faces, (size, size))[raster.face[there]]
+        points, pixels = vertices[split.vertex], pixels_from_uv(split.uv - [across, up], (size, size))
+        steps = texel_steps(points, split.uv, split.faces, (size, size))
+        color, normal = np.zeros((size, size, 3), np.float32), np.zeros((size, size, 3), np.float16)
+        normal[..., 2] = 1
+        seen, stands = np.zeros((2, size, size), bool)
+        for band in bands:
+            below = pixels - [0, band.start]
+            raster = rasterize(below, np.zeros(len(below)), split.faces, color[band].shape[:2])
+            if not (there := raster.covered).any():
+                continue
             place, outward, tangents = (
                 interpolate(raster, split.faces, values)[there]
                 for values in (points, frames.normals, frames.tangents)
@@ -128,13 +133,18 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
             found = lookup.sample(
                 transform_points(scan_from_model, place),
                 transform_directions(scan_from_model, normalized(outward)),
-                np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+                np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps[raster.face[there]]),
             )
-            color[there], seen[there] = found.color_linear, found.seen
-            normal[there], stands[there] = tangent_normals(shape.normals(place), outward, tangents)
-            # Beside the charts they go on, for reduced pictures (mipmaps).
-            normal = normalized(filled_smoothly(normal, stands).astype(np.float64)).astype(np.float32)
-        tiles.append(TemplateTile(number, chosen, filled_smoothly(color, seen), seen, normal))
+            color[band][there], seen[band][there] = found.color_linear, found.seen
+            normal[band][there], stands[band][there] = tangent_normals(
+                shape.normals(place), outward, tangents
+            )
+        # Beside the charts normals and colours go on, for reduced pictures (mipmaps).
+        fill_smoothly(normal, stands)
+        for band in bands:
+            normal[band] = normalized(normal[band].astype(np.float64))
+        fill_smoothly(color, seen)
+        tiles.append(TemplateTile(number, chosen, color, seen, normal))
     return TemplateTexture(vertices, faces, uv, tuple(tiles))
 
 

@@ -36,11 +36,17 @@ class JobLimit:
 
 
 def job_limit(
-    asked: int, scans: Iterable[Path], size: int, running_mb: float = 0.0, textures: str | Path | None = None
+    asked: int,
+    scans: Iterable[Path],
+    size: int,
+    running_mb: float = 0.0,
+    textures: str | Path | None = None,
+    template: int = 0,
 ) -> JobLimit:
     """Return how many of the jobs asked for fit into the available memory with the largest scan.
 
-    `size` is the geometry images' side, `running_mb` a worker's measured peak, `textures` as in `load_scan`.
+    `size` is the geometry images' side, `running_mb` a worker's measured peak, `textures` as in `load_scan`,
+    `template` the side of a template's texture, whose colours, normals and marks are kept at once.
     """
     largest = 0.0
     for path in scans:
@@ -56,7 +62,9 @@ def job_limit(
                 else:
                     total += file.stat().st_size * _MESH_BYTES_PER_BYTE
         largest = max(largest, total)
-    worker = max(_BASE_MB + (size * size * _TEXEL_BYTES + largest) / MB, running_mb)
+    worker = max(
+        _BASE_MB + (size * size * _TEXEL_BYTES + template * template * 30 + largest) / MB, running_mb
+    )
     available = available_mb()
     jobs = max(1, min(asked, int((1 - _KEPT_FREE) * available / worker)))
     need = f"a worker may need {worker / 1024:.1f} GB and {available / 1024:.1f} GB are available"

@@ -289,7 +289,10 @@ class _Run:
         peaks = [row.peak_memory_mb for row in self.rows.values() if row.run == self.run]
         paths, texels = [Path(task.path) for task in tasks], max(task.options.texels for task in tasks)
         peak = max((peak for peak in peaks if peak is not None), default=0.0)
-        limit = job_limit(asked, paths, texels, peak, tasks[0].options.textures)
+        painted = [
+            task.options.texture_size for task in tasks if task.options.model not in ("default", "none")
+        ]
+        limit = job_limit(asked, paths, texels, peak, tasks[0].options.textures, max(painted, default=0))
         if limit.note:
             self.show(note=limit.note)
         self.jobs = limit.jobs

@@ -104,6 +104,13 @@ TextureSize = Annotated[
     ),
 ]
 
+WhiteBalance = Annotated[
+    str,
+    typer.Option(
+        help="none; grey-skin: skin gets people's mean colour; or the linear colour of something grey in it.",
+        metavar="none|grey-skin|R,G,B",
+    ),
+]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan's texture is missing.")]
 
 
@@ -143,6 +150,7 @@ def process(
     landmarks: Landmarks = None,
     unlit: Unlit = None,
     texture_size: TextureSize = 1024,
+    white_balance: WhiteBalance = "none",
     strict: Strict = False,
     json_summary: JsonOption = False,
 ) -> None:
@@ -222,6 +230,7 @@ def batch(
     landmarks: Landmarks = None,
     unlit: Unlit = None,
     texture_size: TextureSize = 1024,
+    white_balance: WhiteBalance = "none",
     jobs: Annotated[int, typer.Option(help="Processes; 0 for one a core, memory allowing.", min=0)] = 0,
     scheduler: Annotated[
         str | None, typer.Option(help="Address of a dask scheduler, such as tcp://10.0.0.5:8786.")

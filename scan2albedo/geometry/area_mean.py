@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.geometry.rasterization import bilinear
 
 
 def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
@@ -32,22 +33,38 @@ def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
 
 
 def filled_smoothly(values: NDArray[Any], known: BoolArray) -> NDArray[Any]:
-    """Return an image (H, W, C) whose pixels outside of `known` (H, W) are means of what lies around them.
+    """Return an image (H, W, C) as `fill_smoothly` leaves it; `values` stay."""
+    filled = values.copy()
+    fill_smoothly(filled, known)
+    return filled
+
+
+def fill_smoothly(values: NDArray[Any], known: BoolArray) -> None:
+    """Set the pixels of an image (H, W, C) outside of `known` (H, W) to means of what lies around them.
 
     Each is taken, by bilinear interpolation, from the finest of images of half the size that knows something
-    there (pull-push [1]_). O(H W). Nothing is changed where nothing is known.
+    there (pull-push [1]_). O(H W), in bands of rows. Nothing is changed where nothing is known.
 
     .. [1] S. Gortler, R. Grzeszczuk, R. Szeliski, M. Cohen, "The Lumigraph", SIGGRAPH 1996, section 4.
     """
-    from skimage.transform import resize
-
     if known.all() or not known.any():
-        return values
-    half = -(-known.shape[0] // 2), -(-known.shape[1] // 2)
-    part = area_mean(known, half)
-    # Sums of what is known differ from 0 by rounding only where nothing is known.
-    there = part > 1e-6
-    mean = area_mean(values * known[..., None], half) / np.where(there, part, 1.0)[..., None]
-    coarse = filled_smoothly(mean.astype(values.dtype), there)
-    around = resize(coarse, known.shape, order=1, mode="edge", anti_aliasing=False)
-    return np.where(known[..., None], values, around).astype(values.dtype, copy=False)
+        return
+    height, width = known.shape
+    half = np.array([-(-height // 2), -(-width // 2)])
+    coarse, there = np.empty((*half, values.shape[2]), values.dtype), np.empty(half, bool)
+    # A pixel of a half of odd height has parts of three rows, so that no rows begin a band.
+    rows = 256 if height % 2 == 0 else height
+    for top in range(0, height, rows):
+        band, small = np.s_[top : top + rows], np.s_[top // 2 : -(-min(top + rows, height) // 2)]
+        shape = coarse[small].shape[:2]
+        part = area_mean(known[band], shape)
+        # Sums of what is known differ from 0 by rounding only where nothing is known.
+        there[small] = part > 1e-6
+        total = area_mean(values[band] * known[band, :, None], shape)
+        coarse[small] = total / np.where(there[small], part, 1.0)[..., None]
+    fill_smoothly(coarse, there)
+    for top in range(0, height, rows):
+        row, column = np.nonzero(~known[top : top + rows])
+        row += top
+        middle = np.stack([column, row], axis=1) + 0.5
+        values[row, column] = bilinear(coarse, middle * (half / known.shape)[::-1] - 0.5)

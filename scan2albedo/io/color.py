@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,12 +60,24 @@ def linear_of_srgb_numbers(colors: NDArray[np.generic]) -> NDArray[np.float32]:
 
 def encode_srgb_bytes(linear: ArrayLike) -> NDArray[np.uint8]:
     """Return 8-bit sRGB of linear values clipped to [0, 1], rounded to nearest."""
+    return cast("NDArray[np.uint8]", encode_srgb_integers(linear, np.uint8))
+
+
+def encode_srgb_integers(linear: ArrayLike, dtype: type) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    """Return sRGB of linear values clipped to [0, 1] as uint8 or uint16, in row blocks to spare memory."""
     array = np.asarray(linear)
-    encoded = np.empty(array.shape, np.uint8)
+    encoded: NDArray[Any] = np.empty(array.shape, dtype)
     for row in range(0, len(array), 256):
         block = linear_to_srgb(np.clip(array[row : row + 256], 0, 1))
-        encoded[row : row + 256] = np.round(block * 255)
+        encoded[row : row + 256] = np.round(block * np.iinfo(dtype).max)
     return encoded
+
+
+def is_deep(linear: NDArray[np.float32]) -> bool:
+    """Return whether most of a picture's values (H, W, 3), in green, are none that 8-bit sRGB has."""
+    green = linear[:: max(len(linear) // 256, 1), :, 1]
+    apart = np.abs(decode_srgb_integers(encode_srgb_bytes(green)) - green)
+    return bool(np.mean(apart > 1e-6) > 0.5)
 
 
 def label_colors() -> NDArray[np.uint8]:

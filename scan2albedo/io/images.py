@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.errors import OutputError, ScanError, needs_extra
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
-from scan2albedo.io.color import decode_picture, encode_srgb_bytes, label_colors
+from scan2albedo.io.color import decode_picture, encode_srgb_integers, label_colors
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -253,11 +253,11 @@ def write_image(path: str | Path, image: ArrayLike) -> None:
         )
 
 
-def encode_image(image: ArrayLike, extension: str) -> bytes:
+def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> bytes:
     """Return the bytes of an image file, (H, W, 3), (H, W, 4) or (H, W).
 
-    uint8, uint16 and bool are stored as they are (sRGB, bool as 0 and 255); floats are linear colour and are
-    encoded to 8-bit sRGB, clipped to [0, 1].
+    uint8, uint16 (in a PNG) and bool are stored as they are (sRGB, bool as 0 and 255); floats are linear
+    colour and are encoded to sRGB of the dtype `floats`, clipped to [0, 1].
     """
     from PIL import Image
 
@@ -267,7 +267,7 @@ def encode_image(image: ArrayLike, extension: str) -> bytes:
     if array.dtype.kind == "f":
         if not np.isfinite(array).all():
             raise ValueError(f"an image of shape {array.shape} holds NaN or infinite values")
-        array = encode_srgb_bytes(array)
+        array = encode_srgb_integers(array, floats)
     elif array.dtype == np.bool_:
         array = array.astype(np.uint8) * 255
     elif array.dtype not in (np.uint8, np.uint16):

@@ -19,6 +19,7 @@ from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE, check_s
 from scan2albedo.core.landmarks import AUTO, landmarks_option
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.io.units import MM_PER_UNIT
+from scan2albedo.pipeline.white_balance import checked_white_balance
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.templates import AnnotatedFaceModel
 
@@ -126,6 +127,9 @@ class ProcessOptions:
     it; see `unlit_scan`."""
     texture_size: int = 1024
     """Height and width of each tile of `template_texture`, where the model's template has coordinates."""
+    white_balance: str | Sequence[float] = "none"
+    """Of the scan's colours, before its light is sought: "grey-skin" gives skin the mean colour of people's;
+    or the linear colour (R, G, B) that something grey has in the scan, which is divided out."""
 
     def __post_init__(self) -> None:
         given = {**vars(self), "landmarks": landmarks_option(self.landmarks)}
@@ -141,6 +145,7 @@ class ProcessOptions:
         given |= {"budget": Budget.of(self.budget), "skip": tuple(self.skip), "force": tuple(self.force)}
         for name, value in given.items():
             object.__setattr__(self, name, value)
+        object.__setattr__(self, "white_balance", checked_white_balance(self.white_balance))
         checked_seed(self.seed)
         if not isinstance(self.quality, Quality) and self.quality not in PRESETS:
             raise ValueError(f"quality is {self.quality!r}, expected one of {', '.join(PRESETS)}")

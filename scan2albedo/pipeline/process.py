@@ -35,6 +35,7 @@ from scan2albedo.pipeline.detected_landmarks import require_detector, with_detec
 from scan2albedo.pipeline.options import ProcessOptions, Quality
 from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
 from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale, registered_outward
+from scan2albedo.pipeline.white_balance import balanced
 from scan2albedo.registration import Registration, register
 from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
@@ -75,6 +76,7 @@ def process(
     landmarks: Any = None,
     unlit: str | None = None,
     texture_size: int = 1024,
+    white_balance: str | Sequence[float] = "none",
     on_progress: ProgressCallback | None = None,
     **unknown: Never,
 ) -> ProcessResult:
@@ -93,7 +95,7 @@ def process(
     name : str, optional
         Name of the scan and of its folder; the file's stem, or that of the `RawScan`, when omitted.
     model, size, lights, brdf, unit, quality, budget, seed, skip, force, pictures, files, textures, \
-landmarks, unlit, texture_size
+landmarks, unlit, texture_size, white_balance
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
@@ -126,6 +128,7 @@ landmarks, unlit, texture_size
         landmarks=landmarks,
         unlit=unlit,
         texture_size=texture_size,
+        white_balance=white_balance,
     )
     if name is None:
         known = source.name if isinstance(source, RawScan) else scan_name(source)
@@ -271,6 +274,9 @@ def _processed(
     plan["geometry_image"] = [PlanStep("geometry_image", True, chart, evidence)]
     if fitted is not None and (doubt := texture_doubt(fitted, scan, image)):
         plan["geometry_image"] = [*plan["geometry_image"], doubt]
+    if (white := options.white_balance) != "none" and image.texture_linear is not None:
+        scan, image, balance = balanced(scan, image, white)
+        plan["geometry_image"] = [*plan["geometry_image"], balance]
     if (filled := figures.get("filled", 0.0)) > 0:
         reason = (
             f"no picture showed {100 * filled:.1f} % of the surface: its colours there are from around it"

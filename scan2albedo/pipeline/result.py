@@ -14,7 +14,7 @@ from scan2albedo.applications.template_baking import FIRST_TILE, TemplateTexture
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.io.color import encode_srgb_integers, is_deep
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import encode_image, write_exr, write_indexed_png, write_png
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from scan2albedo.registration import Registration
 
 RESULT_FILE = "result.json"
-_MESH = (".glb", ".obj", ".mtl", ".png", ".*.png")
+_MESH = (".glb", ".obj", ".mtl", ".png", ".*.png", ".exr", ".*.exr")
 UNLIT_FILES = (*(f"unlit{end}" for end in _MESH), "unlit_confidence.png", "unlit_confidence.*.png")
 """With several pictures each has a number, in the order of the scan's materials."""
 TEMPLATE_FILES = (*(f"template{end}" for end in _MESH), "template_normal.png", "template_normal.*.png")
@@ -177,12 +177,14 @@ def write_result(
 
     They appear all at once, and an older result stays until then, see `RunFolder`; `recorded` are files that
     a batch's record says an earlier run wrote. `overview.png` and `error_vs_time.png` are left out without
-    `pictures`, more where `files` is "minimal". Raises `OutputError` when the folder is somebody else's
-    or cannot be written.
+    `pictures`, more where `files` is "minimal"; "all" adds linear EXR of the unlit scan and of the template.
+    Their PNG have 16 bits where the scan's texture has more than 8. Raises `OutputError` when the folder is
+    somebody else's or cannot be written.
     """
     scan, image, estimate, fitted = result.scan, result.geometry_image, result.albedo, result.fitted
     left_out = _LEFT_OUT if files == "minimal" else frozenset() if pictures else _PICTURES
     preview = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
+    deep = np.uint16 if scan.texture_linear is not None and is_deep(scan.texture_linear) else np.uint8
     folder = RunFolder(out / scan.name, FILES, recorded)
     with folder.publishing() as staging:
 
@@ -208,11 +210,11 @@ def write_result(
             write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, preview)
             vertices, faces = fitted.template_vertices, fitted.model.template_faces
             if result.template is not None:
-                write_template(staging.folder, result.template)
+                write_template(staging.folder, result.template, deep, exr=files == "all")
             elif vertices is not None and faces is not None:
                 write("template.obj", write_obj, vertices, faces)
         if result.unlit is not None:
-            write_unlit(staging.folder, result.unlit)
+            write_unlit(staging.folder, result.unlit, deep, exr=files == "all")
         if (registration := result.registration) is not None:
             names = ("rmse_mm", "depth_error", "converged", "confidence", "iterations")
             poses = RegistrationRecord(
@@ -251,10 +253,11 @@ def write_result(
     return folder.path
 
 
-def write_unlit(folder: Path, unlit: UnlitScan) -> None:
+def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr: bool = False) -> None:
     """Write `UNLIT_FILES`: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
 
-    Pictures and coordinates stay, with a picture of how sure each texel is; without them colours of vertices.
+    Pictures, of uint8 or uint16 `samples`, and coordinates stay, with a picture of how sure each texel is;
+    without them colours of vertices. `exr`: the pictures as linear EXR, too.
     """
     scan, uv, texture = unlit.scan, unlit.scan.uv, unlit.scan.texture_linear
     if uv is None or texture is None:
@@ -268,27 +271,38 @@ def write_unlit(folder: Path, unlit: UnlitScan) -> None:
             own_uv[chosen] = tile.own_uv(uv[chosen], whole)
             place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
             write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
-            picture = encode_image(texture[place], ".png")
+            picture = _encoded(folder / f"unlit.{number}.exr", texture[place], samples, exr)
             pictures.append(MeshPicture(f"unlit.{number}.png", picture, chosen))
         if not pictures:
             write_png(folder / "unlit_confidence.png", confidence)
             every = np.ones(len(scan.faces), bool)
-            pictures.append(MeshPicture("unlit.png", encode_image(texture, ".png"), every))
+            picture = _encoded(folder / "unlit.exr", texture, samples, exr)
+            pictures.append(MeshPicture("unlit.png", picture, every))
         mesh = TexturedMesh(scan.vertices, scan.faces, own_uv, tuple(pictures))
     write_textured_obj(folder / "unlit.obj", mesh, mm_per_unit=scan.mm_per_unit)
     write_textured_glb(folder / "unlit.glb", mesh)
 
 
-def write_template(folder: Path, template: TemplateTexture) -> None:
-    """Write `TEMPLATE_FILES`, mm and metres in the model's frame; alpha: seen."""
+def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bool) -> bytes:
+    """Return a picture's PNG with such samples; with `exr` write it in linear colour, too."""
+    if exr:
+        write_exr(exr_file, linear)
+    return encode_image(linear, ".png", samples)
+
+
+def write_template(
+    folder: Path, template: TemplateTexture, samples: type = np.uint8, *, exr: bool = False
+) -> None:
+    """Write `TEMPLATE_FILES`, mm and metres in the model's frame; alpha: seen; see `write_unlit`."""
     alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
     pictures = list[MeshPicture]()
     for tile in template.tiles:
         end = ".png" if alone else f".{tile.number}.png"
-        alpha = np.where(tile.seen, np.uint8(255), np.uint8(0))
-        color = np.dstack([encode_srgb_bytes(np.clip(tile.color_linear, 0, 1)), alpha])
-        normal = encode_image(normal_bytes(tile.normal), ".png")
-        picture = encode_image(color, ".png")
+        if exr:
+            write_exr((folder / f"template{end}").with_suffix(".exr"), tile.color_linear)
+        alpha: NDArray[Any] = np.where(tile.seen, np.iinfo(samples).max, 0).astype(samples)
+        color = np.dstack([encode_srgb_integers(tile.color_linear, samples), alpha])
+        normal, picture = (encode_image(p, ".png") for p in (normal_bytes(tile.normal), color))
         pictures.append(MeshPicture(f"template{end}", picture, tile.faces, f"template_normal{end}", normal))
     mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
     write_textured_obj(folder / "template.obj", mesh)

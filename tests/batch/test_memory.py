@@ -20,6 +20,11 @@ def test_a_worker_for_512_texels_is_counted_with_about_as_much_as_was_measured()
     assert 800 < job_limit(1, [], 1024).worker_mb < 1061
 
 
+def test_a_templates_texture_counts():
+    with_template = job_limit(1, [], 512, template=8192).worker_mb
+    assert 1500 < with_template - job_limit(1, [], 512).worker_mb < 2048
+
+
 def test_jobs_are_cut_and_the_user_is_told(four_gb, tmp_path):
     limit = job_limit(16, [], 512)
     assert limit.jobs == 6

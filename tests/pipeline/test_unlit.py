@@ -14,10 +14,11 @@ from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
-from scan2albedo.io.images import encode_image, read_image_linear
+from scan2albedo.io.color import is_deep
+from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.result import write_unlit
+from scan2albedo.pipeline.result import write_template, write_unlit
 
 SIZE = 128
 
@@ -254,6 +255,29 @@ def test_several_pictures_come_back_as_they_came(tmp_path):
     assert s2a.load_scan(tmp_path / "unlit.glb").texture_linear.shape == scan.texture_linear.shape
 
 
+def test_pictures_keep_their_sixteen_bits(result, tmp_path):
+    texture = result.scan.texture_linear  # of eight bits, as the synthetic scanner's
+    assert not is_deep(texture)
+    assert not is_deep(texture * np.float32([1.1, 1, 0.9]))  # a white balance leaves green
+    assert is_deep(0.97 * texture)
+    deep = replace(result.scan, texture_linear=0.97 * texture[:64, :64])
+    unlit = UnlitScan(deep, np.ones((64, 64), np.float32))
+    for samples, exact in ((np.uint8, 0.005), (np.uint16, 3e-5)):
+        write_unlit(tmp_path, unlit, samples, exr=samples is np.uint16)
+        assert read_image_values(tmp_path / "unlit.png").dtype == samples
+        again = read_image_linear(tmp_path / "unlit.png")
+        np.testing.assert_allclose(again, np.clip(deep.texture_linear, 0, 1), atol=exact)
+    np.testing.assert_array_equal(read_image_linear(tmp_path / "unlit.exr"), deep.texture_linear)
+    for tile in result.template.tiles:
+        write_template(tmp_path, result.template, np.uint16, exr=True)
+        picture = read_image_values(tmp_path / f"template.{tile.number}.png", alpha=True)
+        assert picture.dtype == np.uint16
+        np.testing.assert_array_equal(picture[..., 3] > 0, tile.seen)
+        np.testing.assert_array_equal(
+            read_image_linear(tmp_path / f"template.{tile.number}.exr"), tile.color_linear
+        )
+
+
 def test_a_fold_gives_no_dark_spot_and_a_shadow_stays():
     light = np.zeros((200, 200, 3))
     light[:, 100:] = -1.5
@@ -274,3 +298,8 @@ def test_filling_goes_on_smoothly_and_keeps_what_is_known():
     np.testing.assert_array_equal(filled[known], image[known])
     assert np.abs(filled - image)[12:16, 12:16].max() < 0.1
     assert np.abs(filled - image).max() < 0.4
+    # Bands of rows are no bands of columns.
+    tall = np.random.default_rng(0).random((600, 90, 3)).astype(np.float32)
+    some = np.random.default_rng(1).random((600, 90)) < 0.01
+    turned = filled_smoothly(tall.swapaxes(0, 1), some.T).swapaxes(0, 1)
+    np.testing.assert_allclose(filled_smoothly(tall, some), turned, atol=1e-6)
