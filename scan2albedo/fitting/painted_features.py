@@ -19,6 +19,7 @@ from numba import njit
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
+from skimage.measure import points_in_poly
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
@@ -27,7 +28,7 @@ from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.fitting.even_light import evenly_lit
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
 from scan2albedo.geometry.front_picture import FrontPicture, front_picture
-from scan2albedo.geometry.polylines import inside_polygon, polyline_distance
+from scan2albedo.geometry.rasterization import polyline_distance
 
 _STEP_MM, _SPACING_MM, _MARGIN_MM = 0.8, 1.5, 25.0
 """Of the picture's squares, of a template's points, and of the picture around the inner landmarks: a feature
@@ -228,7 +229,7 @@ def _eye(landmarks: FloatArray, first: int) -> _Template:
     numbers = tuple(range(first, first + 6))
     lids = landmarks[first : first + 6]
     points = _around(lids, 9.0)
-    away, inside = polyline_distance(points, _closed(lids)), inside_polygon(points, lids)
+    away, inside = polyline_distance(points, _closed(lids)), points_in_poly(points, lids)
     used = (inside | (away < 6.0)) & (away > 0.4)
     label, light = inside[used].astype(float), _place(points[used])
     # The eyeball is less red than skin; iris, pupil and lashes are dark.
@@ -241,8 +242,8 @@ def _lips(landmarks: FloatArray) -> _Template:
     middle = (inner[[1, 2, 3]] + inner[[7, 6, 5]]) / 2
     line = np.concatenate([outer[:1], middle, outer[6:7]])
     points = _around(outer, 10.0)
-    away, inside = polyline_distance(points, _closed(outer)), inside_polygon(points, outer)
-    used = (inside | (away < 8.0)) & (away > 0.4) & ~inside_polygon(points, inner)
+    away, inside = polyline_distance(points, _closed(outer)), points_in_poly(points, outer)
+    used = (inside | (away < 8.0)) & (away > 0.4) & ~points_in_poly(points, inner)
     beside = polyline_distance(points[used], line)
     label = np.where(beside < _LINE_MM, 1.0, np.where((beside > 1.8) & (beside < 4.0), 0.0, np.nan))
     # Lamps stand above: the upper lip is darker than the lower one.
@@ -324,7 +325,7 @@ def _posterior(
                 lids = sides[k - 2].places(*motion(k - 2)).mean(axis=0)
                 near = np.flatnonzero(np.all(np.abs(squares - lids.mean(0)) < _MARGIN_MM, axis=1))
                 away = polyline_distance(squares[near], _closed(lids))
-                hidden = near[inside_polygon(squares[near], lids) | (away < _LINE_MM)]
+                hidden = near[points_in_poly(squares[near], lids) | (away < _LINE_MM)]
                 shown = channels.copy()
                 shown.reshape(len(channels), -1)[:, hidden] = np.nan
             precision = np.linalg.inv(covariance)

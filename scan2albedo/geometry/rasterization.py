@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)
@@ -135,6 +138,20 @@ def bilinear(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArra
     upper = (1 - across) * image[top, left] + across * image[top, right]
     lower = (1 - across) * image[below, left] + across * image[below, right]
     return np.asarray((1 - down) * upper + down * lower)
+
+
+def polyline_distance(points: FloatArray, line: FloatArray) -> FloatArray:
+    """Return the distances (N,) of points (N, 2) from a polyline (K, 2).
+
+    >>> polyline_distance(np.array([[1.0, 2.0], [5.0, 0.0]]), np.array([[0.0, 0.0], [2.0, 0.0]]))
+    array([2., 3.])
+    """
+    nearest = np.full(len(points), np.inf)
+    for start, end in pairwise(line):
+        offset, along = points - start, end - start
+        part = np.clip(offset @ along / max(float(along @ along), 1e-12), 0, 1)
+        nearest = np.minimum(nearest, np.linalg.norm(offset - part[:, None] * along, axis=1))
+    return nearest
 
 
 def filled_from_nearest(image: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -76,8 +76,7 @@ def encode_srgb_integers(linear: ArrayLike, dtype: type) -> NDArray[np.uint8] | 
 def is_deep(linear: NDArray[np.float32]) -> bool:
     """Return whether most of a picture's values (H, W, 3), in green, are none that 8-bit sRGB has."""
     green = linear[:: max(len(linear) // 256, 1), :, 1]
-    apart = np.abs(decode_srgb_integers(encode_srgb_bytes(green)) - green)
-    return bool(np.mean(apart > 1e-6) > 0.5)
+    return bool(np.mean(decode_srgb_integers(encode_srgb_bytes(green)) != green) > 0.5)
 
 
 def label_colors() -> NDArray[np.uint8]:

@@ -23,7 +23,6 @@ from scan2albedo.io.color import decode_picture, encode_srgb_integers, label_col
 if TYPE_CHECKING:
     from PIL import Image
 
-_ALIKE = 2  # of 255: profiles of sRGB differ so much by rounding
 _TARGA = (b"\0\2", b"\0\n", b"\1\1", b"\1\t", b"\0\3", b"\0\v")  # whether it has a palette, and its kind
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\d{1,18})\s")
@@ -164,7 +163,7 @@ def _in_srgb(image: Image.Image) -> Image.Image | None:
         cube = np.stack(np.meshgrid(steps, steps, steps, [255])[: len(kind)], axis=-1)
         cube = cube.reshape(9, 81, -1).astype(np.uint8)
         changed = np.asarray(ImageCms.applyTransform(Image.fromarray(cube), convert), int) - cube
-        if np.abs(changed).max() <= _ALIKE:
+        if np.abs(changed).max() <= 2:  # of 255: profiles of sRGB differ so much by rounding
             return None
     return ImageCms.applyTransform(image, convert)
 

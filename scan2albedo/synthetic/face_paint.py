@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
+from skimage.measure import points_in_poly
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.geometry.polylines import inside_polygon
 from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise, smoothstep
 
 _SCLERA = np.array([0.66, 0.60, 0.55])
@@ -124,7 +124,7 @@ def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:
     """Return (N,) distance to a closed polyline (K, 2), positive inside, -inf far outside."""
     signed = -_distance(uv, outline)
     near = _near(uv, outline, 0.0)
-    signed[near] *= np.where(inside_polygon(uv[near], outline), -1, 1)
+    signed[near] *= np.where(points_in_poly(uv[near], outline), -1, 1)
     return signed
 
 
