@@ -54,14 +54,15 @@ class TemplateTile:
     `number` is that of UDIM, `faces` (F,) which of the template's lie in it; `color_linear` (S, S, 3) is
     known where `seen` (S, S), and filled in from around elsewhere. `normal` (S, S, 3), unit vectors, is the
     shape that the template is too coarse for, in the frames of `geometry.tangents.tangent_mesh`: x along u,
-    y along v, z out. It is (0, 0, 1) where the template's own shape is all that is known.
+    y along v, z out. It is (0, 0, 1) where the template's own shape is all that is known. Both are float32,
+    or, with more than 4096 texels a side, float16, which halves their memory.
     """
 
     number: int
     faces: BoolArray
-    color_linear: NDArray[np.float32]
+    color_linear: NDArray[np.floating]
     seen: BoolArray
-    normal: NDArray[np.float16]
+    normal: NDArray[np.floating]
 
 
 @dataclass(frozen=True)
@@ -109,8 +110,8 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     numbers, shown = tile_numbers(uv), without_covers(fitted, scan)
     lookup, shape, tiles = TextureLookup(shown), FineShape(fitted, shown), []
     scan_from_model, template_normals = invert_rigid(fitted.model_from_scan), vertex_normals(vertices, faces)
-    rows = max(LARGEST_TEXTURE**2 // 64 // size, 1)
-    bands = [slice(top, min(top + rows, size)) for top in range(0, size, rows)]  # of a million texels each
+    rows = max(LARGEST_TEXTURE**2 // 256 // size, 1)
+    bands = [slice(top, min(top + rows, size)) for top in range(0, size, rows)]  # of 2^18 texels each
     for number in np.unique(numbers[numbers > 0]).tolist():
         chosen = numbers == number
         up, across = divmod(number - FIRST_TILE, 10)
@@ -118,7 +119,7 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         split = frames.split
         points, pixels = vertices[split.vertex], pixels_from_uv(split.uv - [across, up], (size, size))
         steps = texel_steps(points, split.uv, split.faces, (size, size))
-        color, normal = np.zeros((size, size, 3), np.float32), np.zeros((size, size, 3), np.float16)
+        color, normal = np.zeros((2, size, size, 3), np.float32 if size <= 4096 else np.float16)
         normal[..., 2] = 1
         seen, stands = np.zeros((2, size, size), bool)
         for band in bands:
@@ -240,4 +241,7 @@ def normal_bytes(normal: NDArray[np.floating]) -> NDArray[np.uint8]:
     >>> normal_bytes(np.array([[0.0, -1.0, 1.0]]))
     array([[128,   0, 255]], dtype=uint8)
     """
-    return np.round(127.5 * (np.clip(normal, -1, 1) + 1)).astype(np.uint8)
+    encoded = np.empty(normal.shape, np.uint8)
+    for row in range(0, len(normal), 256):  # to spare memory
+        encoded[row : row + 256] = np.round(127.5 * (np.clip(normal[row : row + 256], -1, 1) + 1))
+    return encoded

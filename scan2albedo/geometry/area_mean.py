@@ -53,7 +53,7 @@ def fill_smoothly(values: NDArray[Any], known: BoolArray) -> None:
     half = np.array([-(-height // 2), -(-width // 2)])
     coarse, there = np.empty((*half, values.shape[2]), values.dtype), np.empty(half, bool)
     # A pixel of a half of odd height has parts of three rows, so that no rows begin a band.
-    rows = 256 if height % 2 == 0 else height
+    rows = max(2**18 // width, 1) * 2 if height % 2 == 0 else height
     for top in range(0, height, rows):
         band, small = np.s_[top : top + rows], np.s_[top // 2 : -(-min(top + rows, height) // 2)]
         shape = coarse[small].shape[:2]

@@ -63,10 +63,12 @@ def encode_srgb_bytes(linear: ArrayLike) -> NDArray[np.uint8]:
     return cast("NDArray[np.uint8]", encode_srgb_integers(linear, np.uint8))
 
 
-def encode_srgb_integers(linear: ArrayLike, dtype: type) -> NDArray[np.uint8] | NDArray[np.uint16]:
+def encode_srgb_integers(
+    linear: ArrayLike, dtype: type, out: NDArray[Any] | None = None
+) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Return sRGB of linear values clipped to [0, 1] as uint8 or uint16, in row blocks to spare memory."""
     array = np.asarray(linear)
-    encoded: NDArray[Any] = np.empty(array.shape, dtype)
+    encoded = np.empty(array.shape, dtype) if out is None else out
     for row in range(0, len(array), 256):
         block = linear_to_srgb(np.clip(array[row : row + 256], 0, 1))
         encoded[row : row + 256] = np.round(block * np.iinfo(dtype).max)

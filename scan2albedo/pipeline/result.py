@@ -300,9 +300,11 @@ def write_template(
         end = ".png" if alone else f".{tile.number}.png"
         if exr:
             write_exr((folder / f"template{end}").with_suffix(".exr"), tile.color_linear)
-        alpha: NDArray[Any] = np.where(tile.seen, np.iinfo(samples).max, 0).astype(samples)
-        color = np.dstack([encode_srgb_integers(tile.color_linear, samples), alpha])
-        normal, picture = (encode_image(p, ".png") for p in (normal_bytes(tile.normal), color))
+        color: NDArray[Any] = np.empty((*tile.seen.shape, 4), samples)
+        encode_srgb_integers(tile.color_linear, samples, color[..., :3])
+        color[..., 3] = np.where(tile.seen, np.iinfo(samples).max, 0)
+        picture = encode_image(color, ".png")
+        normal = encode_image(normal_bytes(tile.normal), ".png")
         pictures.append(MeshPicture(f"template{end}", picture, tile.faces, f"template_normal{end}", normal))
     mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
     write_textured_obj(folder / "template.obj", mesh)
