@@ -81,7 +81,8 @@ class GltfFile:
         for extension in _NOT_DECODED:
             if extension in required:
                 raise ScanError(
-                    f"{name}: is compressed with {extension}, which is not decoded here; {advice}"
+                    f"{name}: is compressed with {extension}, which is not decoded here; {advice} "
+                    "(gltfpack without -c)"
                 )
         if _DRACO in (*used, *required) and find_spec("DracoPy") is None:
             raise MissingDependencyError(
