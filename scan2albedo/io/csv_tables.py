@@ -6,7 +6,7 @@ import csv
 from io import StringIO
 from pathlib import Path
 
-from scan2albedo.errors import Scan2AlbedoError, ScanError
+from scan2albedo.errors import Scan2AlbedoError, ScanError, one_line
 from scan2albedo.io.limits import TABLE_BYTES, require_file
 
 
@@ -17,7 +17,7 @@ def read_text(
     try:
         data = file.read_bytes() if require_file(file, limit) else b""
     except (OSError, ScanError) as cause:
-        reason = getattr(cause, "strerror", "") or str(cause)
+        reason = one_line(cause)
         for name in (str(file), file.name):
             reason = reason.removeprefix(f"{name}: ")
         raise error(f"{what} cannot be read ({reason}); {advice}") from cause

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import require_valid_indices
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.color import decode_picture
 from scan2albedo.io.gltf_file import MARK, GltfFile
@@ -34,7 +34,8 @@ def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     try:
         return _read_parts(GltfFile.read(path, folder))
     except limits.DAMAGE as error:
-        kind, cause = path.suffix[1:].upper(), " ".join(f"{type(error).__name__}: {error}".split())
+        kind, cause = path.suffix[1:].upper(), one_line(error)
+        cause = f"there is no {cause}" if isinstance(error, KeyError) else cause
         raise ScanError(
             f"{path.name}: cannot be read as {kind} ({cause}); "
             "the file is damaged, truncated or refers to a missing file: export it again"

@@ -77,7 +77,7 @@ class GltfFile:
         """
         tree, name = self.tree, self.path.name
         used, required = tree.get("extensionsUsed", ()), tree.get("extensionsRequired", ())
-        advice = f"export {name} again without compression"
+        advice = "export it again without compression"
         for extension in _NOT_DECODED:
             if extension in required:
                 raise ScanError(
