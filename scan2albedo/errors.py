@@ -31,11 +31,10 @@ def printable(text: str) -> str:
 
 
 class Scan2AlbedoError(Exception):
-    """Base of every error that scan2albedo raises about its input or its work; its text is `printable`."""
+    """Base of every error that scan2albedo raises about its input or its work; its text is `one_line`."""
 
     def __init__(self, *arguments: object) -> None:
-        lines = re.compile(r"\s*[\r\n]+\s*")
-        super().__init__(*(printable(lines.sub(" ", a)) if isinstance(a, str) else a for a in arguments))
+        super().__init__(*(one_line(a) if isinstance(a, str) else a for a in arguments))
 
 
 class ScanError(Scan2AlbedoError):
@@ -159,8 +158,8 @@ def memory_errors_named(name: str) -> Iterator[None]:
         yield
     except MemoryError as error:
         raise TooLargeError(
-            f"{name}: needs more memory than there is ({one_line(error) or 'out of memory'}); give the scan "
-            "fewer triangles, its texture fewer pixels, or ask for fewer texels"
+            f"{name}: needs more memory than there is ({one_line(error)}); give the scan fewer triangles, "
+            "its texture fewer pixels, or ask for fewer texels"
         ) from error
     except (RecursionError, OverflowError) as error:
         raise TooLargeError(
@@ -170,5 +169,13 @@ def memory_errors_named(name: str) -> Iterator[None]:
 
 
 def one_line(error: BaseException | str) -> str:
-    """Return a message, or that of an error, on one line and printable."""
-    return printable(" ".join(str(error).split()))
+    """Return a message, or what an error says, on one line, printable, and at most 500 characters long.
+
+    An OSError says its reason without the name of its file, which the message around it gives; an error
+    without words its kind.
+    """
+    said = getattr(error, "strerror", None) or str(error)
+    if not said and isinstance(error, BaseException):
+        said = type(error).__name__
+    text = printable(" ".join(said.split()))
+    return text if len(text) <= 500 else f"{text[:300]} ... {text[-195:]}"

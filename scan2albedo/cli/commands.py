@@ -388,12 +388,8 @@ def main() -> None:
     stop_cleanly_on_interrupt(None)
     try:
         app()
-    except Scan2AlbedoError as error:
+    except (Scan2AlbedoError, *BARE_ERRORS) as error:
         print(f"scan2albedo: error: {one_line(error)}", file=sys.stderr)
-        sys.exit(USAGE_ERROR)
-    except BARE_ERRORS as error:
-        reason = f"{type(error).__name__}: {one_line(error)}"
-        print(f"scan2albedo: error: {reason.removesuffix(': ')}", file=sys.stderr)
         sys.exit(USAGE_ERROR)
 
 

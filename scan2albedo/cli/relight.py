@@ -171,7 +171,9 @@ def _angles(option: str, text: str, fewest: int, most: int) -> list[float]:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if not fewest <= len(numbers) <= most or not all(map(math.isfinite, numbers)):
+    usual = all(abs(number) <= bound for number, bound in zip(numbers, (360, 360, 1e9, 1e9), strict=False))
+    if not (fewest <= len(numbers) <= most and usual):
         shape = "AZ,EL" if most == 2 else "AZ,EL[,INTENSITY[,DISTANCE_MM]]"
-        raise typer.BadParameter(f"{option} {text!r}: expected {shape}, finite numbers")
+        wanted = "angles of at most 360 degrees, other numbers of at most 1e9"
+        raise typer.BadParameter(f"{option} {text!r}: expected {shape}, {wanted}")
     return numbers

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arguments import linear_doubt, require_linear
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.core.landmarks import LARGEST_COORDINATE, PlacedLandmarks
-from scan2albedo.errors import ScanError, printable
+from scan2albedo.errors import ScanError, one_line, printable
 
 _LARGEST_UV = 1e12
 LONGEST_NAME = 200
@@ -123,7 +123,7 @@ class RawScan:
                 f"a scan cannot be named {self.name!r}: its results get a folder of that name; give another "
                 f"`name` of up to {LONGEST_NAME} bytes"
             )
-        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))
+        object.__setattr__(self, "notes", tuple(map(one_line, self.notes)))
         if self.landmarks is not None:
             object.__setattr__(self, "landmarks", PlacedLandmarks.of(self.landmarks))
         if not 0 < self.mm_per_unit < np.inf:

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from scan2albedo.errors import OutputError
+from scan2albedo.errors import OutputError, one_line
 from scan2albedo.io.leftovers import finished, folder_lock, hidden_path, roll_back
 from scan2albedo.io.publishing import publish, staged
 
@@ -33,9 +33,8 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, target)
     except OSError as error:
-        cause = error.strerror or str(error)
         raise OutputError(
-            f"cannot write {target.name} into the folder {target.parent}: {cause}; "
+            f"cannot write {target.name} into the folder {target.parent}: {one_line(error)}; "
             "check that the folder exists, can be written and has space left, or choose another"
         ) from error
     finally:
@@ -48,8 +47,9 @@ def make_folder(path: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        cause = error.strerror or str(error)
-        raise OutputError(f"cannot create the folder {folder}: {cause}; choose another folder") from error
+        raise OutputError(
+            f"cannot create the folder {folder}: {one_line(error)}; choose another folder"
+        ) from error
     return folder
 
 
@@ -101,10 +101,9 @@ def cannot_write(out: Path) -> Iterator[None]:
         cause = error if isinstance(error, OSError) else error.__cause__
         if cause is None:
             raise
-        reason = getattr(cause, "strerror", None) or str(error)
         raise OutputError(
-            f"cannot write the results into {out}: {reason}; check that the folder can be written and has "
-            "space left, or choose another"
+            f"cannot write the results into {out}: {one_line(cause)}; check that the folder can be written "
+            "and has space left, or choose another"
         ) from error
 
 

@@ -6,16 +6,21 @@ import csv
 from io import StringIO
 from pathlib import Path
 
-from scan2albedo.errors import Scan2AlbedoError, ScanError
+from scan2albedo.errors import Scan2AlbedoError, ScanError, one_line
 from scan2albedo.io.limits import TABLE_BYTES, require_file
 
 
-def read_text(file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError]) -> str:
-    """Return the text of a UTF-8 file; raises `error`, which calls it `what`, for anything else."""
+def read_text(
+    file: Path, *, what: str, advice: str, error: type[Scan2AlbedoError], limit: int = TABLE_BYTES
+) -> str:
+    """Return the text of a UTF-8 file; raises `error`, which calls it `what`, for more or others."""
     try:
-        data = file.read_bytes() if require_file(file, TABLE_BYTES, "split it") else b""
+        data = file.read_bytes() if require_file(file, limit) else b""
     except (OSError, ScanError) as cause:
-        raise error(f"{what} cannot be read ({getattr(cause, 'strerror', '') or cause}); {advice}") from cause
+        reason = one_line(cause)
+        for name in (str(file), file.name):
+            reason = reason.removeprefix(f"{name}: ")
+        raise error(f"{what} cannot be read ({reason}); {advice}") from cause
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise error(f"{what} is UTF-16 text; save it as CSV in UTF-8")
     try:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import require_valid_indices
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.color import decode_picture
 from scan2albedo.io.gltf_file import MARK, GltfFile
@@ -34,7 +34,8 @@ def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     try:
         return _read_parts(GltfFile.read(path, folder))
     except limits.DAMAGE as error:
-        kind, cause = path.suffix[1:].upper(), " ".join(f"{type(error).__name__}: {error}".split())
+        kind, cause = path.suffix[1:].upper(), one_line(error)
+        cause = f"there is no {cause}" if isinstance(error, KeyError) else cause
         raise ScanError(
             f"{path.name}: cannot be read as {kind} ({cause}); "
             "the file is damaged, truncated or refers to a missing file: export it again"
@@ -72,11 +73,16 @@ def _read_parts(file: GltfFile) -> ParsedMesh:
     if warned:
         raise ScanError(f"{file.path.name}: {warned[0]}; export it again without compression")
     # trimesh drops base colour textures that it cannot read without a word.
-    textured = {
-        declared.get("name", "material")
-        for declared in file.tree.get("materials", [])
-        if "baseColorTexture" in declared.get("pbrMetallicRoughness", {})
-    }
+    reasons = {}
+    for declared in file.tree.get("materials", []):
+        if (wanted := declared.get("pbrMetallicRoughness", {}).get("baseColorTexture")) is not None:
+            texture = file.tree["textures"][wanted["index"]]
+            basis = "KHR_texture_basisu" in texture.get("extensions", {}) and "source" not in texture
+            reasons[declared.get("name", "material")] = (
+                "is KTX2 (KHR_texture_basisu), which is not read; export the scan again with PNG or JPEG"
+                if basis
+                else "is missing, damaged or of an unknown kind"
+            )
     materials: dict[int, Material] = {}
     pictures: dict[int, NDArray[np.float32]] = {}
     parts = []
@@ -87,9 +93,8 @@ def _read_parts(file: GltfFile) -> ParsedMesh:
             by_joints = _skinning_transforms(file, scene, node, mesh) if file.tree.get("skins") else None
             moved = np.asarray(transform, np.float64) if by_joints is None else by_joints
             parts.append(_part(mesh, moved, materials, pictures, file.path.name))
-    lost = (m.name for m in materials.values() if m.texture_linear is None and m.name in textured)
-    why = "is missing, damaged or of an unknown kind: went on without it"
-    notes = dict.fromkeys(f"the texture of {name} {why}" for name in lost)
+    lost = (m.name for m in materials.values() if m.texture_linear is None and m.name in reasons)
+    notes = dict.fromkeys(f"the texture of {name} {reasons[name]}: went on without it" for name in lost)
     return _joined(parts, tuple(materials.values()), tuple(notes))
 
 

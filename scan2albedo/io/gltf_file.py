@@ -77,11 +77,12 @@ class GltfFile:
         """
         tree, name = self.tree, self.path.name
         used, required = tree.get("extensionsUsed", ()), tree.get("extensionsRequired", ())
-        advice = f"export {name} again without compression"
+        advice = "export it again without compression"
         for extension in _NOT_DECODED:
             if extension in required:
                 raise ScanError(
-                    f"{name}: is compressed with {extension}, which is not decoded here; {advice}"
+                    f"{name}: is compressed with {extension}, which is not decoded here; {advice} "
+                    "(gltfpack without -c)"
                 )
         if _DRACO in (*used, *required) and find_spec("DracoPy") is None:
             raise MissingDependencyError(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.errors import OutputError, ScanError, needs_extra
+from scan2albedo.errors import OutputError, ScanError, needs_extra, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_picture, encode_srgb_integers, label_colors
@@ -72,7 +72,7 @@ def read_image_values(
         known = picture_pixels(data, file) is not None and not is_cut_png(data)
         pixels = _decoded(data, upright) if known else None
     except (OSError, ValueError) as error:
-        raise ScanError(f"image {file} cannot be read: {getattr(error, 'strerror', '') or error}") from error
+        raise ScanError(f"image {file} cannot be read: {one_line(error)}") from error
     if pixels is None:
         raise ScanError(
             f"image {file} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown; "
@@ -189,7 +189,7 @@ def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             return {k: np.array(c.pixels, np.float32) for k, c in file.channels().items()}
     except (LookupError, OSError, RuntimeError, ValueError, TypeError) as error:
-        raise ScanError(f"image {path} is missing or no complete EXR file ({error})") from error
+        raise ScanError(f"image {path} is missing or no complete EXR file; write it again") from error
 
 
 def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]]) -> None:

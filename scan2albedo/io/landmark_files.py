@@ -16,7 +16,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import COUNT, PLACED_SIGMA_MM, PlacedLandmarks
 from scan2albedo.errors import ScanError
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
-from scan2albedo.io.limits import parse_json
+from scan2albedo.io.limits import NAME_BYTES, parse_json
 from scan2albedo.io.records import Number, Record
 
 PARTS = {
@@ -96,7 +96,8 @@ def read_landmarks(file: str | Path, mm_per_unit: float = 1.0) -> PlacedLandmark
     readers = {".csv": _of_table, ".txt": _of_table, ".json": _of_json, ".pp": _of_picked_points}
     if (reader := readers.get(path.suffix.lower())) is None:
         raise ScanError(f"{path}: landmarks are read from .csv, .json and .pp files; {_ADVICE}")
-    text = read_text(path, what=f"landmarks {path}", advice=_ADVICE, error=ScanError)
+    most = COUNT * NAME_BYTES  # a long line each
+    text = read_text(path, what=f"landmarks {path}", advice=_ADVICE, error=ScanError, limit=most)
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.full(COUNT, PLACED_SIGMA_MM)
     seen: dict[int, str] = {}
     for where, written, place, sigma in reader(text, path):

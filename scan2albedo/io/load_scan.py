@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from scan2albedo.core.arguments import linear_doubt, require_type
-from scan2albedo.errors import ScanError, memory_errors_named
+from scan2albedo.errors import ScanError, memory_errors_named, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.scan_folder import ScanFolder
 
@@ -194,7 +194,5 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
         with memory_errors_named(file.name):
             mesh: ParsedMesh = reader.function(reader.read)(file, ScanFolder(file.parent, textures))
     except (OSError, ValueError) as error:
-        raise ScanError(
-            f"{file}: cannot be read: {getattr(error, 'strerror', '') or error}; check the path"
-        ) from error
+        raise ScanError(f"{file}: cannot be read: {one_line(error)}; check the path") from error
     return mesh

@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,17 +22,18 @@ from scan2albedo.io.scan_folder import ScanFolder
 
 _OPTION = re.compile(
     r"-(?:(?:blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type)\s+\S+"
-    r"|mm\s+\S+\s+\S+|[ost](?:\s+[-+]?[\d.]+(?:[eE][-+]?\d+)?){1,3})\s+"
+    r"|mm\s+\S+\s+\S+|([ost])((?:\s+[-+]?[\d.]+(?:[eE][-+]?\d+)?){1,3}))\s+"
 )
 
 
 @dataclass(frozen=True)
 class MaterialText:
-    """Name, diffuse colour (sRGB as written) and texture file name of one `newmtl` block."""
+    """Name, diffuse colour (sRGB as written), texture file and how it is moved, of one `newmtl` block."""
 
     name: str
     diffuse_srgb: tuple[float, float, float] = (0.5, 0.5, 0.5)
     texture_file: str | None = None
+    uv_placement: tuple[float, ...] = Material.uv_placement
 
 
 def decoded(data: bytes) -> str:
@@ -42,9 +44,10 @@ def decoded(data: bytes) -> str:
 
 
 def parse_mtl(text: str) -> dict[str, MaterialText]:
-    """Return the materials of an MTL text by name; options of `map_Kd` are skipped, spaces in names kept.
+    """Return the materials of an MTL text by name, with spaces in names.
 
-    Shadeless exports have the picture in `map_Ka` or `map_Ke`; it is taken where `map_Kd` is missing.
+    Of the options of a picture `-s` and `-o` are read, others skipped. Shadeless exports have the picture in
+    `map_Ka` or `map_Ke`; it is taken where `map_Kd` is missing.
 
     >>> parse_mtl("newmtl skin\\nKd 1 0 0\\nmap_Kd -s 1 1 1 -clamp on my face.png")["skin"].texture_file
     'my face.png'
@@ -69,9 +72,15 @@ def parse_mtl(text: str) -> dict[str, MaterialText]:
         elif name is not None and rest and keyword in ("map_kd", "map_ka", "map_ke"):
             if keyword != "map_kd" and materials[name].texture_file is not None:
                 continue
+            placement = list(Material.uv_placement)
             while match := _OPTION.match(rest):
                 rest = rest[match.end() :]
-            materials[name] = replace(materials[name], texture_file=rest.strip().strip('"'))
+                with suppress(ValueError):
+                    if (start := {"s": 0, "o": 2}.get(match[1])) is not None:
+                        values = [float(token) for token in match[2].split()[:2]]
+                        placement[start : start + len(values)] = values
+            file = rest.strip().strip('"')
+            materials[name] = replace(materials[name], texture_file=file, uv_placement=tuple(placement))
     return materials
 
 
@@ -92,7 +101,7 @@ class ScanPictures:
             if isinstance(picture, str):
                 notes.append(f"{picture}: went on without it")
                 picture = None
-            materials.append(Material(text.name, picture, (red, green, blue)))
+            materials.append(Material(text.name, picture, (red, green, blue), text.uv_placement))
         return tuple(materials), tuple(notes)
 
     def _picture(self, name: str) -> NDArray[np.float32] | str:

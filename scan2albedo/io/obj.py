@@ -23,10 +23,7 @@ class ObjLines:
     """The lines of an OBJ file by their first words, with the byte ranges of what follows these."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        data = data.removeprefix(codecs.BOM_UTF8)
-        data = data.replace(b"\\\r\n", b"   ").replace(b"\\\n", b"  ")
-        if b"\n" not in data:
-            data = data.replace(b"\r", b"\n")
+        data = _plain_text(data).replace(b"\\\n", b"  ")
         limits.require_at_most(name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
         self.name, self.text = name, np.frombuffer(data, np.uint8)
         begins, self.ends = tables.line_ranges(self.text)
@@ -79,10 +76,10 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     """Read an OBJ file with its materials.
 
     Polygons are cut into fans, negative indices count from the end, vertex colours (three numbers after the
-    position) are sRGB. Of materials `Kd` and the pictures of `parse_mtl` are used; where the library, or
-    every texture that it names, is missing, an image of the scan's own name is taken for the texture. Raises
-    ScanError, naming file and line, when a line is damaged or an index points outside the file; TooLargeError
-    for more than is read.
+    position, or ZBrush's `#MRGB`) are sRGB. Of materials `Kd` and the pictures of `parse_mtl` are used; where
+    the library, or every texture that it names, is missing, an image of the scan's own name is taken for the
+    texture. Raises ScanError, naming file and line, when a line is damaged or an index points outside the
+    file; TooLargeError for more than is read.
     """
     lines = ObjLines(limits.read_bytes(path, advice="decimate it"), path.name)
     positions, tokens = lines.numbers(b"v", 7, least=3, most=limits.VERTICES)
@@ -110,30 +107,50 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     if len(coordinates) and (corners[:, 1] >= 0).any():
         corner = corners[triangles, 1]
         uv = np.where((corner >= 0)[..., None], coordinates[corner], np.nan)
+    pictures = ScanPictures(folder)
+    material, own, notes = _materials(lines, pictures)
+    materials, notes = pictures.or_named_like(path, uv, own, notes)
     # Colours are the last of six numbers, or of seven with a weight; what is below 0 is a normal's.
     coloured, colors = tokens >= 6, None
     srgb = np.where((tokens > 6)[:, None], positions[:, 4:7], positions[:, 3:6])
     if coloured.any() and np.isfinite(srgb[coloured]).all() and srgb[coloured].min() >= 0:
         colors = np.column_stack([linear_of_srgb_numbers(np.where(coloured[:, None], srgb, 0)), coloured])
-    pictures = ScanPictures(folder)
-    material, own, notes = _materials(lines, pictures)
-    materials, notes = pictures.or_named_like(path, uv, own, notes)
+    elif painted := "".join(lines.names(b"#MRGB")):  # of ZBrush: mask, red, green, blue of each vertex
+        try:
+            mask_and_srgb = np.frombuffer(bytes.fromhex(painted), np.uint8).reshape(len(positions), 4)
+            colors = linear_of_srgb_numbers(mask_and_srgb[:, 1:])
+        except ValueError:
+            notes += ("its #MRGB colours are not those of its vertices: went on without them",)
+    material = None if material is None or materials is not own else material[face_of_triangle]
+    placements = np.array([m.uv_placement for m in materials])
+    if uv is not None and material is not None and (placements != Material.uv_placement).any():
+        placed = placements[material, None]
+        with np.errstate(all="ignore"):  # what is beyond all numbers counts as no coordinates
+            uv = uv * placed[..., :2] + placed[..., 2:]
     return ParsedMesh(
         vertices=np.ascontiguousarray(positions[:, :3]),
         faces=corners[triangles, 0],
         uv=uv,
-        material=None if material is None or materials is not own else material[face_of_triangle],
+        material=material,
         materials=materials,
         vertex_color_linear=colors,
         notes=cut_note(counts) + notes,
     )
 
 
+def _plain_text(data: bytes) -> bytes:
+    """Return a file's text in UTF-8 without a mark of its order, its lines ended by line feeds alone."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        data = data.decode("utf-16", "replace").encode("utf-8", "replace")
+    return data.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
 def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
     """Return the names of the material libraries and textures of an OBJ file."""
     names: list[str] = []
     materials: dict[str, MaterialText] = {}
-    for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", limits.read_bytes(path), re.MULTILINE):
+    text = _plain_text(limits.read_bytes(path))
+    for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\n]+)", text, re.MULTILINE):
         for library in folder.library_names(decoded(match).strip()):
             names.append(library)
             if (file := folder.find(library)) is not None:
@@ -176,6 +193,10 @@ def _materials(
     if not names:
         names, current = [next(iter(known))], np.zeros(len(faces), np.int64)
     order = {name: i for i, name in enumerate(dict.fromkeys(names))}
+    if len(order) == len(known) == 1 and known.keys() != order.keys():
+        (renamed,), (only,) = order, known
+        notes.append(f"material {renamed} is not in the material library: took its only one, {only}")
+        known[renamed] = known[only]
     limits.require_at_most(lines.name, "materials", len(order), limits.MATERIALS, "join its materials")
     number = np.array([order[name] for name in names], np.int64)
     index = np.where(current < 0, -1, number[np.maximum(current, 0)])

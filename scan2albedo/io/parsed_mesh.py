@@ -17,12 +17,14 @@ from scan2albedo.io import limits
 class Material:
     """One surface material; its base colour shows where it has no texture (H, W, 3), or none was found.
 
-    A texture (H, W, 4) has alpha, which is 0 where no picture showed the surface.
+    A texture (H, W, 4) has alpha, which is 0 where no picture showed the surface. `uv_placement` is
+    the scale (2) and the offset (2) with which coordinates look it up.
     """
 
     name: str
     texture_linear: NDArray[np.float32] | None = None
     base_color_linear: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    uv_placement: tuple[float, ...] = (1, 1, 0, 0)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ def read_stl(path: Path, _folder: ScanFolder) -> ParsedMesh:
     if len(data) == needed:
         limits.require_at_most(path.name, "triangles", declared, limits.TRIANGLES, "decimate it")
         triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-        corners = np.ndarray(declared, triangle, data, 84)["corners"].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # of damaged bytes; `require_usable` names what is no number
+            corners = np.ndarray(declared, triangle, data, 84)["corners"].astype(np.float64)
     elif b"endsolid" in data[-4096:].lower() and b"\0" not in data[:512]:
         words = data.lower()
         if re.search(rb"^[ \t]*vertex\s", words, re.MULTILINE) is None:  # several on a line

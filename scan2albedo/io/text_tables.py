@@ -12,7 +12,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.io import limits
 
 # Numbers, since `ord` takes long to compile.
-_N, _I, _E, _HASH, _SLASH, _POINT = b"nie#/."
+_N, _I, _D, _E, _HASH, _SLASH, _POINT, _COMMA = b"nide#/.,"
 
 
 @njit(cache=True, nogil=True)
@@ -65,7 +65,10 @@ def _parse_unsigned(text, position, end):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
-    """Return (value, whether the token at `position` is a number, where it ends); its line ends at `end`."""
+    """Return (value, whether the token at `position` is a number, where it ends); its line ends at `end`.
+
+    Some programs write a comma in place of the point, or D before the exponent as Fortran does.
+    """
     sign = 1.0
     if text[position] == 43 or text[position] == 45:
         sign = -1.0 if text[position] == 45 else 1.0
@@ -75,7 +78,7 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
         return np.nan if letter == _N else sign * np.inf, True, _token_end(text, position, end)
     mantissa, dropped, seen, position = _parse_unsigned(text, position, end)
     exponent = dropped
-    if position < end and text[position] == _POINT:
+    if position < end and text[position] in (_POINT, _COMMA):
         position += 1
         while position < end and 48 <= text[position] <= 57:
             if mantissa < 100_000_000_000_000_000:
@@ -86,7 +89,7 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
     if position < end and text[position] == _HASH:
         # 1.#QNAN and 1.#INF of old Microsoft compilers
         return np.nan, seen > 0, _token_end(text, position, end)
-    if position < end and (text[position] | 32) == _E:
+    if position < end and (text[position] | 32) in (_D, _E):
         position += 1
         negative = position < end and text[position] == 45
         if position < end and (text[position] == 43 or text[position] == 45):

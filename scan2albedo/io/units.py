@@ -107,16 +107,17 @@ def _decided(
     low, high = plausible_mm
     fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
     if unit == "auto":
+        more = " (--unit), or admit other --widths in `scan2albedo glasses canonicalize`"
+        verb, more = ("are", more) if thing == "glasses" else ("is", "")
         if not fitting:
-            verb = "are" if thing.endswith("s") else "is"
             raise UnitError(
                 f"{name}: the {thing} {verb} {extent:.4g} units long, which is not a {kind} in mm, cm or m "
-                f"(expected {low:.3g} to {high:.3g} mm); say what a unit is with unit='mm', 'cm' or 'm'"
+                f"(expected {low:.3g} to {high:.3g} mm); say what a unit is with unit='mm', 'cm' or 'm'{more}"
             )
         if len(fitting) > 1:
             raise UnitError(
                 f"{name}: the {thing}, {extent:.4g} units long, may be in {' or '.join(fitting)}; say what a "
-                "unit is with unit='mm', 'cm' or 'm'"
+                f"unit is with unit='mm', 'cm' or 'm'{more}"
             )
         unit, how = fitting[0], "decided from the size"
     else:

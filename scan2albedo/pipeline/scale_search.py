@@ -68,8 +68,8 @@ def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tu
     """Return the scan, at the scale at which it holds a face, and the face's pose.
 
     It is taken as it is where its size `fits` and it holds a face of a person's size. Where that is in doubt
-    it is tried at the sizes of heads, and brought to the scale at which a sure face has the model's size.
-    Raises RegistrationError, that of the scan as it is if its size fits, where there is no face.
+    it is tried at the sizes of other heads, and brought to the scale at which a sure face has the model's
+    size. Raises RegistrationError, that of the scan as it is if its size fits, where there is no face.
     """
     refusal = NoFaceError(
         f"{scan.name}: no face found beyond doubt at any scale; give the unit with unit='mm', 'cm' or 'm'"
@@ -84,7 +84,10 @@ def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tu
     if known is not None and known[1].confidence >= SURE and low <= known[1].face_scale <= high:
         return known
     extent = largest_extent(scan.vertices, vertex_components(len(scan.vertices), scan.faces))
+    nearest_mm = min(_EXTENTS_MM, key=lambda mm: abs(np.log(mm / extent)))
     for tried_mm in _EXTENTS_MM:
+        if fits and known is None and tried_mm == nearest_mm and low < tried_mm / extent < high:
+            continue  # a face of that size was looked for in the scan as it is
         with suppress(RegistrationError):
             _, found = register(scan.scaled(tried_mm / extent))
             if found.confidence >= _SURE:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray
-from scan2albedo.errors import RecognitionError, Scan2AlbedoError, needs_extra
+from scan2albedo.errors import RecognitionError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.geometry_image_files import read_geometry_image, read_image_and_albedo
 from scan2albedo.io.images import SUPPORTED_IMAGES, read_exr_channels, read_image_linear
@@ -140,7 +140,7 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
                 }
         except (OSError, pyarrow.ArrowException) as error:
             raise RecognitionError(
-                f"{catalogue}: cannot be read ({error}); move it away, or repair the batch"
+                f"{catalogue}: cannot be read ({one_line(error)}); move it away, or repair the batch"
             ) from error
     entries = []
     for first in folders(folder):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -42,7 +43,7 @@ class FacePhotographFile(_Part):
     image: str = Field(description="Relative to this file.")
     mask: str | None = Field(None, description="Image, bright on skin; null: no mask. Relative to this file.")
     gamma: float = Field(1.2, ge=0.1, le=10, description="Light is value^gamma.")
-    saturation: float = Field(0.98, gt=0, description="Values from here on may be clipped.")
+    saturation: float = Field(0.98, gt=0, le=1e6, description="Values from here on may be clipped.")
     camera: tuple[_Row, _Row, _Row] = Field(
         description="Row-major 3x4: pixels (column, row), centres at integers, from points in `unit`."
     )
@@ -104,21 +105,29 @@ def read_photograph(path: str | Path) -> PhotographFiles:
         advice="write it as data_schemas/face_photograph.schema.json says",
         error=ReflectanceError,
     )
-    scale, folder = MM_PER_UNIT[content.unit], file.parent
-    image = read_image_values(folder / content.image, upright=True)
+    scale = MM_PER_UNIT[content.unit]
+    image = read_image_values(_beside(file, content.image), upright=True)
     camera = np.array(content.camera, np.float64)
     camera[:, :3] /= scale
     vertices, faces = None, None
     if content.mesh is not None:
-        mesh = read_mesh_file(folder / content.mesh)
+        mesh = read_mesh_file(_beside(file, content.mesh))
         vertices, faces = np.asarray(mesh.vertices, np.float64) * scale, mesh.faces
     landmarks = None
     if content.landmarks is not None:
         landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], np.float64)
     mask = None
     if content.mask is not None:
-        mask = read_skin_mask(folder / content.mask, image.shape[:2], f"photograph {file}")
+        mask = read_skin_mask(_beside(file, content.mask), image.shape[:2], f"photograph {file}")
     return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
+
+
+def _beside(file: Path, name: str) -> Path:
+    """Return what a capture or photograph file names; ReflectanceError where that lies outside its folder."""
+    place, folder = file.parent / name, os.path.realpath(file.parent)
+    if "\0" in name or not Path(os.path.realpath(place)).is_relative_to(folder):
+        raise ReflectanceError(f"{file}: {name} lies outside its folder; copy it there and name that copy")
+    return place
 
 
 def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
@@ -173,7 +182,7 @@ class FlashCaptureFile(_Part):
         "one known rig.",
     )
     noise: float = Field(0.01, ge=1e-6, le=1, description="Standard deviation of the values, white = 1.")
-    saturation: float = Field(0.98, gt=0, description="Values from here on may be clipped.")
+    saturation: float = Field(0.98, gt=0, le=1e6, description="Values from here on may be clipped.")
     falloff_distance: float | None = Field(
         None, gt=0, description="Flashes fall off with the square of their distance, to 1 here; null: not."
     )
@@ -250,7 +259,7 @@ class CaptureFiles:
         `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
         """
         content, whose = self.content, f"capture {self.path}"
-        read = cache(lambda name: read_image_values(self.path.parent / name, upright=True))
+        read = cache(lambda name: read_image_values(_beside(self.path, name), upright=True))
         flashes = [read(pair.flash_image) for pair in content.pictures]
         rooms = [read(pair.room_image) for pair in content.pictures]
         first = flashes[0].shape[:2]
@@ -265,7 +274,7 @@ class CaptureFiles:
         options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
         olat = extract_olat(flashes, rooms, options=options)
         mask_of, valid = {pose.name: pose.mask for pose in content.poses}, olat.valid
-        mask = cache(lambda name: read_skin_mask(self.path.parent / name, first, whose))
+        mask = cache(lambda name: read_skin_mask(_beside(self.path, name), first, whose))
         for j, pair in enumerate(content.pictures):
             if (skin := mask_of[pair.camera]) is not None:
                 valid[j] &= mask(skin)[..., None]
@@ -292,9 +301,9 @@ def read_capture(path: str | Path) -> CaptureFiles:
         advice="give a file that write_capture wrote (data_schemas/flash_capture.schema.json)",
         error=ReflectanceError,
     )
-    mesh = read_mesh_file(file.parent / content.mesh)
+    mesh = read_mesh_file(place := _beside(file, content.mesh))
     if not len(mesh.faces):
-        raise ScanError(f"{file.parent / content.mesh}: holds no triangles; export the mesh again")
+        raise ScanError(f"{place}: holds no triangles; export the mesh again")
     scale, number = MM_PER_UNIT[content.unit], {pose.name: k for k, pose in enumerate(content.poses)}
     common = content.intrinsics
     try:

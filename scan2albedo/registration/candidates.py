@@ -124,17 +124,20 @@ def ranked_candidates(
     """Refine and rank candidates, batch by batch, until one is a face; best first.
 
     The pose that landmarks show comes before all. After every batch the best of all so far are looked at
-    closely (`Evidence`), and the scan's colours scored when none is clearly a face.
+    closely (`Evidence`), and the scan's colours scored when none is clearly a face. Without landmarks the
+    search ends after two batches of which nothing resembles a face at all.
     """
     target, candidates = ScanTarget(scan.samples), Candidates()
     placed = () if landmarks is None else (landmarks.start(),)
     batches = chain(placed, _batches(scan, template, poses, options.candidates, 3 * options.candidates))
     # Open3D's wide pairs draw half a face round the head, towards its missing half: at last without it.
     freely = _batches(scan, template, poses, 2 * options.candidates, 0)
-    for batch, cloud in chain(zip(batches, repeat(target)), zip(freely, repeat(None))):
+    every = chain(zip(batches, repeat(target)), zip(freely, repeat(None)))
+    for number, (batch, cloud) in enumerate(every):
         candidates = _with_refined(scan, cloud, template, batch, meter, candidates)
         candidates = colors.rescored(_with_evidence(scan, template, candidates, meter, landmarks))
-        if meter.exhausted or candidates[0].convinces:
+        hopeless = number == 1 and landmarks is None and candidates[0].log_odds <= -_MOST_LOG_ODDS
+        if meter.exhausted or candidates[0].convinces or hopeless:
             break
     return candidates
 

@@ -70,10 +70,9 @@ def depth_image(
     Both sides of `faces` (F, 3) are seen, after `view_from_mesh` (4, 4); those above `z_limit` are ignored.
     """
     points = vertices if view_from_mesh is None else transform_points(view_from_mesh, vertices)
-    index, depth = np.asarray(faces), np.ascontiguousarray(points[:, 2])
-    if depth.max(initial=-np.inf) > z_limit:
-        index = index[(depth[index] <= z_limit).all(1)]
-    return nearest_depths(frame.pixels(points), depth, index, (frame.size, frame.size))
+    pixels, depth = frame.pixels(points), points[:, 2]
+    pixels[depth > z_limit] = np.nan  # no face of such a vertex is drawn
+    return nearest_depths(pixels, depth, faces, (frame.size, frame.size))
 
 
 @dataclass(frozen=True)

@@ -57,7 +57,9 @@ class PreparedScan:
 
     def inside_out(self) -> PreparedScan:
         """Return the scan with the normals of its samples turned over."""
-        return replace(self, samples=self.samples.inside_out(), anchors=self.anchors.inside_out())
+        turned = replace(self, samples=self.samples.inside_out(), anchors=self.anchors.inside_out())
+        vars(turned)["noise"] = self.noise  # which normals do not change, and which takes long to measure
+        return turned
 
 
 def prepared_scan(scan: RawScan, options: RegistrationOptions) -> PreparedScan:

@@ -148,8 +148,10 @@ def write_identification(
         table = StringIO()
         writer = csv.writer(table, lineterminator="\n")
         writer.writerow(ProbeRecord.model_fields)
+        formula = ("=", "+", "-", "@")  # that a spreadsheet would run, of a text that begins so
         for result in results:
-            writer.writerow("" if value is None else value for value in result.model_dump().values())
+            cells = result.model_dump().values()
+            writer.writerow(f"'{c}" if isinstance(c, str) and c.startswith(formula) else c for c in cells)
         write_text(staging.folder / "identification.csv", table.getvalue())
         similarities = {
             "similarities": matches.similarities,

@@ -139,7 +139,9 @@ def test_the_correspondence_used_is_told(folders, tmp_path):
     [
         (("--light", "ten,20"), "AZ,EL"),
         (("--light", "10"), "AZ,EL"),
-        (("--light", "10,20,nan"), "finite"),
+        (("--light", "10,20,nan"), "other numbers of at most 1e9"),
+        (("--light", "1e308,10"), "angles of at most 360 degrees"),
+        (("--light", "0,0,1e308"), "other numbers of at most 1e9"),
         (("--light", "10,20,-1"), "negative"),
         (("--light", "0,0", "--view", "0,90"), "elevation"),
         ((), "no light"),

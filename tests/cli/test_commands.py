@@ -303,5 +303,5 @@ def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
     with pytest.raises(SystemExit, match="2"):
         cli.main()
     shown = capsys.readouterr().err
-    assert shown.startswith(f"scan2albedo: error: {type(error).__name__}")
+    assert shown.startswith(f"scan2albedo: error: {str(error) or type(error).__name__}")
     assert shown.count("\n") == 1

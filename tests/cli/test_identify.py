@@ -94,6 +94,19 @@ def test_without_named_probes_there_is_no_rate_and_no_curve_of_an_older_run(fold
     assert json.loads((tmp_path / "identification.json").read_text())["rates"] is None
 
 
+def test_names_that_a_spreadsheet_would_run_are_quoted(folder, tmp_path):
+    persons = ["=1+1", "+bob", "@cy"]
+    rows = [f"{person},{name}.exr" for person, name in zip(persons, ("ann", "bob", "cy"), strict=True)]
+    (folder / "signs.csv").write_text("\n".join(["person,result", *rows, "-ann,ann-2.exr"]))
+    done = run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path, gallery="signs.csv")
+    assert done.exit_code == 0, done.output
+    (row,) = csv.DictReader((tmp_path / "identification.csv").read_text(encoding="utf-8").splitlines())
+    assert row["predicted"] in ("'=1+1", "'-ann")
+    assert row["next_person"] in ("'=1+1", "'-ann", "'+bob", "'@cy")
+    assert float(row["similarity"])
+    assert row["person"] == ""
+
+
 def test_a_gallery_of_one_person_has_no_impostor(folder, tmp_path):
     done = run(folder, "--probes", folder / "one.csv", "-o", tmp_path, gallery="one.csv")
     assert done.exit_code == 0, done.output

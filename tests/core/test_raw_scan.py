@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo import RawScan
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
-from scan2albedo.errors import ScanError, printable
+from scan2albedo.errors import ScanError, one_line, printable
 
 
 @pytest.mark.parametrize("name", ["anna", "Anna Müller (2)", "脸", "a.b", "x" * 200])
@@ -27,7 +27,19 @@ def test_other_stems_become_names_that_differ(stem):
 
 
 def test_notes_hold_nothing_that_a_terminal_obeys():
-    assert RawScan(np.eye(3), [[0, 1, 2]], notes=("skin\x1b]0;x\x07\n",)).notes == (r"skin\x1b]0;x\x07\x0a",)
+    assert RawScan(np.eye(3), [[0, 1, 2]], notes=("skin\x1b]0;x\x07\n",)).notes == (r"skin\x1b]0;x\x07",)
+
+
+def test_messages_have_words_a_length_and_their_files_name_once(tmp_path):
+    for long in (str(ScanError("a" * 6000 + "; export it again")), one_line("b" * 501 + "; export it again")):
+        assert len(long) == 500
+        assert long.endswith("; export it again")
+    assert len(RawScan(np.eye(3), [[0, 1, 2]], notes=("c" * 600,)).notes[0]) == 500
+    with pytest.raises(OSError, match=r"gone\.npz") as missing:
+        (tmp_path / "gone.npz").read_bytes()
+    assert one_line(missing.value) == "No such file or directory"
+    assert one_line(AssertionError()) == "AssertionError"
+    assert one_line("") == ""
 
 
 def test_what_people_write_stays_and_the_rest_is_escaped():

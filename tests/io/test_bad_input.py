@@ -1,5 +1,7 @@
 """Whatever is handed to `load_scan`, the answer is a scan or one `ScanError` that names the file."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -117,7 +119,8 @@ def test_damaged_bytes_give_a_scan_or_a_clear_error(tmp_path, name):
             del data[start : start + int(rng.integers(1, 200))]
         (tmp_path / name).write_bytes(bytes(data))
         outcome = scan_or_message(tmp_path / name)
-        assert isinstance(outcome, RawScan) or (name in outcome and "\n" not in outcome)
+        assert isinstance(outcome, RawScan) or (outcome.count(name) == 1 and "\n" not in outcome)
+        assert isinstance(outcome, RawScan) or not re.search(r"\w+Error:", outcome)
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a.ply", "b.ply", "a.off"])

@@ -188,9 +188,22 @@ def test_compression_that_nothing_decodes_is_named(tmp_path):
     tree["extensionsRequired"] = ["EXT_meshopt_compression"]
     (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
     with pytest.raises(
-        ScanError, match=r"EXT_meshopt_compression, .*export a\.glb again without compression"
+        ScanError, match=r"EXT_meshopt_compression, .*export it again without compression \(gltfpack without"
     ):
         load_scan(tmp_path / "a.glb")
+
+
+def test_a_picture_that_nothing_decodes_is_named(tmp_path):
+    tree, binary = square_gltf(png_bytes(quarters()))
+    picture = tree["textures"][0].pop("source")
+    tree["textures"][0]["extensions"] = {"KHR_texture_basisu": {"source": picture}}
+    tree["extensionsUsed"] = tree["extensionsRequired"] = ["KHR_texture_basisu"]
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    (note,) = (note for note in load_scan(tmp_path / "a.glb").notes if "went on without it" in note)
+    assert "KTX2 (KHR_texture_basisu), which is not read; export the scan again with PNG or JPEG" in note
+    tree["textures"][0]["source"] = picture  # for programs without the extension
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    assert_corner_colors(load_scan(tmp_path / "a.glb"))
 
 
 def test_compressed_meshes_are_refused_not_read_as_zeros(tmp_path):

@@ -47,7 +47,7 @@ def test_grey_and_rgba_and_deep_textures(tmp_path, bits):
 
 @pytest.mark.parametrize(
     "map_kd",
-    ["face.png", "-s 1 1 1 face.png", "-clamp on -o 0.1 0 face.png", '"face.png"', "./face.png",
+    ["face.png", "-s 1 1 1 face.png", "-clamp on -o 1 0 face.png", '"face.png"', "./face.png",
      "C:\\Users\\someone\\Desktop\\FACE.PNG", "/home/other/face.png", "Face.Png"],
 )  # fmt: skip
 def test_textures_are_found_however_they_are_written(tmp_path, map_kd):
@@ -107,6 +107,10 @@ def test_no_mtllib_is_no_fault(tmp_path):
         "v 0 0 0\nv 100 0 0\nv 100 100 0\nf -3 -2 -1\nv 0 100 0\nf 1 3 -1\n",
         "v 0 0 0\r\nv 100 0 0\r\nv 100 100 0\r\nv 0 100 0\r\nf 1 2 3 4\r\n",
         "v 0 0 0\rv 100 0 0\rv 100 100 0\rv 0 100 0\rf 1 2 3 4\r",
+        "# CR behind the first line\nv 0 0 0\rv 100 0 0\rv 100 100 0\rv 0 100 0\rf 1 2 3 4\r",
+        "v 0,0 0 0\nv 1,0e2 0, 0\nv +100,00 ,1E3 -0,0\nv 0 100,0 0\nf 1 2 3 4\n",
+        "v 0D+00 0D0 0\nv 1.0D+02 0 0\nv 1.D2 10000d-2 0\nv 0 .1D3 0\nf 1 2 3 4\n",
+        "v 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\nf 1 2 3 4\n".encode("utf-16"),
         "  v\t0 0\\\n 0 # first\n\n\tv 100 0 0 1\nv 1e2 +1.0E2 -0\nv 0 100. .0\n f 1//1 2//1 3//1 4//1 # q",
         "vn 0 0 1\nv 0 0 0\nv 100 0 0\nv 100 100 0\nv 0 100 0\ng nose\ns off\nf 1/ 2/ 3/ 4/\nl 1 2\n",
     ],
@@ -115,6 +119,18 @@ def test_ways_to_write_the_same_square(tmp_path, text):
     scan = load_scan(write(tmp_path, text))
     np.testing.assert_array_equal(scan.vertices, [[0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
     np.testing.assert_array_equal(scan.faces, [[0, 1, 2], [0, 2, 3]])
+
+
+def test_libraries_of_utf16_and_of_lines_that_end_with_cr_are_found(tmp_path):
+    path = write_square_obj(tmp_path)
+    text, before = path.read_text(), input_sha256(path)
+    for written in (text.encode("utf-16"), ("# of a Mac\n" + text).replace("\n", "\r").encode()):
+        path.write_bytes(written)
+        assert_corner_colors(load_scan(path))
+        (path.parent / "face.mtl").write_text("newmtl skin\nmap_Kd face.png\n" + "#" * 9)
+        changed = input_sha256(path)
+        (path.parent / "face.mtl").write_text("newmtl skin\nmap_Kd face.png\n")
+        assert len({before, changed, input_sha256(path)}) == 3
 
 
 def test_polygons_keep_the_coordinates_of_their_corners(tmp_path):
@@ -323,3 +339,41 @@ def test_vertices_without_a_colour_were_not_seen(tmp_path, weight):
     scan = load_scan(tmp_path / "a.obj")
     np.testing.assert_array_equal(scan.vertex_color_linear[[0, 2, 3]], np.eye(3)[[0, 1, 2]])
     assert scan.color_seen.tolist() == [True, False, True, True]
+
+
+@pytest.mark.parametrize(
+    ("options", "placement"),
+    [
+        ("-s 0.5 0.25 1 -o 0.25 0.5 0", (0.5, 0.25, 0.25, 0.5)),
+        ("-o .5", (1, 1, 0.5, 0)),
+        ("-bm 1 -s 2 -o 1.2.3 0", (2, 1, 0, 0)),
+    ],
+)
+def test_a_picture_is_looked_up_where_its_scale_and_offset_say(tmp_path, options, placement):
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.mtl").write_text(f"newmtl skin\nmap_Kd {options} face.png\n")
+    scale, offset = np.array(placement).reshape(2, 2)
+    parsed = read_obj(path, ScanFolder(tmp_path))
+    np.testing.assert_allclose(parsed.uv, SQUARE_UV[parsed.faces] * scale + offset)
+    (tmp_path / "face.mtl").write_text("newmtl skin\nmap_Kd -s 1e308 -o 1e999 face.png\n")
+    assert load_scan(path).texture_linear is None or not load_scan(path).color_seen.any()
+
+
+def test_a_renamed_material_is_the_only_one_of_its_library(tmp_path):
+    path = write_square_obj(tmp_path)
+    path.write_text(path.read_text().replace("usemtl skin", "usemtl lambert2SG"))
+    scan = load_scan(path)
+    assert_corner_colors(scan)
+    note = "material lambert2SG is not in the material library: took its only one, skin"
+    assert note in scan.notes
+
+
+def test_colours_that_zbrush_painted(tmp_path):
+    rows = [f"v {x} {y} {z}" for x, y, z in SQUARE_MM]
+    painted = ["#MRGB ffff00000000ff00", "#MRGB FF0000FFff808080"]
+    scan = load_scan(write(tmp_path, "\n".join([*rows, *painted, "f 1 2 3 4"])))
+    np.testing.assert_allclose(scan.vertex_color_linear, CORNER_LINEAR, atol=1e-6)
+    for wrong in ("ff00ff00", "ff0", "grey"):
+        scan = load_scan(write(tmp_path, "\n".join([*rows, painted[0], f"#MRGB {wrong}", "f 1 2 3 4"])))
+        assert scan.vertex_color_linear is None
+        assert any("#MRGB colours are not those of its vertices" in note for note in scan.notes)

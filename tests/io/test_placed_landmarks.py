@@ -83,6 +83,12 @@ def test_what_is_wrong_is_named_with_its_place(name, text, message, tmp_path):
     assert name in str(caught.value)
 
 
+def test_a_table_that_is_too_long_for_68_points_is_not_read(tmp_path):
+    (tmp_path / "a.csv").write_text("number,x,y,z\n" + "30,1,2,3\n" * 40_000)
+    with pytest.raises(ScanError, match=r"landmarks .*a\.csv cannot be read \(360,013 bytes are more than"):
+        read_landmarks(tmp_path / "a.csv")
+
+
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ScanError, match=r"landmarks .*gone\.csv cannot be read"):
         read_landmarks(tmp_path / "gone.csv")

@@ -131,3 +131,13 @@ def test_coff_vertex_colours(tmp_path, top):
 def test_damaged_off_is_refused_by_name(tmp_path, options, message):
     with pytest.raises(ScanError, match=r"a\.off: .*" + message):
         load_scan(off(tmp_path / "a.off", **options))
+
+
+def test_numbers_that_signal_are_named_without_a_warning(tmp_path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(trimesh.creation.box((100, 100, 100)).export(file_type="stl"))
+    data = bytearray(path.read_bytes())
+    data[84 + 12 : 84 + 16] = bytes.fromhex("010080ff")  # a signalling NaN
+    path.write_bytes(data)
+    with pytest.raises(ScanError, match=r"a\.stl: 1 vertices used by faces are NaN"):
+        load_scan(path)

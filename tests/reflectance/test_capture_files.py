@@ -99,6 +99,9 @@ def capture_positions(capture):
         (lambda c: c["poses"][0].update(rotation=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]), "rotation"),
         (lambda c: c.update(pictures=[]), "pictures"),
         (lambda c: c.update(lens="wide"), "lens"),
+        (lambda c: c.update(saturation=1e9), "saturation: Input should be less than or equal to 1000000"),
+        (lambda c: c.update(mesh="../face.ply"), r"\.\./face\.ply lies outside its folder; copy it there"),
+        (lambda c: c.update(mesh="a\0.ply"), r"lies outside its folder"),
     ],
 )
 def test_files_that_do_not_fit_are_refused_by_name(folder, change, told):
@@ -123,6 +126,19 @@ def test_missing_mesh_and_picture_are_named(folder):
     (folder / "face.ply").unlink()
     with pytest.raises(ScanError, match=r"face\.ply"):
         read_capture(folder / "capture.json")
+
+
+def test_pictures_outside_the_folder_are_not_read(folder):
+    outside = folder.parent / "outside.png"
+    outside.write_bytes((folder / "room_01.png").read_bytes())
+    (folder / "link.png").symlink_to(outside)
+    written = (folder / "capture.json").read_text()
+    for name in (str(outside), "../outside.png", "link.png"):
+        for key in ("room_image", "flash_image"):
+            capture = read_capture(changed(folder, lambda c, n=name, k=key: c["pictures"][0].update({k: n})))
+            (folder / "capture.json").write_text(written)
+            with pytest.raises(ReflectanceError, match=rf"capture\.json: .*{name} lies outside its folder"):
+                capture.extract_olat()
 
 
 @pytest.mark.parametrize("name", ["room_01.png", "flash_00_01.png", "skin_01.png"])

@@ -4,9 +4,10 @@ import builtins
 
 import numpy as np
 import pytest
+import trimesh
 
 from scan2albedo import RawScan, synthetic
-from scan2albedo.errors import MissingDependencyError, import_open3d
+from scan2albedo.errors import MissingDependencyError, NoFaceError, import_open3d
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import (
     Similarity,
@@ -15,6 +16,7 @@ from scan2albedo.geometry.rigid import (
     rotation_angle_rad,
     rotation_from_vector,
 )
+from scan2albedo.registration import register
 from scan2albedo.registration.candidates import Candidate, Colors, ScanTarget
 from scan2albedo.registration.evidence import Evidence
 from scan2albedo.registration.options import RegistrationOptions
@@ -80,3 +82,9 @@ def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
     rest = Similarity(np.eye(3), np.zeros(3))
     doubtful = (looked_at(rest, 0.3),)
     assert Colors(bare, model).rescored(doubtful) is doubtful
+
+
+def test_a_search_without_anything_like_a_face_ends_early(model):
+    ball = trimesh.creation.icosphere(4, 100.0)
+    with pytest.raises(NoFaceError, match=r"The best of [1-8] poses is one with a probability of 0\.00"):
+        register(RawScan(ball.vertices, ball.faces), model)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.core import TraceRow
-from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.report.html.texts import is_share, label_of, number_text, unit_of
 
 _ROOM = 0.04
@@ -131,7 +131,7 @@ def read_trace(file: Path) -> list[TraceRow]:
         with file.open(encoding="utf-8", newline="") as opened:
             lines = list(csv.DictReader(opened))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise Scan2AlbedoError(f"{file}: cannot be read: {error}") from error
+        raise Scan2AlbedoError(f"{file}: cannot be read: {one_line(error)}") from error
     rows = []
     for k, line in enumerate(lines, 2):
         try:

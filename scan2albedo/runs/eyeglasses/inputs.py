@@ -25,7 +25,7 @@ from scan2albedo.eyeglasses import (
 )
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM
+from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
 from scan2albedo.eyeglasses.view_files import mask_path
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.images import read_image_linear
@@ -105,8 +105,9 @@ def read_frame(
     """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
 
     The mesh's unit "auto" is the one in which the key points lie on it, when their file states their own;
-    otherwise the size of glasses decides, in proportion to `widths_mm`. Raises EyeglassesError or ScanError,
-    naming the file, when one cannot be read or has another size; ValueError for an unknown unit.
+    otherwise the front's width decides, and where it fits no unit, or several, the size of the glasses, in
+    proportion to `widths_mm`. Raises EyeglassesError or ScanError, naming the file, when one cannot be read
+    or has another size; ValueError for an unknown unit.
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
@@ -117,6 +118,12 @@ def read_frame(
     def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
         nonlocal mm_per_unit
         if marks_unit == "unknown":
+            width = front_width(marks, parsed.vertices)
+            wide = [u for u, mm in MM_PER_UNIT.items() if widths_mm[0] <= width * mm <= widths_mm[1]]
+            if unit == "auto" and len(wide) == 1:
+                mm_per_unit = MM_PER_UNIT[wide[0]]
+                note = f"unit: {wide[0]} (front {width * mm_per_unit:.4g} mm wide), decided from it"
+                return mm_per_unit, note
             mm_per_unit, note = glasses_millimetres_per_unit(marks, unit, mesh.name, (low, high))
             return mm_per_unit, note
         _, size = glasses_millimetres_per_unit(marks, marks_unit, marks_file.name, (low, high))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
 from scan2albedo.reflectance import (
@@ -108,7 +108,7 @@ def build_model(
         try:
             numbers = np.asarray(json.loads(landmark_vertices.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
-            raise ReflectanceError(f"{what} cannot be read ({error}); give a JSON list") from error
+            raise ReflectanceError(f"{what} cannot be read ({one_line(error)}); give a JSON list") from error
         if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
             raise ReflectanceError(f"{what}: expected a list of {LANDMARKS} integers")
         if len(np.unique(numbers)) < len(numbers):

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from pathlib import Path
 
 import jsonschema
@@ -21,6 +22,7 @@ from scan2albedo.eyeglasses import (
     write_canonical,
     write_keypoints,
 )
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.io import load_scan
 from scan2albedo.io.input_hash import input_sha256
@@ -225,11 +227,26 @@ def test_a_front_without_temples_has_a_size_too(tmp_path):
     assert done.notes == ("frame: without temples, left and right cannot be checked reliably",)
 
 
+@pytest.mark.parametrize("unit", MM)
+def test_the_width_of_a_front_decides_before_its_length(tmp_path, unit):
+    path, _ = save(tmp_path, unit=unit, marks="unknown")
+    marks = read_keypoints(keypoints_beside(path))
+    tips = [KEY_POINT_NAMES.index(f"{side}_temple_tip") for side in ("left", "right")]
+    hinges = [KEY_POINT_NAMES.index(f"{side}_hinge") for side in ("left", "right")]
+    marks[tips] += 3 * (marks[tips] - marks[hinges])  # of a length that glasses have in no unit
+    write_keypoints(keypoints_beside(path), marks, unit="unknown")
+    frame = read_frame(path)
+    assert frame.mm_per_unit == MM[unit]
+    assert re.match(rf"unit: {unit} \(front 1\d\d.* mm wide\), decided from it", frame.scan.notes[0])
+
+
 def test_sizes_of_no_glasses_are_told(tmp_path):
     path, _ = save(tmp_path)
     marks = read_keypoints(tmp_path / "frame.keypoints.json")
     write_keypoints(tmp_path / "frame.keypoints.json", marks / 5, unit="unknown")
-    with pytest.raises(ScanError, match=r"frame\.ply: the glasses are \d\d\.\d* units long, which is not a"):
+    with pytest.raises(
+        ScanError, match=r"frame\.ply: the glasses are \d\d\.\d* units long, which is not a.* --widths"
+    ):
         read_frame(path)
     with pytest.raises(ScanError, match=r"are \d\d\.\d* m long, but glasses measure 50 to 400 mm"):
         read_frame(path, unit="m")
@@ -255,7 +272,7 @@ def test_other_widths_admit_small_frames(tmp_path):
         frame = read_frame(path, unit="mm", widths_mm=(25, 60))
         np.testing.assert_allclose(frame.keypoints, marks)
     assert read_frame(path, widths_mm=(25, 60)).mm_per_unit == 1.0
-    with pytest.raises(ScanError, match="may be in mm or cm"):
+    with pytest.raises(ScanError, match=r"may be in mm or cm; .*--unit\), or admit other --widths"):
         read_frame(path, widths_mm=(25, 400))
 
 
