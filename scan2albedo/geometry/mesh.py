@@ -102,7 +102,7 @@ def adjacency(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
 def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
     """Return (V,) component labels 0..n-1 of vertices connected through faces, by their first vertex."""
     require_vertices(faces, vertex_count)
-    edges = faces[:, :2].ravel(), faces[:, 1:].ravel()
+    edges = faces[:, :-1].ravel(), faces[:, 1:].ravel()
     graph = sparse.coo_matrix((np.ones(len(edges[0]), bool), edges), shape=(vertex_count, vertex_count))
     return connected_components(graph, directed=False)[1].astype(np.int64)
 

@@ -127,6 +127,17 @@ def bilinear(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArra
     return np.asarray((1 - down) * upper + down * lower)
 
 
+def bilinear_slopes(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivatives (N, C, 2) of `bilinear` by column and row, beyond an edge those at it."""
+    last = np.array(image.shape[1::-1]) - 1
+    place = np.clip(pixels, 0, last)
+    corner = np.minimum(place, last - 1).astype(np.int64)
+    (x, y), (column, row) = (place - corner).T[..., None], corner.T
+    a, b = image[row, column], image[row, column + 1]
+    c, d = image[row + 1, column], image[row + 1, column + 1]
+    return np.asarray(np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2))
+
+
 def filled_from_nearest(image: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return an image (H, W, ...) whose pixels outside of `mask` have the value of the nearest one inside.
 

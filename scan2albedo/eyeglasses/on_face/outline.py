@@ -13,6 +13,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
+from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
@@ -58,15 +59,8 @@ class MaskDistance:
         place = pixels - np.array(self.corner)
         with np.errstate(invalid="ignore"):
             inside = ((place >= 0) & (place <= [width - 1, height - 1])).all(1)
-        where = np.where(inside[:, None], place, 0.0)
-        first = np.minimum(np.floor(where), [width - 2, height - 2]).astype(np.int64)
-        x, y = (where - first).T
-        column, row = first.T
-        a, b = self.field[row, column], self.field[row, column + 1]
-        c, d = self.field[row + 1, column], self.field[row + 1, column + 1]
-        value = (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
-        slope = np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 1)
-        value, slope = value.astype(np.float64), slope.astype(np.float64)
+        field, where = self.field[..., None], np.where(inside[:, None], place, 0.0)
+        value, slope = bilinear(field, where)[:, 0], bilinear_slopes(field, where)[:, 0]
         value[~inside], slope[~inside] = np.nan, np.nan
         return value, slope
 
