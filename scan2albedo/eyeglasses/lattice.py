@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from scipy import ndimage, sparse
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.geometry.mesh import vertex_components
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.int64)
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
@@ -48,10 +48,7 @@ class Lattice:
     @property
     def cell_components(self) -> IntArray:
         """(C,) labels of the cells that share corners, directly or through others."""
-        rows, columns = np.repeat(self.corners[:, 0], 7), self.corners[:, 1:].ravel()
-        count = len(self.nodes)
-        graph = sparse.csr_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(count, count))
-        return connected_components(graph, directed=False)[1].astype(np.int64)[self.corners[:, 0]]
+        return vertex_components(len(self.nodes), self.corners)[self.corners[:, 0]]
 
     def find(self, cells: IntArray) -> IntArray:
         """Return (P,) indices of the given cells (P, 3) in `cells`, -1 where they are not among them."""

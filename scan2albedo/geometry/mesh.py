@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
@@ -14,20 +13,8 @@ FAR_FACTOR, FAR_PERCENT, OBJECT_SHARE = 3.0, 75.0, 0.05
 
 def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F, 3) cross products of two edges of each face: normal direction, length twice the area."""
-    crosses: FloatArray = _corner_crosses(np.ascontiguousarray(vertices[faces], np.float64))
-    return crosses
-
-
-@njit(cache=True, nogil=True)
-def _corner_crosses(corners):  # type: ignore[no-untyped-def]
-    """Return (F, 3) cross products of the first two edges of triangles (F, 3, 3)."""
-    result = np.empty((len(corners), 3))
-    for i in range(len(corners)):
-        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
-        for k in range(3):
-            m, n = (k + 1) % 3, (k + 2) % 3
-            result[i, k] = (b[m] - a[m]) * (c[n] - a[n]) - (b[n] - a[n]) * (c[m] - a[m])
-    return result
+    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
+    return np.cross(second - first, third - first)
 
 
 def face_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -58,18 +45,9 @@ def face_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 def vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (V, 3) unit normals, faces weighted by area; zero where a vertex has no area around it."""
-    sums = np.zeros((len(vertices), 3))
-    _add_to_corners(face_cross_products(vertices, faces), np.ascontiguousarray(faces, np.int64), sums)
-    return normalized(sums)
-
-
-@njit(cache=True, nogil=True)
-def _add_to_corners(values, faces, sums):  # type: ignore[no-untyped-def]
-    """Add values (F, 3) of faces to `sums` (V, 3) at their corners."""
-    for i in range(len(faces)):
-        for corner in range(3):
-            for k in range(3):
-                sums[faces[i, corner], k] += values[i, k]
+    corners, crosses = faces.ravel(), face_cross_products(vertices, faces)
+    sums = [np.bincount(corners, np.repeat(part, 3), len(vertices)) for part in crosses.T]
+    return normalized(np.stack(sums, 1))
 
 
 def vertex_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -112,44 +90,21 @@ def boundary_loops(faces: IntArray) -> list[IntArray]:
 
 def adjacency(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     """Return the symmetric (V, V) 0/1 adjacency of vertices joined by an edge."""
-    begins, neighbours = neighbour_lists(vertex_count, faces)
-    joined = np.ones(len(neighbours))
-    return sparse.csr_matrix((joined, neighbours, begins), shape=(vertex_count, vertex_count))
+    index = np.ascontiguousarray(faces, np.int64)
+    require_vertices(index, vertex_count)
+    start, end = index.ravel(), index[:, [1, 2, 0]].ravel()
+    apart, shape = start != end, (vertex_count, vertex_count)
+    joined = (np.ones(int(apart.sum()), bool), (start[apart], end[apart]))
+    graph = sparse.coo_matrix(joined, shape=shape).tocsr()
+    return (graph + graph.T).astype(np.float64)
 
 
 def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
-    """Return (V,) component labels 0..n-1 of vertices connected through faces."""
-    index = np.ascontiguousarray(faces, np.int64)
-    require_vertices(index, vertex_count)
-    labels: IntArray = _component_labels(vertex_count, index)
-    return labels
-
-
-@njit(cache=True, nogil=True)
-def _component_labels(count, faces):  # type: ignore[no-untyped-def]
-    """Return (V,) labels by union and find; each part's root is its first vertex."""
-    parent = np.arange(count)
-    for i in range(len(faces)):
-        for k in range(2):
-            a, b = faces[i, k], faces[i, k + 1]
-            while parent[a] != a:
-                parent[a] = parent[parent[a]]
-                a = parent[a]
-            while parent[b] != b:
-                parent[b] = parent[parent[b]]
-                b = parent[b]
-            if a < b:
-                parent[b] = a
-            else:
-                parent[a] = b
-    labels, found = np.empty(count, np.int64), 0
-    for v in range(count):
-        if parent[v] == v:
-            labels[v] = found
-            found += 1
-        else:
-            labels[v] = labels[parent[v]]
-    return labels
+    """Return (V,) component labels 0..n-1 of vertices connected through faces, by their first vertex."""
+    require_vertices(faces, vertex_count)
+    edges = faces[:, :-1].ravel(), faces[:, 1:].ravel()
+    graph = sparse.coo_matrix((np.ones(len(edges[0]), bool), edges), shape=(vertex_count, vertex_count))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def turned_against_neighbours(faces: IntArray) -> BoolArray:
@@ -235,75 +190,21 @@ def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntAr
 
     The neighbours of vertex v are ``neighbours[begins[v]:begins[v + 1]]``.
     """
-    index = np.ascontiguousarray(faces, np.int64)
-    require_vertices(index, vertex_count)
-    ends = np.zeros(vertex_count + 1, np.int64)
-    np.cumsum(2 * np.bincount(index.ravel(), minlength=vertex_count), out=ends[1:])
-    every = np.empty(ends[-1], np.int64)
-    _list_corners(index, ends[:-1].copy(), every)
-    # From about 64 on insertion is slower than `numpy.sort`.
-    for long in np.flatnonzero(np.diff(ends) > 64):
-        every[ends[long] : ends[long + 1]].sort()
-    begins = np.zeros_like(ends)
-    count = _sort_rows_once(ends, every, begins)
-    return begins, every[:count].copy()
-
-
-@njit(cache=True, nogil=True)
-def _list_corners(faces, place, every):  # type: ignore[no-untyped-def]
-    """Write both other corners of each face's corner to `every`, at the vertex's `place`, which moves on."""
-    for i in range(len(faces)):
-        for k in range(3):
-            here = faces[i, k]
-            every[place[here]] = faces[i, (k + 1) % 3]
-            every[place[here] + 1] = faces[i, (k + 2) % 3]
-            place[here] += 2
-
-
-@njit(cache=True, nogil=True)
-def _sort_rows_once(ends, every, begins):  # type: ignore[no-untyped-def]
-    """Sort each row of `every` and drop duplicates, in place; write where rows begin, return N.
-
-    By insertion, since rows are short or sorted before; the write position never overtakes the read position.
-    """
-    count = 0
-    for v in range(len(ends) - 1):
-        for k in range(ends[v], ends[v + 1]):
-            here, place = every[k], count
-            while place > begins[v] and every[place - 1] > here:
-                place -= 1
-            if here == v or (place > begins[v] and every[place - 1] == here):
-                continue
-            for m in range(count, place, -1):
-                every[m] = every[m - 1]
-            every[place] = here
-            count += 1
-        begins[v + 1] = count
-    return count
+    graph = adjacency(vertex_count, faces)
+    return graph.indptr.astype(np.int64), graph.indices.astype(np.int64)
 
 
 def face_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
     """Return (begins (V + 1,), around (3 F,)): vertex v is in faces ``around[begins[v]:begins[v + 1]]``."""
     index = np.ascontiguousarray(faces, np.int64)
     require_vertices(index, vertex_count)
-    begins = np.zeros(vertex_count + 1, np.int64)
-    np.cumsum(np.bincount(index.ravel(), minlength=vertex_count), out=begins[1:])
-    around = np.empty(index.size, np.int64)
-    _list_faces(index, begins[:-1].copy(), around)
-    return begins, around
-
-
-@njit(cache=True, nogil=True)
-def _list_faces(faces, place, around):  # type: ignore[no-untyped-def]
-    """Write each face to `around` at the `place` of each of its corners, which moves on."""
-    for i in range(len(faces)):
-        for k in range(3):
-            around[place[faces[i, k]]] = i
-            place[faces[i, k]] += 1
+    corners = np.ones(index.size, bool), index.ravel(), np.arange(0, index.size + 1, 3)
+    incidence = sparse.csr_matrix(corners, shape=(len(index), vertex_count)).tocsc()
+    return incidence.indptr.astype(np.int64), incidence.indices.astype(np.int64)
 
 
 def require_vertices(faces: IntArray, vertex_count: int) -> None:
-    """Refuse faces that kernels would read and write past the end of."""
+    """Refuse faces that refer to a vertex that is not there."""
     if len(faces) and not (faces.min() >= 0 and faces.max() < vertex_count):
         raise IndexError(
             f"faces refer to vertices {faces.min()} to {faces.max()}, but there are {vertex_count}"

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -93,27 +92,12 @@ def anchors(samples: OrientedPoints, *, spacing: float, limit: int, reach: float
     return OrientedPoints(samples.points[chosen], normalized(outward.reshape(-1, 3)), samples.areas[chosen])
 
 
-def farthest_points(points: FloatArray, spacing: float, limit: int, first: int = 0) -> IntArray:
+def farthest_points(points: FloatArray, spacing: float, limit: int) -> IntArray:
     """Return indices of points at least `spacing` apart, farthest first, at most `limit` of them."""
-    limit = min(limit, len(points))
-    return _farthest_points(np.ascontiguousarray(points), spacing * spacing, limit, first)
-
-
-@njit(cache=True, nogil=True)
-def _farthest_points(points, spacing_squared, limit, first):  # type: ignore[no-untyped-def]
-    chosen = np.empty(limit, np.int64)
-    squared = np.full(points.shape[0], np.inf)
-    count, index = 0, first
-    while count < limit:
-        chosen[count] = index
-        count += 1
-        x, y, z = points[index, 0], points[index, 1], points[index, 2]
-        index = 0
-        for i in range(points.shape[0]):
-            dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-            squared[i] = min(squared[i], dx * dx + dy * dy + dz * dz)
-            if squared[i] > squared[index]:
-                index = i
-        if squared[index] < spacing_squared:
-            break
-    return chosen[:count]
+    chosen, squared, across = [0], np.full(len(points), np.inf), np.ascontiguousarray(points.T)
+    while len(chosen) < min(limit, len(points)):
+        squared = np.minimum(squared, ((across - across[:, chosen[-1:]]) ** 2).sum(0))
+        chosen.append(int(squared.argmax()))
+        if squared[chosen[-1]] < spacing * spacing:
+            return np.array(chosen[:-1])
+    return np.array(chosen[: len(points)], np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.mesh import normalized
 
 
@@ -33,6 +33,19 @@ def project(camera: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatAr
     front = depth > 0
     pixels = np.where(front[:, None], image[:, :2] / np.where(front, depth, 1.0)[:, None], np.nan)
     return pixels, depth
+
+
+def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return pixels (N, 2) of points (N, 3), NaN behind a camera, derivatives (N, 2, 3), and which are ahead.
+
+    `cameras` (N, 3, 4) are normalised; one, (1, 3, 4), may be that of all points.
+    """
+    image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
+    front = image[:, 2] > 0
+    depth = np.where(front, image[:, 2], np.nan)
+    pixels = image[:, :2] / depth[:, None]
+    slopes = (cameras[:, :2, :3] - pixels[:, :, None] * cameras[:, 2:, :3]) / depth[:, None, None]
+    return pixels, slopes, front
 
 
 def camera_centers(cameras: FloatArray) -> FloatArray:

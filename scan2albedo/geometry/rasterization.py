@@ -52,20 +52,11 @@ def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tupl
     return Raster(face, barycentric)
 
 
-def nearest_faces(
-    pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]
-) -> NDArray[np.int32]:
-    """Return `rasterize`'s `face` (H, W) alone: faster, where few pixels need weights."""
-    face = np.full(shape, -1, np.int32)
-    _rasterize(*_contiguous(pixels, depth, faces), np.full(shape, -np.inf), face, np.zeros((0, 0, 3)))
-    return face
-
-
 def nearest_depths(
     pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
     """Return the largest depth (H, W) at each pixel centre, -inf where nothing covers it."""
-    nearest, none = np.full(shape, -np.inf), np.zeros((0, 0), np.int32)
+    nearest, none = np.full(shape, -np.inf), np.zeros((0, 0), np.int64)
     _rasterize(*_contiguous(pixels, depth, faces), nearest, none, np.zeros((0, 0, 3)))
     return nearest
 
@@ -82,9 +73,9 @@ def _contiguous(
 
 @njit(cache=True, nogil=True)
 def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[no-untyped-def]
-    """Fill `nearest` (H, W), -inf before, with depths; `owner` (H, W), `weights` (H, W, 3) unless empty."""
+    """Fill `nearest` (H, W), -inf before, and unless empty `owner` (H, W) and `weights` (H, W, 3)."""
     height, width = nearest.shape
-    owned, weighted = owner.size > 0, weights.size > 0
+    owned = owner.size > 0
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         ax, ay = pixels[a, 0], pixels[a, 1]
@@ -111,7 +102,6 @@ def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[n
                     nearest[row, column] = z
                     if owned:
                         owner[row, column] = f
-                    if weighted:
                         weights[row, column, 0] = wa
                         weights[row, column, 1] = wb
                         weights[row, column, 2] = wc
@@ -152,6 +142,17 @@ def polyline_distance(points: FloatArray, line: FloatArray) -> FloatArray:
         part = np.clip(offset @ along / max(float(along @ along), 1e-12), 0, 1)
         nearest = np.minimum(nearest, np.linalg.norm(offset - part[:, None] * along, axis=1))
     return nearest
+
+
+def bilinear_slopes(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the derivatives (N, C, 2) of `bilinear` by column and row, beyond an edge those at it."""
+    last = np.array(image.shape[1::-1]) - 1
+    place = np.clip(pixels, 0, last)
+    corner = np.minimum(place, last - 1).astype(np.int64)
+    (x, y), (column, row) = (place - corner).T[..., None], corner.T
+    a, b = image[row, column], image[row, column + 1]
+    c, d = image[row + 1, column], image[row + 1, column + 1]
+    return np.asarray(np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2))
 
 
 def filled_from_nearest(image: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.float64]:

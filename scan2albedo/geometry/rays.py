@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -68,8 +67,7 @@ class RayCaster:
 
     def to_local(self, points: ArrayLike) -> NDArray[np.float32]:
         """Return (N, 3) float32: points centred and scaled as embree sees them, for `occluded_local`."""
-        xyz = np.ascontiguousarray(points, np.float64)
-        return _centered(xyz, self._center, 1 / self._scale)
+        return ((np.asarray(points, np.float64) - self._center) * (1 / self._scale)).astype(np.float32)
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike) -> BoolArray:
         """Return (N,) True where the ray from `origins` (N, 3) along `directions` hits anything.
@@ -110,50 +108,19 @@ class RayCaster:
             face[block] = self._scene.run(local, _single(heading[block]), query="INTERSECT")
 
         each_block(shoot, blocks(len(start), _CHUNK))
-        # Each ray meets its triangle again in float64.
+        # Each ray meets its triangle again in float64, by Moeller and Trumbore.
         distance, barycentric = np.full(len(start), np.inf), np.zeros((len(start), 3))
-        _intersect(start, heading, face, self._vertices, self._faces, distance, barycentric)
-        return RayHits(face, barycentric, distance)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _intersect(start, heading, face, vertices, faces, distance, barycentric):  # type: ignore[no-untyped-def]
-    """Write distances (N,) and weights (N, 3) of rays that hit a face, by Moeller and Trumbore."""
-    e1, e2, s, d = np.empty((4, 3))
-    for i in range(len(face)):
-        if face[i] < 0:
-            continue
-        corner = faces[face[i]]
-        for k in range(3):
-            origin = vertices[corner[0], k]
-            e1[k], e2[k] = vertices[corner[1], k] - origin, vertices[corner[2], k] - origin
-            s[k], d[k] = start[i, k] - origin, heading[i, k]
-        determinant = along = u = v = 0.0
-        for k in range(3):
-            m, n = (k + 1) % 3, (k + 2) % 3
-            p, q = d[m] * e2[n] - d[n] * e2[m], s[m] * e1[n] - s[n] * e1[m]
-            determinant += e1[k] * p
-            u += s[k] * p
-            v += d[k] * q
-            along += e2[k] * q
-        inverse = 1 / determinant if determinant != 0.0 else 0.0
-        u, v = u * inverse, v * inverse
+        hit = np.flatnonzero(face >= 0)
+        origin, *ends = np.moveaxis(self._vertices[self._faces[face[hit]]], 1, 0)
+        (e1, e2), s = (end - origin for end in ends), start[hit] - origin
+        p, q = np.cross(heading[hit], e2), np.cross(s, e1)
+        determinant, *solved = ((a * b).sum(1) for a, b in ((e1, p), (s, p), (heading[hit], q), (e2, q)))
+        inverse = np.divide(1.0, determinant, where=determinant != 0, out=np.zeros(len(hit)))
+        u, v, distance[hit] = solved * inverse
         # Embree's float32 takes rays that pass a hair beside the face.
-        a, b, c = max(1 - u - v, 0.0), max(u, 0.0), max(v, 0.0)
-        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = a, b, c
-        for k in range(3):
-            barycentric[i, k] /= a + b + c
-        distance[i] = along * inverse
-
-
-@njit(cache=True, nogil=True)
-def _centered(points, center, factor):  # type: ignore[no-untyped-def]
-    """Return (points - center) factor as float32, the difference taken in float64, in one pass."""
-    result = np.empty(points.shape, np.float32)
-    for i in range(points.shape[0]):
-        for k in range(3):
-            result[i, k] = (points[i, k] - center[k]) * factor
-    return result
+        weights = np.maximum(np.stack([1 - u - v, u, v], 1), 0.0)
+        barycentric[hit] = weights / weights.sum(1, keepdims=True)
+        return RayHits(face, barycentric, distance)
 
 
 def _single(values: ArrayLike) -> NDArray[np.float32]:

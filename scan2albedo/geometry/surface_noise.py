@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+from scipy.sparse import csr_array
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import neighbour_lists, vertex_areas, vertex_normals
@@ -50,15 +50,7 @@ class SurfaceNoise:
         return float(noise), float(self.area[chosen].mean())
 
 
-@njit(cache=True, nogil=True)
-def above_neighbours(vertices, begins, neighbours):  # type: ignore[no-untyped-def]
+def above_neighbours(vertices: FloatArray, begins: IntArray, neighbours: IntArray) -> FloatArray:
     """Return (V, 3) offsets of the vertices from the mean of their neighbours (`neighbour_lists`)."""
-    offset = np.empty(vertices.shape)
-    for v in range(len(vertices)):
-        degree = max(begins[v + 1] - begins[v], 1)
-        for k in range(3):
-            total = 0.0
-            for n in neighbours[begins[v] : begins[v + 1]]:
-                total += vertices[n, k]
-            offset[v, k] = vertices[v, k] - total / degree
-    return offset
+    around = csr_array((np.ones(len(neighbours)), neighbours, begins), shape=(len(vertices),) * 2)
+    return np.asarray(vertices - around @ vertices / np.maximum(np.diff(begins), 1)[:, None])

@@ -85,11 +85,6 @@ class PhotographFiles:
     landmarks_px: FloatArray | None
     """(68, 2): NaN for hidden ones."""
 
-    @property
-    def gamma_given(self) -> bool:
-        """Whether the file says what gamma is, which is a guess otherwise."""
-        return "gamma" in self.content.model_fields_set
-
 
 def read_photograph(path: str | Path) -> PhotographFiles:
     """Return what the photograph file at `path` says, with its image, mask and mesh.
@@ -242,11 +237,6 @@ class CaptureFiles:
     def scale_known(self) -> bool:
         """Whether the file gives the strength of the flashes, so that albedos have their true scale."""
         return self.content.flash_strength != FlashCaptureFile.model_fields["flash_strength"].default
-
-    @property
-    def gamma_given(self) -> bool:
-        """Whether the file says what gamma is, which is a guess otherwise."""
-        return "gamma" in self.content.model_fields_set
 
     def pair_names(self) -> tuple[str, ...]:
         """Camera and flash of each pair."""

@@ -14,8 +14,8 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
-from scan2albedo.geometry.pinhole import camera_centers, project
-from scan2albedo.geometry.rasterization import bilinear
+from scan2albedo.geometry.pinhole import camera_centers, project, projected
+from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
 from scan2albedo.reflectance.image_fit import photometric_penalty
@@ -64,10 +64,9 @@ class SmoothImage:
 
     def covers(self, pixels: FloatArray) -> BoolArray:
         """Return (N,) whether all four pixels around each of (N, 2) are valid; NaN is outside."""
-        height, width = self.valid.shape
-        x, y = pixels[:, 0], pixels[:, 1]
-        inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-        left, top, _, _ = self._cells(np.where(inside[:, None], pixels, 0.0))
+        last = np.array(self.valid.shape)[::-1] - 1
+        inside = np.asarray(((pixels >= 0) & (pixels <= last)).all(1))
+        left, top = np.minimum(np.where(inside[:, None], pixels, 0.0), last - 1).astype(np.int64).T
         around = self.valid[top, left] & self.valid[top + 1, left]
         around &= self.valid[top, left + 1] & self.valid[top + 1, left + 1]
         return np.asarray(inside & around, np.bool_)
@@ -78,21 +77,8 @@ class SmoothImage:
 
     def gradient(self, pixels: FloatArray) -> FloatArray:
         """Return the derivatives (N, 3, 2) of `look_up` by column and row; 0 beyond the border."""
-        left, top, fx, fy = self._cells(pixels)
-        a, b = self._image[top, left], self._image[top, left + 1]
-        c, d = self._image[top + 1, left], self._image[top + 1, left + 1]
-        slopes = np.stack([(1 - fy) * (b - a) + fy * (d - c), (1 - fx) * (c - a) + fx * (d - b)], 2)
-        height, width = self.valid.shape
-        inside = (pixels > 0) & (pixels < [width - 1, height - 1])
-        return np.asarray(slopes * inside[:, None, :])
-
-    def _cells(self, pixels: FloatArray) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-        """Return column and row of the upper left pixel, and the way from it (N, 1)."""
-        height, width = self.valid.shape
-        x, y = np.clip(pixels[:, 0], 0, width - 1), np.clip(pixels[:, 1], 0, height - 1)
-        left = np.minimum(x.astype(np.int64), width - 2)
-        top = np.minimum(y.astype(np.int64), height - 2)
-        return left, top, (x - left)[:, None], (y - top)[:, None]
+        inside = (pixels > 0) & (pixels < np.array(self.valid.shape)[::-1] - 1)
+        return np.asarray(bilinear_slopes(self._image, pixels) * inside[:, None, :])
 
 
 @dataclass(frozen=True)
@@ -116,7 +102,7 @@ class LandmarkTerm:
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`."""
         off, count = self._off(vertices), len(self.vertex)
-        blocks = self.pixel_mm * projection_jacobian(self.camera, vertices[self.vertex])
+        blocks = self.pixel_mm * projected(self.camera[None], vertices[self.vertex])[1]
         shape = (2 * count, 3 * len(vertices))
         jacobian = sparse.bsr_matrix((blocks, self.vertex, np.arange(count + 1)), shape=shape)
         weight = np.full(2 * count, 2 * LANDMARK_WEIGHT / count)
@@ -177,7 +163,7 @@ class PhotometricTerm:
         normals = vertex_normals(vertices, self.faces)[used]
         by_normal, by_view = shading_gradient(self.reflectance, normals, view, self.light)
         across = by_view - np.einsum("uji,ui,uk->ujk", by_view, view, view)
-        direct = self.image.gradient(pixels) @ projection_jacobian(self.camera, points)
+        direct = self.image.gradient(pixels) @ projected(self.camera[None], points)[1]
         # The line of sight turns against the vertex: its derivative is -(I - v v^T) / distance.
         direct += across / distance[:, None, None]
         # -by_normal dn / dx + direct, rows of the used vertices only.
@@ -226,13 +212,6 @@ def photometric_term(
     one = reflectance
     part = VertexReflectance(one.diffuse_linear[used], one.weights[used], one.known[used])
     return PhotometricTerm(image, camera, faces, used, part, light, unit)
-
-
-def projection_jacobian(camera: FloatArray, points: FloatArray) -> FloatArray:
-    """Return (N, 2, 3) derivatives of `project`'s pixels by the points (N, 3), all in front of the camera."""
-    image = points @ camera[:, :3].T + camera[:, 3]
-    pixels = image[:, :2] / image[:, 2:]
-    return np.asarray((camera[:2, :3] - pixels[:, :, None] * camera[2, :3]) / image[:, 2, None, None])
 
 
 @dataclass(frozen=True)

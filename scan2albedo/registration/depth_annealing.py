@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from scan2albedo.core import Meter, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -56,10 +55,7 @@ class DepthDerivativeObjective:
         places, shape = self._frame.pixels(self._vertices), (size, size)
         raster = rasterize(places, self._vertices[:, 2], self._faces, shape)
         self._weights = interpolate(raster, self._faces, template.coarse_stiffness)
-        # Steps to the right and down (2, S - 1, S - 1), not finite beside nothing.
-        here = self._scan[:-1, :-1]
-        with np.errstate(invalid="ignore"):
-            self._slopes = np.stack([self._scan[:-1, 1:] - here, self._scan[1:, :-1] - here])
+        self._slopes = _slopes(self._scan)
         seen = np.isfinite(self._slopes).all(0)
         self._pixel_weights = np.where(seen, self._weights[:-1, :-1], 0.0)
 
@@ -72,7 +68,9 @@ class DepthDerivativeObjective:
         if total == 0:
             return 1.0
         limit = 0.5 * self._frame.pixel
-        cost = _slope_cost(self._draw(parameters), self._slopes, self._pixel_weights, limit)
+        with np.errstate(invalid="ignore"):
+            off = np.abs(_slopes(self._draw(parameters)) - self._slopes)
+        cost = np.vdot(self._pixel_weights, np.fmin(off, limit).sum(0))
         return float(cost) / (2 * limit * total)
 
     def depth_shift_mm(self, parameters: FloatArray) -> float:
@@ -81,25 +79,15 @@ class DepthDerivativeObjective:
         common = np.isfinite(image) & np.isfinite(self._scan) & (self._weights > 0)
         if not common.any():
             return 0.0
-        difference = self._scan[common] - image[common]
-        order = np.argsort(difference, kind="stable")
-        cumulated = np.cumsum(self._weights[common][order])
-        return float(difference[order][np.searchsorted(cumulated, cumulated[-1] / 2)])
+        difference, weights = self._scan[common] - image[common], self._weights[common]
+        return float(np.quantile(difference, 0.5, weights=weights, method="inverted_cdf"))
 
 
-@njit(cache=True, nogil=True)
-def _slope_cost(image, slopes, weights, limit):  # type: ignore[no-untyped-def]
-    """Return sum w min(|D image - slopes|, limit); steps beside nothing, infinite or NaN, count `limit`."""
-    cost = 0.0
-    for row in range(weights.shape[0]):
-        for column in range(weights.shape[1]):
-            if weights[row, column] > 0:
-                here = image[row, column]
-                right = abs(image[row, column + 1] - here - slopes[0, row, column])
-                down = abs(image[row + 1, column] - here - slopes[1, row, column])
-                off = (right if right < limit else limit) + (down if down < limit else limit)
-                cost += weights[row, column] * off
-    return cost
+def _slopes(image: FloatArray) -> FloatArray:
+    """Return the steps (2, S - 1, S - 1) to the right and down in an image, not finite beside nothing."""
+    here = image[:-1, :-1]
+    with np.errstate(invalid="ignore"):
+        return np.stack([image[:-1, 1:] - here, image[1:, :-1] - here])
 
 
 def anneal_depth_derivatives(

@@ -74,9 +74,7 @@ class Residuals:
         if not inlier.any():
             return float("inf")
         distance = np.abs(self.plane_mm[inlier])
-        order = np.argsort(distance, kind="stable")
-        cumulated = np.cumsum(weights[inlier][order])
-        return float(distance[order][np.searchsorted(cumulated, part * cumulated[-1])])
+        return float(np.quantile(distance, part, weights=weights[inlier], method="inverted_cdf"))
 
     def robust_cost(self, weights: FloatArray, sigma_mm: float) -> float:
         """Return the weighted mean of min(distance, 3 sigma), 3 sigma where there is no inlier."""

@@ -11,10 +11,11 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.mean_keypoints import align_key_points, in_own_axes
-from scan2albedo.eyeglasses.on_face.outline import cover, covered_points, hidden_by
+from scan2albedo.eyeglasses.on_face.outline import hidden_by
 from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.rendering.pictures import seen_samples
 from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel
 
@@ -130,12 +131,11 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     )
     picture = np.repeat(np.round(255 * gray).astype(np.uint8)[:, :, None], 3, axis=2)
     # Where the frame is seen, and where the head is in front of it.
-    pixels, depth = project(normalized_cameras((zoom @ camera)[None])[0], frame.vertices)
-    at, face, share = covered_points(cover(pixels, depth, frame.faces, size), pixels, depth, frame.faces)
-    behind = hidden_by(head, camera, np.einsum("nk,nki->ni", share, frame.vertices[frame.faces[face]]))
+    shown = seen_samples(frame.vertices, frame.faces, normalized_cameras((zoom @ camera)[None])[0], size)
+    behind = hidden_by(head, camera, shown.interpolated(frame.vertices))
     seen, hidden = np.zeros((2, *size), bool)
-    seen[at[~behind, 1], at[~behind, 0]] = True
-    hidden[at[behind, 1], at[behind, 0]] = True
+    seen.flat[shown.index[~behind]] = True
+    hidden.flat[shown.index[behind]] = True
     # The silhouette's own border; what the head cuts off is not a border of the frame.
     for part, rest, color in ((hidden, ~(seen | hidden), "cornflowerblue"), (seen, ~seen, "darkorange")):
         picture[part & binary_dilation(rest, iterations=2)] = np.round(255 * np.array(to_rgb(color)))

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.geometry.mesh import face_normals
+from scan2albedo.geometry.mesh import face_normals, vertex_components
 from scan2albedo.geometry.pinhole import camera_centers, fit_camera
 from scan2albedo.geometry.tangents import split_at_seams
 
@@ -53,10 +51,7 @@ def texture_cameras(scan: RawScan) -> TextureCameras | None:
     normals = face_normals(scan.vertices, scan.faces)
     # The connected piece of the texture that each face is part of.
     corner = split_at_seams(scan.faces, scan.uv).faces
-    edges = np.concatenate([corner[:, :2], corner[:, 1:]])
-    count = int(corner.max()) + 1
-    graph = coo_matrix((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (count, count))
-    pieces = connected_components(graph, directed=False)[1][corner[:, 0]]
+    pieces = vertex_components(int(corner.max()) + 1, corner)[corner[:, 0]]
     camera, positions = np.full(len(scan.faces), -1), list[FloatArray]()
     sizes = np.bincount(pieces)
     least = max(_LEAST_FACES, _LEAST_PART * len(scan.faces))

@@ -180,7 +180,7 @@ def test_the_example_of_the_documentation(tmp_path):
     assert np.allclose(depth, 1000)
     light = (130 / 255) ** 2.2 - (40 / 255) ** 2.2
     assert read.extract_olat().linear[0, 300, 500] == pytest.approx(light, rel=1e-5)
-    assert read.gamma_given
+    assert "gamma" in read.content.model_fields_set
     assert not read.scale_known
 
 

@@ -11,9 +11,8 @@ from scan2albedo.runs.reflectance.image_run import FittedPhotograph
 
 def notes(relative_rmse=0.12, *, beats_mean=True, badly_explained=False, gamma_given=True):
     """Return the notes on a fit."""
-    photograph = SimpleNamespace(
-        path=Path("photograph.json"), content=SimpleNamespace(gamma=1.2), gamma_given=gamma_given
-    )
+    content = SimpleNamespace(gamma=1.2, model_fields_set={"gamma"} if gamma_given else set())
+    photograph = SimpleNamespace(path=Path("photograph.json"), content=content)
     fit = SimpleNamespace(converged=True, relative_rmse=relative_rmse)
     face = SimpleNamespace(beats_mean=beats_mean, badly_explained=badly_explained, fit=fit)
     mesh = np.zeros((3, 3)), np.array([[0, 1, 2]])

@@ -94,24 +94,12 @@ class _PixelShadows(ShadowMap):
         lit = np.zeros(len(self.position), np.uint8)
         lit[self._stages[0][0]] = self._alone.visible(direction, distance_mm)
         for at, around in self._stages[1:]:
-            unsure = _agree(lit, at, around)
+            those = lit[around].sum(0)
+            lit[at] = those == len(around)
+            unsure = at[(those > 0) & (those < len(around))]
             if len(unsure):
                 lit[unsure] = self._some(unsure).visible(direction, distance_mm)
         return lit
-
-
-@njit(cache=True, nogil=True)
-def _agree(lit, at, around):  # type: ignore[no-untyped-def]
-    """Set `lit` (N,) at points (M,) as those around (4, M) are; return the points about which they differ."""
-    unsure = np.empty(len(at), np.int64)
-    count = 0
-    for m in range(len(at)):
-        total = lit[around[0, m]] + lit[around[1, m]] + lit[around[2, m]] + lit[around[3, m]]
-        lit[at[m]] = total == 4
-        if 0 < total < 4:
-            unsure[count] = at[m]
-            count += 1
-    return unsure[:count]
 
 
 @njit(cache=True, nogil=True)

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import (
     RIGID,
@@ -22,6 +22,7 @@ from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, ObservedView, OutlineSamples
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals
+from scan2albedo.geometry.pinhole import projected
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
 _BEHIND = 1e6
@@ -266,16 +267,6 @@ class _Sums:
         gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self.with_matrix)
         self.gradient += gradient
         self.matrix += matrix
-
-
-def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return pixels (N, 2) of points, NaN behind their camera, derivatives (N, 2, 3), which lie in front."""
-    image = np.einsum("nij,nj->ni", cameras[:, :, :3], points) + cameras[:, :, 3]
-    front = image[:, 2] > 0
-    depth = np.where(front, image[:, 2], np.nan)
-    pixels = image[:, :2] / depth[:, None]
-    slopes = (cameras[:, :2, :3] - pixels[:, :, None] * cameras[:, 2:, :3]) / depth[:, None, None]
-    return pixels, slopes, front
 
 
 @dataclass(frozen=True)

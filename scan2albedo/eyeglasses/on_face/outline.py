@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
-from scan2albedo.geometry.rasterization import nearest_faces
+from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
@@ -59,15 +59,8 @@ class MaskDistance:
         place = pixels - np.array(self.corner)
         with np.errstate(invalid="ignore"):
             inside = ((place >= 0) & (place <= [width - 1, height - 1])).all(1)
-        where = np.where(inside[:, None], place, 0.0)
-        first = np.minimum(np.floor(where), [width - 2, height - 2]).astype(np.int64)
-        x, y = (where - first).T
-        column, row = first.T
-        a, b = self.field[row, column], self.field[row, column + 1]
-        c, d = self.field[row + 1, column], self.field[row + 1, column + 1]
-        value = (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
-        slope = np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 1)
-        value, slope = value.astype(np.float64), slope.astype(np.float64)
+        field, where = self.field[..., None], np.where(inside[:, None], place, 0.0)
+        value, slope = bilinear(field, where)[:, 0], bilinear_slopes(field, where)[:, 0]
         value[~inside], slope[~inside] = np.nan, np.nan
         return value, slope
 
@@ -148,88 +141,22 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
     return head.occluded(points + _ABOVE_SKIN_MM * normalized(toward), toward)
 
 
-@dataclass(frozen=True)
-class Outline:
-    """Pixels (N, 2) of a mask that touch the outside, and the surface points at their centres.
+def trace_outline(seen: SeenSamples) -> tuple[IntArray, FloatArray]:
+    """Return the samples, one a pixel, with an unseen 4-neighbour, and unit vectors (N, 2) to the outside.
 
-    `face` (N,) and `barycentric` (N, 3) are the points, `outward` (N, 2) unit vectors away from the mask.
+    The picture's border is not an outline.
     """
-
-    pixels: IntArray
-    face: IntArray
-    barycentric: FloatArray
-    outward: FloatArray
-
-
-def cover(
-    pixels: FloatArray, depth: FloatArray, faces: IntArray, shape: tuple[int, int]
-) -> NDArray[np.int32]:
-    """Return (H, W) the foremost face in front of the camera at each pixel's centre, -1 for none.
-
-    `pixels` (V, 2) are column and row, `depth` (V,) distances from the camera's plane.
-    """
-    return nearest_faces(pixels, 1 / np.where(depth > 0, depth, np.nan), faces, shape)
-
-
-def trace_outline(
-    covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
-) -> Outline:
-    """Return the covered pixels with an uncovered 4-neighbour; the picture's border is not an outline."""
-    row, column, outward = _border(covered)
-    length = np.linalg.norm(outward, axis=1)
-    kept = length > 0
-    at = np.stack([column[kept], row[kept]], 1)
-    return Outline(at, *_points_at(at, covered, pixels, depth, faces), outward[kept] / length[kept, None])
-
-
-def covered_points(
-    covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return all covered pixels (N, 2), their faces (N,) and the surface points' barycentric (N, 3)."""
-    row, column = np.nonzero(covered >= 0)
-    at = np.stack([column, row], 1)
-    return at, *_points_at(at, covered, pixels, depth, faces)
-
-
-def _points_at(
-    at: IntArray, covered: NDArray[np.int32], pixels: FloatArray, depth: FloatArray, faces: IntArray
-) -> tuple[IntArray, FloatArray]:
-    face = covered[at[:, 1], at[:, 0]].astype(np.int64)
-    corners = faces[face]
-    a, b, c = (pixels[corners[:, i]] - at for i in range(3))
-    areas = [u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] for u, v in ((b, c), (c, a), (a, b))]
-    flat = np.stack(areas, 1) / depth[corners]
-    return face, flat / flat.sum(1, keepdims=True)
-
-
-@njit(cache=True, nogil=True)
-def _border(face):  # type: ignore[no-untyped-def]
-    """Return rows, columns (N,) of border pixels, and sums of directions to uncovered pixels (N, 2)."""
-    rows, columns = face.shape
-    found = np.empty((rows * columns, 2), np.int64)
-    outward = np.empty((rows * columns, 2))
-    count = 0
-    for row in range(rows):
-        for column in range(columns):
-            if face[row, column] < 0:
-                continue
-            open_side = False
-            for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                r, c = row + dr, column + dc
-                if 0 <= r < rows and 0 <= c < columns and face[r, c] < 0:
-                    open_side = True
-            if not open_side:
-                continue
-            x, y = 0.0, 0.0
-            for r in range(max(0, row - _AROUND), min(rows, row + _AROUND + 1)):
-                for c in range(max(0, column - _AROUND), min(columns, column + _AROUND + 1)):
-                    if face[r, c] < 0:
-                        x += c - column
-                        y += r - row
-            found[count, 0], found[count, 1] = row, column
-            outward[count, 0], outward[count, 1] = x, y
-            count += 1
-    return found[:count, 0], found[:count, 1], outward[:count]
+    unseen = np.ones(seen.shape, np.bool_)
+    unseen.flat[seen.index] = False
+    which = np.flatnonzero(binary_dilation(unseen).flat[seen.index])
+    rows, columns = np.divmod(seen.index[which], seen.shape[1])
+    # What lies around each pixel, unseen or not, and the sums of the ways to what is.
+    way = np.arange(-_AROUND, _AROUND + 1)
+    padded = np.pad(unseen, _AROUND)
+    around = padded[rows[:, None, None] + way[:, None] + _AROUND, columns[:, None, None] + way + _AROUND]
+    outward = np.stack([around.sum(1) @ way, around.sum(2) @ way], 1)
+    some = outward.any(1)
+    return which[some], normalized(outward[some].astype(np.float64))
 
 
 class OutlineSampler:
@@ -260,18 +187,18 @@ class OutlineSampler:
             if view.distance is None or view.shape is None:
                 continue
             camera = view.camera
-            pixels, depth = project(camera, vertices)
-            covered = cover(pixels, depth, faces, view.shape)
-            outline = trace_outline(covered, pixels, depth, faces)
-            foremost = faces[outline.face, 0]
-            px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / depth[foremost]
+            seen = seen_samples(vertices, faces, camera, view.shape)
+            which, outward = trace_outline(seen)
+            seen = seen.chosen(which)
+            foremost = seen.corners[:, 0]
+            px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
             reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
             reach = np.minimum(_NEAR_PX + reach, REACH_PX)
             # Where the nearest border of the mask has its outside on the same side, its distance counts;
             # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
-            place = outline.pixels.astype(np.float64)
+            place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
             distance, slope = view.distance.sample(place)
-            facing = np.einsum("ni,ni->n", slope, outline.outward)
+            facing = np.einsum("ni,ni->n", slope, outward)
             # Points nearer to the picture's border than to the observed outline may have it outside.
             border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
             limit = np.minimum(reach, border + 0.5)
@@ -279,37 +206,31 @@ class OutlineSampler:
                 near = np.abs(distance) <= limit
                 near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
             edges, lost = np.full((len(place), 2), np.nan), np.flatnonzero(~near)
-            way = search_edges(view.distance, place[lost], outline.outward[lost], limit[lost])
-            edges[lost] = place[lost] + way[:, None] * outline.outward[lost]
+            way = search_edges(view.distance, place[lost], outward[lost], limit[lost])
+            edges[lost] = place[lost] + way[:, None] * outward[lost]
             kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
             # Points that the head hides, or a ray some pixels beside them.
-            corners, share = faces[outline.face[kept]], outline.barycentric[kept]
-            world = np.einsum("nk,nki->ni", share, vertices[corners])
             if self.head is not None and len(kept):
+                world = seen.chosen(kept).interpolated(vertices)
                 hidden = hidden_by(self.head, camera, world)
                 center = camera_centers(camera[None])[0]
                 far = np.linalg.norm(world - center, axis=1)[:, None]
                 for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                     ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
                     hidden |= hidden_by(self.head, camera, center + far * ray)
-                corners, share, kept = corners[~hidden], share[~hidden], kept[~hidden]
-            rest, weights = (
-                np.einsum("nk,nki->ni", share, a[corners]) for a in (points.rest, points.weights)
-            )
-            parts.append((np.full(len(kept), number), rest, weights, edges[kept], outline.outward[kept]))
+                kept = kept[~hidden]
+            rest, weights = (seen.chosen(kept).interpolated(a) for a in (points.rest, points.weights))
+            parts.append((np.full(len(kept), number), rest, weights, edges[kept], outward[kept]))
         number_of, rest, weights, edges, outward = (np.concatenate(part) for part in zip(*parts, strict=True))
         return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward)
 
     def mask(self, motion: FrameMotion, number: int) -> tuple[BoolArray, IntArray]:
-        """Return (H, W) True where a view should show the frame, the head in front, and its `shown` faces."""
-        view, faces = self.views[number], self.shown[number]
+        """Return (H, W) True where a view should show the frame, the head in front, and a vertex seen there."""
+        view = self.views[number]
         assert view.shape is not None
         vertices = motion.positions(self.mesh.points)
-        pixels, depth = project(view.camera, vertices)
-        covered = cover(pixels, depth, faces, view.shape)
-        at, face, share = covered_points(covered, pixels, depth, faces)
-        place = np.einsum("nk,nki->ni", share, vertices[faces[face]])
-        seen = ~hidden_by(self.head, view.camera, place)
+        seen = seen_samples(vertices, self.shown[number], view.camera, view.shape)
+        seen = seen.chosen(~hidden_by(self.head, view.camera, seen.interpolated(vertices)))
         owner = np.full(view.shape, -1, np.int64)
-        owner[at[seen, 1], at[seen, 0]] = face[seen]
+        owner.flat[seen.index] = seen.corners[:, 0]
         return owner >= 0, owner

@@ -223,8 +223,7 @@ def compare_masks(
     Also (K,) pixels of either mask away from the other, by the key point of the nearest vertex.
     """
     vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
-    view, faces = sampler.views[number], sampler.shown[number]
-    own, face = sampler.mask(motion, number)
+    own, foremost = sampler.mask(motion, number)
     union = own | mask
     differing = np.zeros(weights.shape[1])
     if not union.any():
@@ -240,10 +239,10 @@ def compare_masks(
         if not len(row):
             continue
         if here is own:
-            owner = faces[face[row, column], 0]
+            owner = foremost[row, column]
         else:
             # Vertices that the head should hide too: the mask may be what shows that it does not.
-            pixels, depth = project(view.camera, vertices)
+            pixels, depth = project(sampler.views[number].camera, vertices)
             front = np.flatnonzero(depth > 0)
             if not len(front):
                 continue

@@ -16,9 +16,9 @@ from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import is_posable
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
-from scan2albedo.eyeglasses.on_face.objective import RegistrationObjective, descend, projected
+from scan2albedo.eyeglasses.on_face.objective import RegistrationObjective, descend
 from scan2albedo.eyeglasses.on_face.outline import ObservedView
-from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.geometry.pinhole import normalized_cameras, projected
 from scan2albedo.geometry.rigid import compose, procrustes
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 

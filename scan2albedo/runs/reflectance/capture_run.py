@@ -256,8 +256,8 @@ def _notes_of_capture(capture: CaptureFiles, olat: OlatImages) -> list[str]:
 
 
 def gamma_notes(files: CaptureFiles | PhotographFiles) -> tuple[str, ...]:
-    """Return the caveat of a file that gives no gamma."""
-    if files.gamma_given:
+    """Return the caveat of a file that gives no gamma, which is a guess then."""
+    if "gamma" in files.content.model_fields_set:
         return ()
     return (
         f"{files.path.name} gives no gamma: light is taken as value^{files.content.gamma:g}; say "

@@ -3,15 +3,9 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.on_face.outline import (
-    MaskDistance,
-    cover,
-    covered_points,
-    search_edges,
-    trace_outline,
-)
-from scan2albedo.geometry.pinhole import look_at, project
-from scan2albedo.geometry.rasterization import rasterize
+from scan2albedo.eyeglasses.on_face.outline import MaskDistance, search_edges, trace_outline
+from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.rendering.pictures import seen_samples
 from scan2albedo.synthetic import eyeglasses
 
 SHAPE = (300, 400)
@@ -21,58 +15,47 @@ GLASSES = eyeglasses(2)
 
 @pytest.fixture(scope="module")
 def seen():
-    pixels, depth = project(CAMERA, GLASSES.vertices)
-    coverage = cover(pixels, depth, GLASSES.faces, SHAPE)
-    return pixels, depth, coverage
+    return seen_samples(GLASSES.vertices, GLASSES.faces, CAMERA, SHAPE)
 
 
-def test_it_covers_what_the_shared_rasteriser_covers(seen):
-    pixels, depth, coverage = seen
-    expected = rasterize(pixels, 1 / depth, GLASSES.faces, SHAPE)
-    mask = coverage >= 0
-    assert 3000 < mask.sum() < 30000
-    np.testing.assert_array_equal(mask, expected.covered)
-
-
-def test_points_lie_on_the_rays_of_their_pixels(seen):
-    pixels, depth, coverage = seen
-    place, face, share = covered_points(coverage, pixels, depth, GLASSES.faces)
-    points = np.einsum("nk,nki->ni", share, GLASSES.vertices[GLASSES.faces[face]])
-    np.testing.assert_allclose(project(CAMERA, points)[0], place, atol=1e-8)
-    assert share.min() > -1e-6
+def mask_of(seen):
+    """Where a mesh is seen, and (N, 2) column and row of each sample."""
+    mask = np.zeros(SHAPE, bool)
+    mask.flat[seen.index] = True
+    return mask, np.argwhere(mask)[:, ::-1]
 
 
 def test_an_outline_is_where_the_mask_ends_and_looks_outward(seen):
-    pixels, depth, coverage = seen
-    outline = trace_outline(coverage, pixels, depth, GLASSES.faces)
-    mask = np.pad(coverage >= 0, 1)
+    which, outward = trace_outline(seen)
+    shown, places = mask_of(seen)
+    assert 3000 < shown.sum() < 30000
+    mask = np.pad(shown, 1)
     inner = mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
-    expected = np.argwhere(mask[1:-1, 1:-1] & ~inner)
-    assert len(outline.pixels) >= 0.99 * len(expected)
-    assert {tuple(p) for p in outline.pixels[:, ::-1]} <= {tuple(p) for p in expected}
-    ahead = np.round(outline.pixels + 3 * outline.outward).astype(int)
-    assert (~mask[1:-1, 1:-1][ahead[:, 1], ahead[:, 0]]).mean() > 0.9
+    expected = np.argwhere(shown & ~inner)
+    assert len(which) >= 0.99 * len(expected)
+    assert {tuple(p) for p in places[which, ::-1]} <= {tuple(p) for p in expected}
+    ahead = np.round(places[which] + 3 * outward).astype(int)
+    assert (~shown[ahead[:, 1], ahead[:, 0]]).mean() > 0.9
+    np.testing.assert_allclose(np.linalg.norm(outward, axis=1), 1.0)
 
 
 def test_the_border_of_the_picture_is_no_outline():
-    square = np.array([[-50.0, -50], [60, -50], [60, 350], [-50, 350]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    depth = np.full(4, 100.0)
-    coverage = cover(square, depth, faces, SHAPE)
-    outline = trace_outline(coverage, square, depth, faces)
-    assert set(outline.pixels[:, 0]) == {60}
-    inner = (outline.pixels[:, 1] > 3) & (outline.pixels[:, 1] < 296)
-    np.testing.assert_allclose(outline.outward[inner], np.tile([1.0, 0], (292, 1)))
+    camera = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
+    square = np.array([[-50.0, -50, 1], [60, -50, 1], [60, 350, 1], [-50, 350, 1]])
+    seen = seen_samples(square, np.array([[0, 1, 2], [0, 2, 3]]), camera, SHAPE)
+    which, outward = trace_outline(seen)
+    places = mask_of(seen)[1][which]
+    assert set(places[:, 0]) == {60}
+    inner = (places[:, 1] > 3) & (places[:, 1] < 296)
+    np.testing.assert_allclose(outward[inner], np.tile([1.0, 0], (292, 1)))
 
 
-def test_a_frame_behind_the_camera_or_beside_the_picture_covers_nothing():
+def test_a_frame_behind_the_camera_or_beside_the_picture_has_no_outline():
     away = look_at([0, 0, -900], [0, 0, -2000], focal_px=900, shape=SHAPE)
-    coverage = cover(*project(away, GLASSES.vertices), GLASSES.faces, SHAPE)
-    assert (coverage < 0).all()
-    pixels, depth = project(CAMERA, GLASSES.vertices)
-    beside = pixels + [2000, 0]
-    coverage = cover(beside, depth, GLASSES.faces, SHAPE)
-    assert len(trace_outline(coverage, beside, depth, GLASSES.faces).pixels) == 0
+    beside = CAMERA + 2000 * np.array([[1.0], [0], [0]]) * CAMERA[2]
+    for camera in (away, beside):
+        seen = seen_samples(GLASSES.vertices, GLASSES.faces, camera, SHAPE)
+        assert len(seen.index) == len(trace_outline(seen)[0]) == 0
 
 
 def bar():

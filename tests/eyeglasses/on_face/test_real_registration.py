@@ -6,10 +6,10 @@ from benchmarks.eyeglasses_scenes import hand_placed
 
 from scan2albedo.eyeglasses import bounded_biharmonic_weights, register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.outline import cover
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
+from scan2albedo.rendering.pictures import seen_samples
 
 pytestmark = pytest.mark.slow
 SHAPE = (1024, 1024)
@@ -32,8 +32,8 @@ def test_sunglasses_of_many_parts_are_found_again(shared_data):
     for yaw in (-0.65, 0.0, 0.65):
         position = target + 600 * np.array([np.sin(yaw), 0.13, np.cos(yaw)])
         cameras.append(look_at(position, target, focal_px=1800, shape=SHAPE))
-        pixels, depth = project(cameras[-1], vertices)
-        masks.append(cover(pixels, depth, scan.faces, SHAPE) >= 0)
+        masks.append(np.zeros(SHAPE, bool))
+        masks[-1].flat[seen_samples(vertices, scan.faces, cameras[-1], SHAPE).index] = True
         seen = project(cameras[-1], truth.positions(SkinnedPoints(marks, np.eye(20))))[0]
         labels.append(seen + rng.normal(0, 1, (20, 2)))
     found = register_on_face((scan.vertices, scan.faces, marks, weights), labels, masks, cameras)
