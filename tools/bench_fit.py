@@ -5,8 +5,9 @@
 Scans are whole heads made raw (re-meshed to about 20,000 vertices, noise 0.3 mm, holes, spikes, hair,
 shoulders) with dense ground truth; the rigid pose is given. Ours, trimesh's `nricp_amberg` and
 `nricp_sumner` and meshmonk deform the same template; trimesh's and meshmonk's at the resolution of
-our samples. `--peers-python` names a Python that has the peers (`pip install trimesh rtree meshmonk
-autofacemonker` in an environment of their own); what it lacks is left out and said. Needs ../shared/data.
+our samples. trimesh's need the extra [peers]. `--peers-python` names a Python that has all peers (`pip
+install trimesh rtree meshmonk autofacemonker` in an environment of their own); what it lacks is left out
+and said. Needs ../shared/data.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@
 
 On a page a figure stands between two comments, `<!--=skin.half-->2-9 %<!--/-->`; a whole table between the
 same two, each on a line of its own. The record says for every NAME the command, when it ran, on which
-commit, and which of its scans were looked at while the package was made. Counts are made anew by every call.
+commit of the package, and which of its scans were looked at while the package was made. Counts are made anew
+by every call.
 """
 
 from __future__ import annotations
@@ -131,6 +132,29 @@ SOURCES = {
     "flashes": traced("flashes", "yale", "all six people, while thresholds were chosen", ""),
     "scans": traced("scans", "traced", PAINTED, r"p\d+_\w+ "),
     "images": traced("images", "traced", PAINTED, r"soft_\w+ "),
+    "mitsuba": Source(
+        "python tools/bench_albedo.py --scenes mitsuba",
+        "all scenes, while the search for the light was made",
+        lines={
+            name: rf"all +{method} +\d+ "
+            for name, method in {
+                "before": "as it is",
+                "ours": "scan2albedo",
+                "paper": "paper's objective",
+                "harmonics": "robust SH-2",
+                "homomorphic": "homomorphic",
+                "retinex": "retinex",
+            }.items()
+        },
+        figures={
+            "worst": "{before[1]} -> {ours[1]} %",
+            "texels": "{ours[3]}, {ours[5]} %",
+            "mse": "{ours[7]} %",
+            "paper": "{paper[1]} %",
+            "peers": "robust SH-2: {harmonics[1]}, homomorphic: {homomorphic[1]}, retinex: {retinex[1]} %",
+            "cpu": "{ours[11]} s",
+        },
+    ),
     "registration": Source(
         "python tools/bench_registration.py --poses 300 --real-poses 50",
         "all shapes and both real scans, while thresholds were chosen",
@@ -331,7 +355,11 @@ def run(name: str, printed: Path | None) -> dict[str, Any]:
     else:
         text = printed.read_text(encoding="utf-8")
     head = subprocess.run(
-        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+        ["git", "log", "-1", "--format=%h", "--abbrev=8", "--", "scan2albedo"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     return {
         "command": source.command,
