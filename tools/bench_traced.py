@@ -222,6 +222,7 @@ def main() -> None:
     folder, slow = traced_folder(), arguments.peers == "slow"
     if folder is None:
         raise SystemExit(f"{VARIABLE} names no folder with scenes; tools/build_traced_scans.py makes one")
+    failed = []
     for kind in (arguments.set,) if arguments.set else tuple(PATTERNS):
         done = []
         for row in rows(folder, kind, arguments.only, slow):
@@ -232,9 +233,12 @@ def main() -> None:
                 done.append(numbers_of(row))
             else:
                 print(row, flush=True)
+                failed.append(row)
         for title, reduce in (("least", np.min), ("mean", np.mean), ("worst", np.max)):
             if done:
                 print(line(title, [float(number) for number in reduce(done, axis=0)]))
+    if failed:
+        raise SystemExit(f"{len(failed)} scenes are not in these means")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Figures on README and the pages of docs/ are those that were recorded, and counts those of today."""
 
 import json
+import re
 from dataclasses import replace
 
 import figures
@@ -26,10 +27,17 @@ def test_pages_counts_and_records_are_current():
     assert list(figures.stale(record)) == [], "python tools/figures.py mends pages and counts"
 
 
+def test_no_line_of_a_paragraph_begins_with_a_comment():
+    """Markdown takes such a line for HTML, and ends the paragraph."""
+    for page in figures.pages():
+        begun = re.findall(r"^<!--=[\w.]+-->(?=.)", page.read_text(encoding="utf-8"), re.MULTILINE)
+        assert not begun, page.name
+
+
 def test_figures_are_read_from_what_a_command_prints():
     values = figures.read_from(SOURCE, PRINTED)
     assert values["rmse"] == "12.0 %"
-    assert values["table"] == [["scene", "said"], ["a dome", "0.92"], ["`d_sun`", "0.50"]]
+    assert values["table"] == ["| scene | said |", "|---|---|", "| a dome | 0.92 |", "| `d_sun` | 0.50 |"]
 
 
 @pytest.mark.parametrize("lack", [{"lines": {"worst": "mean "}}, {"figures": {"rmse": "{worst[9]}"}}])
