@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-slow lint docs bench clean
+.PHONY: demo test test-slow lint figures docs bench clean
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -25,6 +25,11 @@ lint: $(STAMP)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache --no-logo
 	$(BIN)/python tools/house.py
+	$(BIN)/python tools/figures.py --check
+
+# What can be counted, and what was recorded, into README and docs/.
+figures: $(STAMP)
+	$(BIN)/python tools/figures.py
 
 # Strict: a link that leads nowhere ends it. NO_MKDOCS_2_WARNING silences an advertisement of the theme.
 docs: $(STAMP)

@@ -3,9 +3,10 @@
     python tools/bench_albedo.py [--size 128] [--scenes NAME ...] [--peers slow] [--out DIR]
 
 Every scene is synthetic with a known albedo and 8 bits. The "mitsuba" groups are path-traced (the set of
-tests/albedo/mitsuba_scenes, always 128 texels wide), the others are from the package's own ray tracer. Error
-is 100 x MSE of V after the best single scale. "true light" divides by the true shading: noise and 8 bits are
-all that is left. Prints the worst and the mean of each group of scenes, and what failed.
+tests/albedo/mitsuba_scenes, always 128 texels wide), the others are from the package's own ray tracer.
+Errors are of V after the best single scale: relative RMSE, what half of the texels and 95 in 100 err by at
+most, and 100 x MSE, the paper's figure. "true light" divides by the true shading: noise and 8 bits are all
+that is left. Prints the worst and the mean of each group of scenes, and what failed.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ import numpy as np
 from benchmarks.albedo_peers import homomorphic, robust_harmonics
 from benchmarks.light_normalization import multi_scale_retinex
 from benchmarks.mitsuba_set import load_scenes
+from benchmarks.traced_set import AlbedoScore, score
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
-from scan2albedo.albedo import EstimateOptions, albedo_error
+from scan2albedo.albedo import EstimateOptions
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.synthetic import (
     Material,
@@ -64,7 +66,7 @@ class Score:
     group: str
     case: str
     method: str
-    mse_percent: float
+    error: AlbedoScore
     light_deg: float
     cpu_s: float
     evaluations: int
@@ -166,16 +168,15 @@ def scores(case: Case, peers: str | None) -> Iterator[Score]:
     value, truth = value_of(image.texture_linear), value_of(case.albedo_linear)
     unclipped = mask & (image.texture_linear < 1).all(2)
 
-    def score(method: str, albedo: FloatArray, light: float, cpu_s: float, evaluations: int = 0) -> Score:
-        error = albedo_error(albedo, truth, mask).mse_percent
-        below_white = (
-            nan if unclipped.sum() == mask.sum() else albedo_error(albedo, truth, unclipped).mse_percent
-        )
+    def scored(method: str, albedo: FloatArray, light: float, cpu_s: float, evaluations: int = 0) -> Score:
+        pair = albedo[..., None], truth[..., None]
+        below_white = nan if unclipped.sum() == mask.sum() else score(*pair, unclipped).mse
+        error = score(*pair, mask)
         return Score(case.group, case.name, method, error, light, cpu_s, evaluations, below_white)
 
     nan = float("nan")
-    yield score("as it is", value, nan, 0.0)
-    yield score("true light", case.unlit, 0.0, 0.0)
+    yield scored("as it is", value, nan, 0.0)
+    yield scored("true light", case.unlit, 0.0, 0.0)
     for method, options in (
         ("scan2albedo", EstimateOptions()),
         ("paper's objective", EstimateOptions(objective="albedo-deviation")),
@@ -183,7 +184,7 @@ def scores(case: Case, peers: str | None) -> Iterator[Score]:
         start = time.process_time()
         found = s2a.estimate_albedo(image, options=options)
         spent = time.process_time() - start
-        yield score(
+        yield scored(
             method,
             value_of(found.albedo_linear),
             light_error_deg(found.lights, case.lights),
@@ -197,7 +198,7 @@ def scores(case: Case, peers: str | None) -> Iterator[Score]:
     ):
         start = time.process_time()
         albedo = filtered()
-        yield score(method, albedo, nan, time.process_time() - start)
+        yield scored(method, albedo, nan, time.process_time() - start)
     if peers == "slow":
         # Imported here: they need Mitsuba and minutes.
         from benchmarks.albedo_peers_slow import SLOW_PEERS
@@ -205,23 +206,29 @@ def scores(case: Case, peers: str | None) -> Iterator[Score]:
         for method, peer in SLOW_PEERS.items():
             answer = peer(image, len(case.lights))
             light = light_error_deg(answer.lights, case.lights)
-            yield score(method, answer.albedo_value, light, answer.cpu_s, answer.evaluations)
+            yield scored(method, answer.albedo_value, light, answer.cpu_s, answer.evaluations)
 
 
 def table(found: list[Score]) -> str:
     """Return one line for each group and method."""
     lines = [
-        f"{'scenes':30}{'method':20}{'n':>4}{'MSE % mean':>12}{'worst':>9}{'light deg mean':>16}"
+        f"{'scenes':30}{'method':20}{'n':>4}{'RMSE % mean':>13}{'worst':>8}{'50 %':>8}{'worst':>8}"
+        f"{'95 %':>8}{'worst':>8}{'MSE % mean':>12}{'worst':>9}{'light deg mean':>16}"
         f"{'worst':>8}{'count right':>13}{'CPU s':>8}{'evals':>8}"
     ]
     groups = dict.fromkeys((s.group, s.method) for s in found)
+    groups |= dict.fromkeys(("all", s.method) for s in found)
     for group, method in groups:
-        rows = [s for s in found if (s.group, s.method) == (group, method)]
-        errors, angles = (np.array([getattr(s, k) for s in rows]) for k in ("mse_percent", "light_deg"))
+        rows = [s for s in found if group in (s.group, "all") and s.method == method]
+        angles = np.array([s.light_deg for s in rows])
+        *of_texels, mse = (
+            np.array([getattr(s.error, k) for s in rows]) for k in ("rmse", "half", "most", "mse")
+        )
+        errors = "".join(f"{each.mean():8.2f}{each.max():8.2f}" for each in of_texels)
         known = angles[~np.isnan(angles)]
         light = f"{known.mean():16.2f}{known.max():8.2f}" if len(known) else f"{'-':>16}{'-':>8}"
         lines.append(
-            f"{group:30}{method:20}{len(rows):4d}{errors.mean():12.4f}{errors.max():9.4f}{light}"
+            f"{group:30}{method:20}{len(rows):4d}     {errors}{mse.mean():12.4f}{mse.max():9.4f}{light}"
             f"{f'{len(known)}/{len(rows)}':>13}{np.mean([s.cpu_s for s in rows]):8.2f}"
             f"{np.mean([s.evaluations for s in rows]):8.0f}"
         )
@@ -249,26 +256,29 @@ def main() -> None:
     for case in cases(arguments.size, set(arguments.scenes)):
         found += scores(case, arguments.peers)
     print(table(found))
-    ours = sorted((s for s in found if s.method == "scan2albedo"), key=lambda s: -s.mse_percent)
+    ours = sorted((s for s in found if s.method == "scan2albedo"), key=lambda s: -s.error.mse)
     print("\nour worst scenes")
     for s in ours[: arguments.worst]:
-        print(f"  {s.group:30}{s.case:36}{s.mse_percent:8.4f} %  light {s.light_deg:6.2f} deg")
+        print(f"  {s.group:30}{s.case:36}{s.error.mse:8.4f} %  light {s.light_deg:6.2f} deg")
     behind = [
         (s, p)
         for s in ours
         for p in found
         if (p.group, p.case) == (s.group, s.case)
         and p.method in ("robust SH-2", "homomorphic", "retinex")
-        and s.mse_percent > p.mse_percent + 0.02
+        and s.error.mse > p.error.mse + 0.02
     ]
     print(f"\nbehind a filter or SH-2 by more than 0.02 points: {len(behind)} times")
     for s, p in behind[: arguments.worst]:
-        print(f"  {s.group:30}{s.case:36}{s.mse_percent:8.4f}  {p.method} {p.mse_percent:.4f}")
+        print(f"  {s.group:30}{s.case:36}{s.error.mse:8.4f}  {p.method} {p.error.mse:.4f}")
     if arguments.out:
         arguments.out.mkdir(parents=True, exist_ok=True)
-        lines = ["group,case,method,mse_percent,light_deg,cpu_s,evaluations,unclipped_percent"]
+        lines = [
+            "group,case,method,relative_rmse_percent,half_percent,most_percent,mse_percent,light_deg,cpu_s,evaluations,unclipped_percent"
+        ]
         lines += [
-            f"{s.group},{s.case},{s.method},{s.mse_percent:.6g},{s.light_deg:.4g},{s.cpu_s:.4g},{s.evaluations},"
+            f"{s.group},{s.case},{s.method},{s.error.rmse:.6g},{s.error.half:.6g},{s.error.most:.6g},"
+            f"{s.error.mse:.6g},{s.light_deg:.4g},{s.cpu_s:.4g},{s.evaluations},"
             f"{s.unclipped_percent:.6g}"
             for s in found
         ]

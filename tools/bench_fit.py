@@ -5,8 +5,9 @@
 Scans are whole heads made raw (re-meshed to about 20,000 vertices, noise 0.3 mm, holes, spikes, hair,
 shoulders) with dense ground truth; the rigid pose is given. Ours, trimesh's `nricp_amberg` and
 `nricp_sumner` and meshmonk deform the same template; trimesh's and meshmonk's at the resolution of
-our samples. `--peers-python` names a Python that has the peers (`pip install trimesh rtree meshmonk
-autofacemonker` in an environment of their own); what it lacks is left out and said. Needs ../shared/data.
+our samples. trimesh's need the extra [peers]. `--peers-python` names a Python that has all peers (`pip
+install trimesh rtree meshmonk autofacemonker` in an environment of their own); what it lacks is left out
+and said. Needs ../shared/data.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,13 +75,20 @@ class Score:
     flips: int
     cpu_s: float
 
-    def line(self) -> str:
+    def numbers(self) -> list[float]:
+        """Return mean, median and 95 % of the surface, mean and 95 % of the correspondence, flips, CPU s."""
         d, c = self.surface_mm, self.correspondence_mm
-        return (
-            f"{self.case[:34]:36}{self.method:22}{d.mean():7.3f}{np.median(d):7.3f}"
-            f"{np.percentile(d, 95):7.3f}{c.mean():8.2f}{np.percentile(c, 95):7.2f}"
-            f"{self.flips:6d}{self.cpu_s:8.2f}"
-        )
+        distances = [d.mean(), np.median(d), np.percentile(d, 95), c.mean(), np.percentile(c, 95)]
+        return [*(float(distance) for distance in distances), self.flips, self.cpu_s]
+
+
+def numbers_line(case: str, method: str, numbers: Sequence[float]) -> str:
+    """Return a row of the table."""
+    mean, median, most, far, farthest, flips, cpu_s = numbers
+    return (
+        f"{case[:34]:36}{method:22}{mean:7.3f}{median:7.3f}{most:7.3f}{far:8.2f}{farthest:7.2f}"
+        f"{flips:6.0f}{cpu_s:8.2f}"
+    )
 
 
 def whole_head_scan(
@@ -294,7 +303,7 @@ def _means(scores: list[Score], pick) -> dict[str, tuple[float, float]]:  # type
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("."))
+    parser.add_argument("--out", type=Path, help="a folder for bench_fit.png, ours with budgets too")
     parser.add_argument("--peers-python", default=sys.executable, help="a Python that has the peers")
     parser.add_argument("--shapes", type=int, default=4, help=f"how many of the {len(SHAPES)} shapes")
     parser.add_argument("--vertices", type=int, default=20_000)
@@ -313,13 +322,17 @@ def main() -> None:
             rows = [score_mesh("rigid only", case, case.model.surface(1)[0], 0.0), score_ours(case)]
             peers = (score_peer(peer, case, arguments.peers_python, Path(name)) for peer in MESH_PEERS)
             rows += [row for row in peers if row is not None]
-            print("\n".join(row.line() for row in rows), flush=True)
+            print(*(numbers_line(row.case, row.method, row.numbers()) for row in rows), sep="\n", flush=True)
             scores += rows
-            curves += [score_ours(case, steps=steps) for steps in BUDGETS]
+            curves += [score_ours(case, steps=steps) for steps in BUDGETS if arguments.out]
+        for method in dict.fromkeys(row.method for row in scores):
+            numbers = np.array([row.numbers() for row in scores if row.method == method])
+            print(numbers_line("mean", method, numbers.mean(0)), flush=True)
         james(arguments.peers_python, Path(name))
     if arguments.scaling:
         scaling()
-    draw(scores, curves, arguments.out / "bench_fit.png")
+    if arguments.out:
+        draw(scores, curves, arguments.out / "bench_fit.png")
 
 
 if __name__ == "__main__":

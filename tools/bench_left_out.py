@@ -3,8 +3,8 @@
     python tools/bench_left_out.py [--size 256] [--seeds 2]
 
 Every scene is processed twice: as the evidence decides, and with every optional step forced. Errors are of
-the albedo (100 x MSE after the best single scale); "change" is what the plan adds to the forced error
-(negative: leaving out is better). CPU seconds of warm code, best of `REPEATS`.
+the albedo (relative RMSE in percent after the best single scale); "change" is what the plan adds to the
+forced error (negative: leaving out is better). CPU seconds of warm code, best of `REPEATS`.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def estimated(scene: SyntheticScene, options: EstimateOptions) -> Run:
     start = time.process_time()
     estimate = s2a.estimate_albedo(scene.image, options=options)
     cpu = time.process_time() - start
-    error = s2a.albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.seen).mse_percent
-    return Run(estimate.plan, cpu, error)
+    error = s2a.albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.seen).relative_rmse
+    return Run(estimate.plan, cpu, 100 * error)
 
 
 def processed(scan: s2a.RawScan, truth: object, size: int, force: tuple[str, ...], model: str | None) -> Run:
@@ -64,7 +64,7 @@ def processed(scan: s2a.RawScan, truth: object, size: int, force: tuple[str, ...
     result = s2a.process(scan, size=size, model=model, force=force)
     cpu = time.process_time() - start
     comparable = truth is not None and result.albedo is not None and result.fitted is not None
-    error = compare_with_truth(result, truth).albedo.mse_percent if comparable else None
+    error = 100 * compare_with_truth(result, truth).albedo.relative_rmse if comparable else None
     return Run(result.plan, cpu, error)
 
 
@@ -119,7 +119,7 @@ def row(trial: Trial) -> str:
     """Return a trial as a line of the table."""
     a, b = trial.planned, trial.forced
     saved = f"{100 * (1 - a.cpu_s / b.cpu_s):6.0f}%"
-    errors = "".join(f"{'-' if run.error is None else format(run.error, '.4f'):>9}" for run in (a, b))
+    errors = "".join(f"{'-' if run.error is None else format(run.error, '.2f'):>9}" for run in (a, b))
     change = "-" if trial.change_percent is None else f"{trial.change_percent:+.1f}%"
     missing = ", ".join(step.stage for step in a.plan if not step.ran)
     return f"{trial.name:36}{a.cpu_s:7.2f}{b.cpu_s:8.2f}{saved}{errors}{change:>8}  {missing or '-'}"

@@ -25,7 +25,7 @@ from scan2albedo.pipeline.options import PRESETS
 from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 WARM_UP_SEED = 99
-FIGURES = ("surface mm", "correspondence mm", "landmarks mm", "albedo MSE %", "light deg")
+FIGURES = ("surface mm", "correspondence mm", "landmarks mm", "albedo RMSE %", "albedo MSE %", "light deg")
 BUDGET_SHARES = (0.01, 0.25, 0.5, 0.75, 1.0, 1.5)
 
 
@@ -52,6 +52,7 @@ def measured(
     errors = (
         *scanned_skin_mm(result, scan, truth),
         report.landmarks_mm,
+        100 * report.albedo.relative_rmse,
         report.albedo.mse_percent,
         report.light_deg,
     )

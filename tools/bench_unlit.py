@@ -2,9 +2,10 @@
 
 usage: python tools/bench_unlit.py [traced] [templates] [normals] [peers PYTHON]
 
-traced     path-traced raw scans with the true albedo on their own coordinates: 100 x MSE of V = max(R, G, B)
-           after the best single scale, of the lit scan, of the chart's albedo and of the unlit scan's own
-           texels on the face, and of the lit and the unlit scan beyond it.
+traced     path-traced raw scans with the true albedo on their own coordinates: relative RMSE of V =
+           max(R, G, B) after the best single scale, what half of the texels and 95 in 100 err by at most, and
+           100 x MSE, of the lit scan, of the chart's albedo and of the unlit scan's own texels on the face,
+           and of the lit and the unlit scan beyond it.
 templates  a real scan, its colours on the texture coordinates of a mask of 468 vertices and of a head: PSNR
            of the template's picture against the scan's, same camera, where the scan shows the template.
 normals    synthetic scans, coarse and fine: mean angle in degrees to the true normals, where the scan shows
@@ -31,6 +32,7 @@ import cv2
 import numpy as np
 from bench_fit import run_peer
 from benchmarks.scan_files import DATA, face_data
+from benchmarks.traced_set import score
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -66,16 +68,17 @@ def main(what: tuple[str, ...]) -> None:
         parts[part]()
 
 
-def mse_percent(found: NDArray[np.floating], true: NDArray[np.floating]) -> float:
-    """Return 100 x MSE of V after the best single scale."""
-    value, wanted = found.max(-1).astype(float), true.max(-1).astype(float)
-    scale = (value * wanted).sum() / (value * value).sum()
-    return float(100 * np.mean((scale * value - wanted) ** 2))
+def errors(found: NDArray[np.floating], true: NDArray[np.floating]) -> str:
+    """Return relative RMSE, 50 %, 95 % and 100 x MSE of V of texels (N, 3) as text."""
+    pair = (np.asarray(each, float)[None] for each in (found, true))
+    of = score(*pair, np.ones((1, len(true)), bool))
+    return f"{of.rmse:7.1f}{of.half:6.1f}{of.most:6.1f}{of.mse:7.2f}"
 
 
 def print_traced() -> None:
     """Print errors at the chart's and at the scan's own texels."""
-    print(f"{'':16}{'face: lit':>11}{'chart':>8}{'own texels':>12}{'beyond: lit':>13}{'all':>8}{'CPU s':>8}")
+    parts = ("face: lit", "chart", "own texels", "beyond: lit", "all")
+    print("RMSE, 50, 95 %, MSE".ljust(22) + "".join(f"{part:28}" for part in parts) + "CPU s")
     for file in sorted((DATA / "traced").glob("p*.obj")):
         result = s2a.process(file)
         scan, fitted, estimate = result.scan, result.fitted, result.albedo
@@ -103,19 +106,17 @@ def print_traced() -> None:
         )
         inside, beyond = lit & (weight > INSIDE), lit & (weight < 1 - INSIDE)
         row = [
-            mse_percent(scan.texture_linear[inside], true[inside]),
+            errors(scan.texture_linear[inside], true[inside]),
             _chart_error(result, true, own),
-            mse_percent(face[inside], true[inside]),
-            mse_percent(scan.texture_linear[beyond], true[beyond]),
-            mse_percent(everywhere[beyond], true[beyond]),
+            errors(face[inside], true[inside]),
+            errors(scan.texture_linear[beyond], true[beyond]),
+            errors(everywhere[beyond], true[beyond]),
         ]
-        print("{:16}{:11.2f}{:8.3f}{:12.3f}{:13.2f}{:8.2f}{:8.1f}".format(file.stem, *row, cpu_s), flush=True)
+        print(f"{file.stem:16}" + " |".join(row) + f" |{cpu_s:6.1f}", flush=True)
 
 
-def _chart_error(
-    result: s2a.ProcessResult, true: NDArray[np.floating], weight: NDArray[np.floating]
-) -> float:
-    """Return the error of the chart's albedo at its own texels, on the same part of the face."""
+def _chart_error(result: s2a.ProcessResult, true: NDArray[np.floating], weight: NDArray[np.floating]) -> str:
+    """Return the errors of the chart's albedo at its own texels, on the same part of the face."""
     scan, fitted, estimate = result.scan, result.fitted, result.albedo
     assert fitted is not None
     assert estimate is not None
@@ -130,7 +131,7 @@ def _chart_error(
     light = image.texture_linear[image.mask].max(-1) / np.maximum(wanted.max(-1), 1e-3)
     counted = inside & image.seen[image.mask] & (wanted.min(-1) > 0.01)
     counted &= light > LEAST_LIGHT * np.median(light[counted])
-    return mse_percent(estimate.albedo_linear[image.mask][counted], wanted[counted])
+    return errors(estimate.albedo_linear[image.mask][counted], wanted[counted])
 
 
 def print_templates() -> None:

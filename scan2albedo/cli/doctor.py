@@ -20,7 +20,7 @@ IMPORT_NAMES = {
     "scikit-image": "skimage",
 }
 """Names by which libraries are imported, where these are not the packages' names."""
-DEVELOPERS = ("test", "docs", "dev")
+DEVELOPERS = ("test", "docs", "dev", "peers")
 """Extras that no command needs."""
 
 

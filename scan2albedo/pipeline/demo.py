@@ -129,4 +129,4 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
 
 
 def _albedo_text(error: AlbedoError) -> str:
-    return f"MSE {error.mse_percent:.3f} % of the albedo, relative RMSE {100 * error.relative_rmse:.1f} %"
+    return f"relative RMSE {100 * error.relative_rmse:.1f} % of the albedo, MSE {error.mse_percent:.3f} %"

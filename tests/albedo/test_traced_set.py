@@ -39,7 +39,7 @@ def test_the_albedo_stays_below_its_ceiling(name):
     light = name.removeprefix("soft_").rsplit("_", 1)[0]
     estimate = s2a.estimate_albedo(scene.image, seed=0)
     error = score(estimate.albedo_linear.astype(float), scene.albedo_linear, scene.judged)
-    assert error.value_percent < CEILINGS[light]
+    assert error.mse < CEILINGS[light]
     said = estimate.expected_error
     inside, within = calibration(
         estimate.albedo_linear.max(2), scene.albedo_linear.max(2), said, scene.judged

@@ -1,6 +1,8 @@
-"""The path-traced set of `tools/build_traced_scans.py`: its scenes, and how an albedo on them is judged.
+"""Scenes whose albedo is known, and how an albedo on them is judged.
 
-The set lies outside the repository, in the folder that the environment variable S2A_TRACED names.
+They lie outside the repository, in the folder that the environment variable S2A_TRACED names: the
+path-traced set of `tools/build_traced_scans.py`, raw scans with photographed skin, or photographs of people
+under flashes.
 """
 
 from __future__ import annotations
@@ -39,6 +41,11 @@ _OFFSET_MM = 0.3
 _DIRECTIONS = 256
 _FARTHEST_MM = 2.0
 _DARKEST, _UNLIT = 0.01, 0.03
+PATTERNS = {"skin": "d_*.obj", "flashes": "yale*.npz", "scans": "p*.obj", "images": "soft_*.npz"}
+"""Files of each kind of scene, people's skin before painted heads."""
+_AMBIENT, _REACHED, _EXPLAINED = 0.06, 0.1, 0.25
+"""Of a flash photograph: ambient light; the least light of the flash for a texel to count, and how far from
+what the true light explains it may be."""
 DIMMEST = 0.1
 """Peers divide by no less: the light of a fit may come near 0, or below."""
 
@@ -47,15 +54,14 @@ def traced_folder() -> Path | None:
     """Return the folder that S2A_TRACED names, None where it is unset or holds no scene."""
     named = os.environ.get(VARIABLE)
     folder = Path(named) if named else None
-    if folder is None or not (scene_names(folder, "images") or scene_names(folder, "scans")):
+    if folder is None or not any(scene_names(folder, kind) for kind in PATTERNS):
         return None
     return folder
 
 
 def scene_names(folder: Path, kind: str) -> list[str]:
-    """Return the names of the "images" or the "scans" of a folder."""
-    pattern = {"images": "soft_*.npz", "scans": "p*.obj"}[kind]
-    return sorted(path.stem for path in folder.glob(pattern))
+    """Return the names of a folder's scenes of a kind, one of `PATTERNS`."""
+    return sorted(path.stem for path in folder.glob(PATTERNS[kind]))
 
 
 @dataclass(frozen=True)
@@ -93,6 +99,31 @@ def load_image(folder: Path, name: str) -> TracedImage:
     return TracedImage(name, image, albedo, judged, lamps)
 
 
+def load_flashes(folder: Path, name: str) -> Iterator[TracedImage]:
+    """Yield a person of Extended Yale B under one flash after another, with the albedo by photometric stereo.
+
+    The relief is only roughly right, so cast shadows do not lie where it says: texels that the flash explains
+    to a quarter count.
+    """
+    with np.load(folder / f"{name}.npz") as stored:
+        fields = dict(stored)
+    position, normal = (fields[key].astype(np.float64) for key in ("position_mm", "normal"))
+    mask, albedo = fields["mask"], fields["albedo"].astype(np.float64)
+    for light, direction, strength, code in zip(
+        fields["lights"], fields["direction"], fields["strength"], fields["texture_linear8"], strict=True
+    ):
+        value = np.where(mask, code / 255.0, 0.0)
+        flash = strength * np.maximum(normal @ direction.astype(np.float64), 0)
+        expected = np.maximum((flash + _AMBIENT) * albedo, 1e-3)
+        judged = mask & (flash > _REACHED) & (np.abs(value / expected - 1) < _EXPLAINED)
+        image = s2a.GeometryImage(
+            position, normal, mask, texture_linear=np.repeat(value[..., None], 3, 2).astype(np.float32)
+        )
+        yield TracedImage(
+            f"{name}_{light}", image, np.repeat(albedo[..., None], 3, 2), judged, [{"hard": True}]
+        )
+
+
 def lit(texture: NDArray[np.floating], albedo: FloatArray, known: BoolArray) -> BoolArray:
     """Return which `known` (N,) texels, of colours (N, 3), got more than 3 % of the median light."""
     light = texture.max(1) / np.maximum(albedo.max(1), 1e-3)
@@ -114,7 +145,10 @@ def calibration(
 
 @dataclass(frozen=True)
 class ScanTruth:
-    """What is known about a raw scan: the surface in mm, its albedo as a linear picture, the lamps."""
+    """What is known about a raw scan: the surface in mm, its albedo as a linear picture, the lamps.
+
+    `valid` (H, W), of a size of its own, are the texels of the picture that show skin or hair; all when None.
+    """
 
     vertices_mm: FloatArray
     faces: IntArray
@@ -122,31 +156,43 @@ class ScanTruth:
     albedo_linear: FloatArray
     scan_from_truth: FloatArray
     unit_mm: float
-    light_directions: FloatArray
+    lamps: int
+    valid: BoolArray | None = None
 
     @classmethod
     def read(cls, folder: Path, name: str) -> ScanTruth:
-        """Return the truth beside a scan."""
-        with np.load(folder / f"{name}_truth.npz") as stored:
-            fields = {key: stored[key] for key in stored.files}
+        """Return the truth beside a scan; the two sets call some of it by other names."""
+        beside = folder / f"{name}_truth.npz"
+        with np.load(beside if beside.is_file() else folder / "truth" / f"{name}.npz") as stored:
+            fields = dict(stored)
         return cls(
-            fields["vertices_mm"].astype(np.float64),
+            fields["vertices_mm" if "vertices_mm" in fields else "vertices"].astype(np.float64),
             fields["faces"].astype(np.int64),
             fields["uv_corners"].astype(np.float64),
             read_image_linear(folder / f"{name}_albedo.png").astype(np.float64),
-            fields["scan_from_truth"],
+            fields["scan_from_truth" if "scan_from_truth" in fields else "scan_from_canonical"],
             float(fields["unit_mm"]),
-            fields["light_directions"],
+            int(fields["lights"]) if "lights" in fields else len(fields["light_directions"]),
+            fields.get("valid"),
         )
 
     def at(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return true albedo (N, 3) and distance (N,) in mm of points (N, 3) of the truth's frame."""
+        """Return true albedo (N, 3), NaN where it is not valid, and distance (N,) in mm of points (N, 3).
+
+        The points are of the truth's frame.
+        """
         hits = ClosestPointQuery(self.vertices_mm, self.faces).query(points)
         uv = np.einsum("nk,nkc->nc", hits.barycentric, self.uv_corners[hits.face])
-        height, width = self.albedo_linear.shape[:2]
-        row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
-        column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
-        return self.albedo_linear[row, column], hits.distance
+
+        def looked_up(picture: NDArray) -> NDArray:
+            height, width = picture.shape[:2]
+            row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
+            return picture[row, np.clip((uv[:, 0] * width).astype(int), 0, width - 1)]
+
+        albedo = looked_up(self.albedo_linear)
+        if self.valid is not None:
+            albedo[~looked_up(self.valid)] = np.nan
+        return albedo, hits.distance
 
 
 @dataclass(frozen=True)
@@ -168,7 +214,8 @@ def judged_scan(result: ProcessResult, truth: ScanTruth) -> JudgedScan:
     in_scan = transform_points(scan_from_model, np.asarray(image.position, np.float64)[mask]) / truth.unit_mm
     true, distance = truth.at(transform_points(np.linalg.inv(truth.scan_from_truth), in_scan))
     assert image.texture_linear is not None
-    counted = (distance < _FARTHEST_MM) & (true.min(1) > _DARKEST)
+    # Comparisons with NaN are false.
+    counted = (distance < _FARTHEST_MM) & (true.max(1) > _DARKEST)
     if image.seen is not None:
         counted &= np.asarray(image.seen)[mask]
     counted = lit(np.asarray(image.texture_linear)[mask], true, counted)
@@ -179,21 +226,41 @@ def judged_scan(result: ProcessResult, truth: ScanTruth) -> JudgedScan:
 
 @dataclass(frozen=True)
 class AlbedoScore:
-    """100 x MSE after the best single scale, on V = max(R, G, B) and on colour."""
+    """Errors in percent after the best single scale, on V = max(R, G, B) unless they are of colour.
 
-    value_percent: float
-    color_percent: float
+    `rmse` and `color_rmse` are relative, ||a A - A_true|| / ||A_true||; half of the texels err by less than
+    `half` of their own albedo, 95 in 100 by less than `most`; `mse` and `color_mse` are 100 x MSE.
+    """
+
+    rmse: float
+    half: float
+    most: float
+    color_rmse: float
+    mse: float
+    color_mse: float
 
 
 def score(estimate: FloatArray, truth: FloatArray, judged: BoolArray) -> AlbedoScore:
-    """Return the error of an albedo (H, W, 3) where `judged` (H, W).
+    """Return the errors of an albedo (H, W, 3) where `judged` (H, W).
 
     >>> grey = np.full((2, 2, 3), 0.4)
-    >>> score(2 * grey, grey, np.ones((2, 2), bool))
-    AlbedoScore(value_percent=0.0, color_percent=0.0)
+    >>> score(2 * grey, grey, np.ones((2, 2), bool)).rmse
+    0.0
     """
-    value = albedo_error(estimate.max(2), truth.max(2), judged).mse_percent
-    return AlbedoScore(value, albedo_error(estimate, truth, judged).mse_percent)
+    ours, true = estimate.max(2), truth.max(2)
+    value, color = albedo_error(ours, true, judged), albedo_error(estimate, truth, judged)
+    ours, true = ours[judged], true[judged]
+    scale = (ours @ true) / max(ours @ ours, 1e-12)
+    of_texel = 100 * np.abs(scale * ours / np.maximum(true, _DARKEST) - 1)
+    half, most = np.percentile(of_texel, (50, 95))
+    return AlbedoScore(
+        100 * value.relative_rmse,
+        float(half),
+        float(most),
+        100 * color.relative_rmse,
+        value.mse_percent,
+        color.mse_percent,
+    )
 
 
 @dataclass(frozen=True)
@@ -272,14 +339,15 @@ def received(image: s2a.GeometryImage) -> Received:
     return Received(share * shadowed, share * plain, share * open_part)
 
 
-def simple_peers(image: s2a.GeometryImage) -> dict[str, FloatArray]:
+def simple_peers(image: s2a.GeometryImage, light: Received | None = None) -> dict[str, FloatArray]:
     """Return albedos (H, W, 3) by name: texture as is, on occlusion, on harmonics without and with shadows.
 
     Each channel is divided by its own light, of median 1: coloured light that differs from place to place is
-    theirs to take off. Light below a tenth of its median is taken for a tenth.
+    theirs to take off. Light below a tenth of its median is taken for a tenth. `light` is what the texels
+    receive, where that is known.
     """
     assert image.texture_linear is not None
-    mask, light = image.mask, received(image)
+    mask, light = image.mask, light or received(image)
     texture = np.asarray(image.texture_linear, np.float64)[mask]
 
     def divided(by: FloatArray) -> FloatArray:

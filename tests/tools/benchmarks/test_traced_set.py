@@ -1,11 +1,14 @@
 """How albedo is judged on the traced set, on scenes made here; the set itself lies outside the repository."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from benchmarks.traced_set import (
     VARIABLE,
     ScanTruth,
     invented_outlines,
+    load_flashes,
     load_image,
     received,
     scene_names,
@@ -59,9 +62,20 @@ def test_a_scene_is_read_as_it_was_written(tmp_path):
 def test_the_score_does_not_care_for_one_scale_but_for_color():
     rng = np.random.default_rng(0)
     truth, judged = rng.uniform(0.2, 0.6, (8, 8, 3)), np.ones((8, 8), bool)
-    assert score(3 * truth, truth, judged).color_percent == pytest.approx(0, abs=1e-12)
+    assert score(3 * truth, truth, judged).color_mse == pytest.approx(0, abs=1e-12)
     tinted = score(truth * [1.3, 1, 0.7], truth, judged)
-    assert tinted.color_percent > 0.5
+    assert tinted.color_mse > 0.5
+
+
+def test_the_score_tells_what_half_and_most_of_the_texels_err_by():
+    truth, judged = np.full((10, 10, 3), 0.5), np.ones((10, 10), bool)
+    estimate = truth.copy()
+    estimate[0] *= 1.5
+    found = score(estimate, truth, judged)
+    scale = (0.9 + 0.1 * 1.5) / (0.9 + 0.1 * 1.5**2)
+    assert found.half == pytest.approx(100 * (1 - scale))
+    assert found.most == pytest.approx(100 * (1.5 * scale - 1))
+    assert found.rmse == pytest.approx(100 * np.sqrt(found.mse / 100) / 0.5)
 
 
 def test_an_edge_that_the_texture_has_is_not_invented():
@@ -99,8 +113,8 @@ def test_harmonics_take_off_a_soft_light_and_each_channel_its_own():
         scene.image.position, scene.image.normal, mask, texture_linear=texture.astype(np.float32)
     )
     scores = {name: score(albedo, truth, mask) for name, albedo in simple_peers(image).items()}
-    assert scores["SH"].value_percent < 0.3 * scores["as is"].value_percent
-    assert scores["SH+shadows"].value_percent < 0.5 * scores["as is"].value_percent
+    assert scores["SH"].mse < 0.3 * scores["as is"].mse
+    assert scores["SH+shadows"].mse < 0.5 * scores["as is"].mse
     assert set(scores) == {"as is", "AO", "SH", "SH+shadows"}
 
 
@@ -114,11 +128,37 @@ def test_the_truth_of_a_scan_is_looked_up_on_its_surface():
         albedo,
         np.eye(4),
         1.0,
-        np.zeros((0, 3)),
+        0,
     )
     found, distance = truth.at(np.array([[0.5, 0.5, 1.0], [9, 0.5, 0], [0.5, 9, 0]]))
     np.testing.assert_allclose(found[:, 0], [0.3, 0.4, 0.1])
     np.testing.assert_allclose(distance, [1, 0, 0], atol=1e-6)
+    partly = replace(truth, valid=np.array([[False, True], [True, True]]))
+    np.testing.assert_allclose(partly.at(np.array([[0.5, 0.5, 0], [0.5, 9, 0]]))[0][:, 0], [0.3, np.nan])
+
+
+def test_flashes_count_where_they_explain_a_texel(tmp_path):
+    normal = np.zeros((4, 4, 3), np.float32)
+    normal[..., 2] = 1
+    albedo = np.full((4, 4), 0.5, np.float32)
+    code = np.full((1, 4, 4), round(255 * 1.06 * 0.5), np.uint8)
+    code[0, 0] = 20
+    np.savez(
+        tmp_path / "yaleB01.npz",
+        position_mm=normal,
+        normal=normal,
+        mask=np.ones((4, 4), bool),
+        albedo=albedo,
+        lights=np.array(["A+000"]),
+        direction=np.float32([[0, 0, 1]]),
+        strength=np.float32([1]),
+        texture_linear8=code,
+    )
+    (name,) = scene_names(tmp_path, "flashes")
+    (scene,) = load_flashes(tmp_path, name)
+    assert scene.name == "yaleB01_A+000"
+    np.testing.assert_array_equal(scene.judged, np.arange(4)[:, None] * np.ones(4) > 0)
+    assert scene.albedo_linear.shape == (4, 4, 3)
 
 
 def test_shadows_of_a_face_are_in_the_transfer():
