@@ -225,7 +225,7 @@ class OutlineSampler:
         return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward)
 
     def mask(self, motion: FrameMotion, number: int) -> tuple[BoolArray, IntArray]:
-        """Return (H, W) True where a view should show the frame before the head, and a vertex seen there."""
+        """Return (H, W) True where a view should show the frame, the head in front, and a vertex there."""
         view = self.views[number]
         assert view.shape is not None
         vertices = motion.positions(self.mesh.points)
