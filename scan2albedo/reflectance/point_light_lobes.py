@@ -74,35 +74,22 @@ def lobe_slopes(
     vertices, normals, camera_positions, light_positions
         As in `point_light_lobes`.
     """
-    points, unit, cameras, lights = (
-        np.asarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
-    )
-    slopes, tangents = np.zeros((len(cameras), len(points), 2, 2)), _tangents(unit)
-    for slope, camera, light in zip(slopes, cameras, lights, strict=True):
-        toward, view = light - points, camera - points
-        ratio = np.sqrt((toward * toward).sum(1) / np.maximum((view * view).sum(1), 1e-300))
-        lit = (unit * toward).sum(1) > 0
-        for k, way in enumerate((toward, toward + ratio[:, None] * view)):
-            along = (unit * way).sum(1)
-            ahead = lit & (along > 0)
-            for n, tangent in enumerate(tangents):
-                slope[ahead, k, n] = (tangent * way).sum(1)[ahead] / along[ahead]
-    return slopes.reshape(len(cameras), len(points), 4)
-
-
-def _tangents(unit: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return two tangents (V, 3) of unit normals, as Duff et al. (JCGT 6(1), 2017)."""
-    x, y, z = unit.T
-    sign = np.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    first = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], 1)
-    return first, np.stack([x * y * a, sign + y * y * a, -y], 1)
+    arrays = [
+        np.ascontiguousarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
+    ]
+    slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
+    _fill_slopes(*arrays, slopes)
+    return slopes
 
 
 def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
     """Return unit normals (V, 3) tilted by `tilt` (V, 2) along the tangents of `lobe_slopes`; NaN is 0."""
     unit = np.asarray(normals, np.float64)
-    first, second = _tangents(unit)
+    x, y, z = unit.T
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    first = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], 1)
+    second = np.stack([x * y * a, sign + y * y * a, -y], 1)
     angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
     turned = unit + (angle[:, 0] * first + angle[:, 1] * second) * (unit != 0).any(1, keepdims=True)
     return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12))
@@ -140,6 +127,41 @@ def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: 
                 lobes[j, i, 1] = falloff * 3.0 / (8.0 * np.pi) * n_h
                 lobes[j, i, 2] = falloff * 10.0 / (8.0 * np.pi) * power8
                 lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power64
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_slopes(vertices, normals, cameras, lights, slopes):  # type: ignore[no-untyped-def]
+    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2, with tangents as Duff et al. (JCGT 6(1), 2017)."""
+    for j in range(len(cameras)):
+        for i in range(len(vertices)):
+            slopes[j, i, :] = 0.0
+            x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
+            l0, l1, l2 = (
+                lights[j, 0] - vertices[i, 0],
+                lights[j, 1] - vertices[i, 1],
+                lights[j, 2] - vertices[i, 2],
+            )
+            along = x * l0 + y * l1 + z * l2
+            if along <= 0.0:
+                continue
+            sign = 1.0 if z >= 0.0 else -1.0
+            a = -1.0 / (sign + z)
+            b = x * y * a
+            e0, e1, e2 = 1.0 + sign * x * x * a, sign * b, -sign * x
+            f0, f1, f2 = b, sign + y * y * a, -y
+            slopes[j, i, 0] = (e0 * l0 + e1 * l1 + e2 * l2) / along
+            slopes[j, i, 1] = (f0 * l0 + f1 * l1 + f2 * l2) / along
+            v0, v1, v2 = (
+                cameras[j, 0] - vertices[i, 0],
+                cameras[j, 1] - vertices[i, 1],
+                cameras[j, 2] - vertices[i, 2],
+            )
+            ratio = np.sqrt((l0 * l0 + l1 * l1 + l2 * l2) / max(v0 * v0 + v1 * v1 + v2 * v2, 1e-300))
+            h0, h1, h2 = l0 + ratio * v0, l1 + ratio * v1, l2 + ratio * v2
+            along = x * h0 + y * h1 + z * h2
+            if along > 0.0:
+                slopes[j, i, 2] = (e0 * h0 + e1 * h1 + e2 * h2) / along
+                slopes[j, i, 3] = (f0 * h0 + f1 * h1 + f2 * h2) / along
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

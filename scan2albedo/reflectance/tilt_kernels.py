@@ -88,12 +88,15 @@ def _fill_matrix(normal, equations, prior, tilt_prior, matrix):  # type: ignore[
     matrix[:] = 0.0
     for k in range(3):
         row = normal[k]
-        matrix[k, k], at = row[0] + prior[k], 4
-        for n in range(3, 6):
-            matrix[n, k] = row[n - 2]
-            for q in range(n, 6):
-                matrix[q, n] += row[at]
-                at += 1
+        matrix[k, k] = row[0] + prior[k]
+        for n in range(3):
+            matrix[3 + n, k] = row[1 + n]
+        matrix[3, 3] += row[4]
+        matrix[4, 3] += row[5]
+        matrix[5, 3] += row[6]
+        matrix[4, 4] += row[7]
+        matrix[5, 4] += row[8]
+        matrix[5, 5] += row[9]
     for n in range(3, 6):
         matrix[n, n] += prior[n]
     for n in range(6):

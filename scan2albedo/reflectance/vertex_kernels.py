@@ -28,18 +28,29 @@ def add_normal_equations(observed, precision, lobes, weight, rows, normal):  # t
     for j in range(observed.shape[0]):
         for i in range(len(rows)):
             v = rows[i]
-            u, lobe = weight[j, v], (lobes[j, v, 0], lobes[j, v, 1], lobes[j, v, 2], lobes[j, v, 3])
+            u = weight[j, v]
+            diffuse, s0, s1, s2 = lobes[j, v, 0], lobes[j, v, 1], lobes[j, v, 2], lobes[j, v, 3]
             for k in range(3):
                 p = u * precision[j, v, k]
                 if p == 0.0:
                     continue
-                row, y, at = normal[i, k], p * observed[j, v, k], 0
-                for n in range(4):
-                    t = p * lobe[n]
-                    row[10 + n] += y * lobe[n]
-                    for q in range(n, 4):
-                        row[at] += t * lobe[q]
-                        at += 1
+                y = p * observed[j, v, k]
+                t, t0, t1, t2 = p * diffuse, p * s0, p * s1, p * s2
+                row = normal[i, k]
+                row[0] += t * diffuse
+                row[1] += t * s0
+                row[2] += t * s1
+                row[3] += t * s2
+                row[4] += t0 * s0
+                row[5] += t0 * s1
+                row[6] += t0 * s2
+                row[7] += t1 * s1
+                row[8] += t1 * s2
+                row[9] += t2 * s2
+                row[10] += y * diffuse
+                row[11] += y * s0
+                row[12] += y * s1
+                row[13] += y * s2
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -79,12 +90,16 @@ def _reduce(normal, mean, prior, zero, m, r):  # type: ignore[no-untyped-def]
         if zero >> k & 1:
             continue
         a, b = row[0] + prior[k], row[10] + prior[k] * mean[k]
-        at = 0
-        for n in range(1, 4):
-            r[n - 1] -= row[n] * b / a
-            for q in range(n, 4):
-                m[at] -= row[n] * row[q] / a
-                at += 1
+        d0, d1, d2 = row[1], row[2], row[3]
+        m[0] -= d0 * d0 / a
+        m[1] -= d0 * d1 / a
+        m[2] -= d0 * d2 / a
+        m[3] -= d1 * d1 / a
+        m[4] -= d1 * d2 / a
+        m[5] -= d2 * d2 / a
+        r[0] -= d0 * b / a
+        r[1] -= d1 * b / a
+        r[2] -= d2 * b / a
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
