@@ -300,11 +300,12 @@ def write_template(
         end = ".png" if alone else f".{tile.number}.png"
         if exr:
             write_exr((folder / f"template{end}").with_suffix(".exr"), tile.color_linear)
+        normal = encode_image(normal_bytes(tile.normal), ".png")
         color: NDArray[Any] = np.empty((*tile.seen.shape, 4), samples)
         encode_srgb_integers(tile.color_linear, samples, color[..., :3])
-        color[..., 3] = np.where(tile.seen, np.iinfo(samples).max, 0)
+        color[..., 3] = tile.seen * samples(np.iinfo(samples).max)
         picture = encode_image(color, ".png")
-        normal = encode_image(normal_bytes(tile.normal), ".png")
+        del color  # beside the next tile's normals it would be the most that is kept
         pictures.append(MeshPicture(f"template{end}", picture, tile.faces, f"template_normal{end}", normal))
     mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
     write_textured_obj(folder / "template.obj", mesh)
