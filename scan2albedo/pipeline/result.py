@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scan2albedo.applications.template_baking import FIRST_TILE, TemplateTexture, normal_bytes
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import lost_texture
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import encode_srgb_integers, is_deep
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
@@ -207,7 +208,8 @@ def write_result(
             write("specular.exr", write_exr, estimate.specular)
             write("shadow.png", write_png, _gray_bytes(estimate.shadow))
         if fitted is not None:
-            write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, preview)
+            shown = None if preview is None else filled_from_nearest(preview, image.mask).astype(np.uint8)
+            write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, shown)
             vertices, faces = fitted.template_vertices, fitted.model.template_faces
             if result.template is not None:
                 write_template(staging.folder, result.template, deep, exr=files == "all")

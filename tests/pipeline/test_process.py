@@ -104,6 +104,14 @@ def test_every_file_of_the_contract_is_there_and_none_else(result):
     assert [path.name for path in result.out.parent.iterdir()] == [result.out.name]
 
 
+def test_colours_go_on_beyond_the_rim_for_viewers_that_filter(result):
+    mesh = trimesh.load(result.out / "fitted.glb", force="mesh", process=False)
+    texture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
+    inside = result.geometry_image.mask
+    assert not inside.all()
+    assert (texture[~inside] == 255).all(-1).mean() < 0.01  # nothing white, which the rim would mix in
+
+
 def test_json_files_agree_with_their_schemas(result):
     for name in ("result", "registration", "landmarks"):
         schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text())
