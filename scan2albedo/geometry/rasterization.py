@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -155,7 +156,7 @@ def bilinear_slopes(image: NDArray[np.floating], pixels: NDArray[np.float64]) ->
     return np.asarray(np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2))
 
 
-def filled_from_nearest(image: NDArray[np.floating], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def filled_from_nearest(image: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return an image (H, W, ...) whose pixels outside of `mask` have the value of the nearest one inside.
 
     Interpolation and averages at the mask's border then mix in no empty pixel.
