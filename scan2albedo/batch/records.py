@@ -152,7 +152,7 @@ class BatchReport:
         parts.append(f"{progress.elapsed_s:.0f} s")
         if progress.scans_per_hour:
             parts.append(f"{progress.scans_per_hour:.0f} scans/h with {self.jobs} job{'s' * (self.jobs > 1)}")
-        lines = ["batch: " + ", ".join(parts) + f"; files in {self.out}"]
+        lines = ["batch: " + ", ".join(parts) + f"; files in {self.out}, doubts in its catalogue"]
         told = [f"  failed: {name}: {reason}" for name, reason in self.failures.items()]
         told += [f"  {note}" for note in self.notes if lost_texture((note,))]
         lines += told[:_SHOWN]

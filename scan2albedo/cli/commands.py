@@ -198,6 +198,7 @@ def process(
     if failures:
         raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
     if strict and lost:
+        say("scan2albedo: --strict: a texture is missing, so the exit status is 1")
         raise typer.Exit(SOME_FAILED)
 
 

@@ -53,7 +53,7 @@ class ObjLines:
         table = tables.NumberLines(self.text, starts, ends, counts).table(most=width)
         wrong = counts < least
         wrong[table.bad : table.bad + 1 if table.bad >= 0 else 0] = True
-        self.raise_for(lines[wrong], f"expected at least {least} numbers")
+        self.raise_for(lines[wrong], f"expected at least {least} number{'s' * (least > 1)}")
         values = np.full((len(lines), width), np.nan)
         if len(lines) and (table.counts == (same := table.counts[0])).all():  # much faster than by a mask
             values[:, :same] = table.values.reshape(-1, same)

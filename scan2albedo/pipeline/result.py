@@ -121,6 +121,12 @@ class ProcessResult:
         in_mm = transform_points(invert_rigid(self.fitted.model_from_scan), self.fitted.landmarks)
         return in_mm / self.scan.mm_per_unit
 
+    @property
+    def expected_error(self) -> float | None:
+        """Relative error of the albedo that is expected of half the texels, or of more; None without one."""
+        error = None if self.albedo is None else self.albedo.expected_error
+        return None if error is None else float(np.median(error[self.geometry_image.mask]))
+
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
         figures: dict[str, Any] = {"seconds": round(sum(self.timings_s.values()), 3)}
@@ -131,11 +137,11 @@ class ProcessResult:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
         figures["geometry_image"] = self.geometry_image.figures()
         if self.albedo is not None:
-            found, error = self.albedo, self.albedo.expected_error
+            found = self.albedo
             figures["albedo"] = {"lights": len(found.lights), "parameters": dict(found.parameters)}
             figures["albedo"]["converged"] = found.converged
-            if error is not None:  # of half the texels
-                figures["albedo"]["expected_error"] = float(np.median(error[self.geometry_image.mask]))
+            if self.expected_error is not None:
+                figures["albedo"]["expected_error"] = self.expected_error
             if found.uncertainty is not None:
                 figures["albedo"]["uncertainty"] = found.uncertainty.figures()
         return figures
@@ -152,6 +158,8 @@ class ProcessResult:
             )
             soft = "soft light" if self.albedo.environment is not None else "no directed light"
             parts.append(f"light at {lights}" if lights else soft)
+            if self.expected_error is not None:
+                parts.append(f"albedo +- {100 * self.expected_error:.0f} % a texel")
         else:
             parts.insert(1, f"no albedo: {lost_texture(self.scan.notes) or 'see the plan'}")
         if self.registration is not None and self.registration.confidence < SURE:
