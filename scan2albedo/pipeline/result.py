@@ -124,8 +124,9 @@ class ProcessResult:
     @property
     def expected_error(self) -> float | None:
         """Relative error of the albedo that is expected of half the texels, or of more; None without one."""
-        error = None if self.albedo is None else self.albedo.expected_error
-        return None if error is None else float(np.median(error[self.geometry_image.mask]))
+        if self.albedo is None or self.albedo.expected_error is None:
+            return None
+        return float(np.median(self.albedo.expected_error[self.albedo.image.mask]))
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
