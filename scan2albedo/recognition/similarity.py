@@ -93,7 +93,7 @@ def pair_similarity(
     shared = np.abs(_window_sums(a * b.conj(), window))
     energy = _window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, window)
     index = (2 * shared + STABILIZER) / (energy + STABILIZER)
-    return float(index[:, inside].mean())
+    return min(float(index[:, inside].mean()), 1.0)  # rounding goes beyond
 
 
 def has_window(templates: Templates, window: int) -> BoolArray:
