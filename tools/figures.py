@@ -68,6 +68,8 @@ SUMMARY = {"least": "least ", "mean": "mean ", "worst": "worst "}
 ALBEDO = {
     "means": "{mean[0]} -> {mean[4]}, {mean[5]} -> {mean[6]}, {mean[7]} -> {mean[8]} %",
     "worst": "{worst[4]}, {worst[6]}, {worst[8]} %",
+    "half": "{mean[6]} %",
+    "most": "{mean[8]} %",
     "mse": "{mean[11]} -> {mean[12]} %",
     "said": "{least[13]} to {worst[13]}",
     "peers": "{mean[1]}, {mean[2]}, {mean[3]} %",
