@@ -60,11 +60,8 @@ def balanced(
     def times(color: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
         return None if color is None else color * gain.astype(np.float32)
 
-    scan = replace(
-        scan,
-        texture_linear=times(scan.texture_linear),
-        vertex_color_linear=times(scan.vertex_color_linear),
-    )
+    textures = times(scan.texture_linear), times(scan.vertex_color_linear)
+    scan = replace(scan, texture_linear=textures[0], vertex_color_linear=textures[1])
     evidence = "red x {:.3f}, green x {:.3f}, blue x {:.3f}".format(*gain)
     step = PlanStep("white_balance", True, reason, evidence)
     return scan, replace(image, texture_linear=times(texture)), step

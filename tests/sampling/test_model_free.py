@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 import trimesh
+import xatlas
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
+from scan2albedo.geometry.parametrization import KEPT
 from scan2albedo.sampling import geometry_image_of_scan, model_free
 
 
@@ -18,6 +20,17 @@ def test_a_sphere_is_covered_once_with_true_positions_and_normals():
     np.testing.assert_allclose(radius, 80, atol=0.4)
     outward = np.einsum("ij,ij->i", image.normal[inside], image.position[inside] / radius[:, None])
     assert outward.min() > 0.99
+
+
+def test_an_atlas_outlives_its_chart():
+    """Its end waits for its threads, for ever where one of them is just going to sleep."""
+    sphere = trimesh.creation.icosphere(1, 80.0)
+    kept = []
+    for _ in range(2):
+        geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 32)
+        kept += KEPT
+    assert [type(atlas) for atlas in kept] == [xatlas.Atlas] * 2
+    assert kept[0] is not kept[1]
 
 
 @pytest.mark.slow
