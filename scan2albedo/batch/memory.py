@@ -62,9 +62,9 @@ def job_limit(
                 else:
                     total += file.stat().st_size * _MESH_BYTES_PER_BYTE
         largest = max(largest, total)
-    worker = max(
-        _BASE_MB + (size * size * _TEXEL_BYTES + template * template * 30 + largest) / MB, running_mb
-    )
+    # Of a template's texel: two triples of float32, two marks, and some of the means that fill it.
+    texels = size * size * _TEXEL_BYTES + template * template * 30
+    worker = max(_BASE_MB + (texels + largest) / MB, running_mb)
     available = available_mb()
     jobs = max(1, min(asked, int((1 - _KEPT_FREE) * available / worker)))
     need = f"a worker may need {worker / 1024:.1f} GB and {available / 1024:.1f} GB are available"

@@ -19,8 +19,8 @@ from scan2albedo.geometry.mesh import (
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
 3 fills 88 %. The corners take up some angular distortion."""
-KEPT: list[object] = []
-"""xatlas's last atlas: what ends one too soon can wait forever for a thread that is just going to sleep."""
+LAST_ATLAS: list[object] = []
+"""Kept until the next one: an atlas that ends too soon can wait forever for a thread that goes to sleep."""
 
 
 def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None) -> FloatArray:
@@ -40,7 +40,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     # Fill the unit square, xatlas's margin around the chart, its centre at 0.5.
     low, high = uv.min(0), uv.max(0)
     unit = (uv - low) / (high - low)
-    KEPT[:] = [atlas := xatlas.Atlas()]
+    LAST_ATLAS[:] = [atlas := xatlas.Atlas()]
     atlas.add_uv_mesh(unit.astype(np.float32), index.astype(np.uint32))
     pack = xatlas.PackOptions()
     pack.padding, pack.resolution = 2, 512

@@ -10,7 +10,7 @@ from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.mesh import face_areas, normalized, turned_against_neighbours, vertex_normals
-from scan2albedo.geometry.parametrization import KEPT
+from scan2albedo.geometry.parametrization import LAST_ATLAS
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
@@ -44,7 +44,7 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     used = vertices[np.unique(faces)]
     low, high = used.min(0), used.max(0)
     placed = (vertices - (low + high) / 2) * (200 / float(np.max(high - low)))
-    KEPT[:] = [atlas := xatlas.Atlas()]
+    LAST_ATLAS[:] = [atlas := xatlas.Atlas()]
     atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
     pack = xatlas.PackOptions()
     pack.resolution, pack.padding, pack.create_image = size, 2, False

@@ -7,7 +7,7 @@ import xatlas
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.geometry.parametrization import KEPT
+from scan2albedo.geometry.parametrization import LAST_ATLAS
 from scan2albedo.sampling import geometry_image_of_scan, model_free
 
 
@@ -28,7 +28,7 @@ def test_an_atlas_outlives_its_chart():
     kept = []
     for _ in range(2):
         geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 32)
-        kept += KEPT
+        kept += LAST_ATLAS
     assert [type(atlas) for atlas in kept] == [xatlas.Atlas] * 2
     assert kept[0] is not kept[1]
 
