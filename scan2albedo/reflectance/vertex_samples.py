@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
@@ -137,6 +138,10 @@ class VertexSamples:
     """(J, V, 4): how lobes change as the normal tilts, see `lobe_slopes`; None: normals are right."""
     normal_spread: FloatArray | None = None
     """(V,): root mean square angle, in radians, between a vertex's normal and those of its triangles."""
+    reached: BoolArray | None = None
+    """(J, V): vertices that the flash reaches, seen or not; None: all."""
+    form_factors: sparse.csr_matrix | None = None
+    """(V, V): of light from the mesh onto itself; None: none does, as in renderings of direct light alone."""
 
     def __post_init__(self) -> None:
         observed, sigma = np.asarray(self.observed_linear, np.float64), np.asarray(self.sigma, np.float64)
@@ -154,8 +159,10 @@ class VertexSamples:
             ("light", light, observed.shape[:1]),
             ("slopes", slopes, lobed),
             ("normal_spread", spread, observed.shape[1:2]),
+            ("reached", lobes[..., 0] if self.reached is None else self.reached, lobed[:2]),
+            ("form_factors", self.form_factors, (2 * observed.shape[1:2])),
         ):
-            if array.shape != shape:
+            if array is not None and array.shape != shape:
                 raise ReflectanceError(f"{name} is {array.shape}, expected {shape} as observed_linear says")
         if valid.dtype != np.bool_ or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
             raise ReflectanceError(
@@ -186,16 +193,25 @@ class VertexSamples:
 
     def of_pairs(self, pairs: ArrayLike) -> VertexSamples:
         """Return the samples of some pictures: indices, or a mask (J,)."""
-        keep = np.asarray(pairs)
-        return VertexSamples(
-            self.observed_linear[keep],
-            self.sigma[keep],
-            self.valid[keep],
-            self.lobes[keep],
-            self.light[keep],
-            None if self.slopes is None else self.slopes[keep],
-            self.normal_spread,
-        )
+        names = ("observed_linear", "sigma", "valid", "lobes", "light", "slopes", "reached")
+        given = {name: array for name in names if (array := getattr(self, name)) is not None}
+        return replace(self, **{name: array[np.asarray(pairs)] for name, array in given.items()})
+
+    def bounced_light(self, albedo: FloatArray) -> FloatArray:
+        """Return light (J, V, 3) between vertices of one `albedo` (3,), in units of the diffuse lobes D.
+
+        B = albedo F (D + B), F the form factors, D where it is reached; one picture serves a flash.
+        """
+        result = np.zeros((3, *self.lobes.shape[1::-1]))
+        if self.form_factors is None or not albedo.any():
+            return np.ascontiguousarray(result.T)
+        _, first, number = np.unique(self.light, return_index=True, return_inverse=True)
+        direct = self.lobes[first, :, 0] * (1 if self.reached is None else self.reached[first])
+        result = np.zeros((3, *direct.T.shape))
+        for _ in range(4):  # bounces; the fifth is below 1 % of the first even on pale skin in creases
+            for k in range(3):
+                result[k] = albedo[k] * (self.form_factors @ (direct.T + result[k]))
+        return np.ascontiguousarray(result.T[number])
 
     def turned_lobes(self, tilt: ArrayLike) -> FloatArray:
         """Return the lobes (J, V, 4) of normals tilted by `tilt` (V, 2), see `ReflectanceFit.tilt`."""
@@ -251,6 +267,7 @@ def sample_vertices(
     visibility = VertexVisibility(xyz, index, normal)
     seen: dict[bytes, BoolArray] = {}
     lit: dict[bytes, BoolArray] = {}
+    reached = np.zeros(shape[:2], bool)
     for j in range(len(olat)):
         camera, light = rig.cameras[j], rig.light_positions[j]
         key, light_key = camera.tobytes(), light.tobytes()
@@ -259,7 +276,7 @@ def sample_vertices(
         if light_key not in lit:
             lit[light_key] = visibility.lit(light) & (np.einsum("vc,vc->v", normal, light - xyz) > 0)
         pixels, _ = project(camera, xyz)
-        usable = seen[key] & lit[light_key]
+        usable, reached[j] = seen[key] & lit[light_key], visibility.reached(light)
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
         spread = _POSITION_SIGMA_PX**2
         bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
@@ -272,5 +289,6 @@ def sample_vertices(
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
     normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(
-        observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread
+        *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread),
+        *(reached, visibility.form_factors()),
     )

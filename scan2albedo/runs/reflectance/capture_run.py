@@ -177,6 +177,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         "converged": fit.converged,
         "iterations": fit.iterations,
         "light_gain": fit.light_gain,
+        "plan": [vars(step) for step in fit.plan],
     }
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:
