@@ -104,7 +104,7 @@ def mitsuba_capture(
     skin: Skin = SKIN,
     rays: int = 16,
 ) -> MitsubaCapture:
-    """Return pictures, 8 bits with noise, of every view lit by every flash; `rays` a pixel if light bounces."""
+    """Return pictures, 8 bits with noise, of every view lit by every flash; `rays` a pixel if it bounces."""
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")
