@@ -256,12 +256,11 @@ def with_bounce(
     """
     from scipy.optimize import minimize_scalar
 
-    stage, factors = "reflectance.bounce", samples.form_factors
-    if factors is None or not factors.nnz:
-        reason = (
-            "the samples have no form factors" if factors is None else "no part of the mesh faces another"
-        )
-        return data, np.zeros(3), 0.0, PlanStep(stage, False, reason)
+    stage = "reflectance.bounce"
+    if samples.form_factors is None:
+        return data, np.zeros(3), 0.0, PlanStep(stage, False, "the samples have no form factors")
+    if not samples.form_factors.nnz:
+        return data, np.zeros(3), 0.0, PlanStep(stage, False, "no part of the mesh faces another")
     few = rows[:: max(1, len(rows) // _GAIN_VERTICES)]
 
     def fit_few(sent: FloatArray) -> RobustFit:

@@ -144,33 +144,35 @@ class VertexSamples:
     """(V, V): of light from the mesh onto itself; None: none does, as in renderings of direct light alone."""
 
     def __post_init__(self) -> None:
-        observed, sigma = np.asarray(self.observed_linear, np.float64), np.asarray(self.sigma, np.float64)
-        valid, lobes = np.asarray(self.valid), np.ascontiguousarray(self.lobes, np.float64)
-        light = np.asarray(self.light)
-        slopes = np.zeros(lobes.shape) if self.slopes is None else np.asarray(self.slopes, np.float64)
-        spread = np.zeros(lobes.shape[1]) if self.normal_spread is None else np.asarray(self.normal_spread)
-        if observed.ndim != 3 or observed.shape[2] != 3:
-            raise ReflectanceError(f"observed_linear is {observed.shape}, expected (J, V, 3)")
-        lobed = (*observed.shape[:2], 4)
-        for name, array, shape in (
-            ("sigma", sigma, observed.shape),
-            ("valid", valid, observed.shape),
-            ("lobes", lobes, lobed),
-            ("light", light, observed.shape[:1]),
-            ("slopes", slopes, lobed),
-            ("normal_spread", spread, observed.shape[1:2]),
-            ("reached", lobes[..., 0] if self.reached is None else self.reached, lobed[:2]),
-            ("form_factors", self.form_factors, (2 * observed.shape[1:2])),
+        shape = np.shape(self.observed_linear)
+        if len(shape) != 3 or shape[2] != 3:
+            raise ReflectanceError(f"observed_linear is {shape}, expected (J, V, 3)")
+        numbers, lobed = np.float64, (*shape[:2], 4)
+        for name, kind, expected in (
+            ("observed_linear", numbers, shape),
+            ("sigma", numbers, shape),
+            ("valid", None, shape),
+            ("lobes", numbers, lobed),
+            ("light", None, shape[:1]),
+            ("slopes", numbers, lobed),
+            ("normal_spread", numbers, shape[1:2]),
+            ("reached", None, shape[:2]),
         ):
-            if array is not None and array.shape != shape:
-                raise ReflectanceError(f"{name} is {array.shape}, expected {shape} as observed_linear says")
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), kind))
+                if getattr(self, name).shape != expected:
+                    found = getattr(self, name).shape
+                    raise ReflectanceError(f"{name} is {found}, expected {expected} as observed_linear says")
+        if self.form_factors is not None and self.form_factors.shape != 2 * shape[1:2]:
+            raise ReflectanceError(f"form_factors is {self.form_factors.shape}, expected {2 * shape[1:2]}")
+        observed, sigma, valid, light = self.observed_linear, self.sigma, self.valid, self.light
         if valid.dtype != np.bool_ or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
             raise ReflectanceError(
                 f"valid is {valid.dtype} and light {light.dtype}, expected bool, integers >= 0"
             )
         bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
-        bad |= valid & ~np.isfinite(lobes).all(-1, keepdims=True)
-        if not (np.isfinite(slopes).all() and np.isfinite(spread).all()):
+        bad |= valid & ~np.isfinite(self.lobes).all(-1, keepdims=True)
+        if not all(one is None or np.isfinite(one).all() for one in (self.slopes, self.normal_spread)):
             raise ReflectanceError("slopes and normal_spread must be finite; leave them out if unknown")
         if bad.any():
             pair, vertex, _ = np.argwhere(bad)[0]
@@ -179,12 +181,8 @@ class VertexSamples:
                 f"not finite or sigma is not above {_LEAST_SIGMA:g}: "
                 f"{observed[pair, vertex]}, {sigma[pair, vertex]}"
             )
-        arrays = np.where(valid, observed, 0.0), sigma, valid, lobes, light.astype(np.int64)
-        for name, array in zip(("observed_linear", "sigma", "valid", "lobes", "light"), arrays, strict=True):
-            object.__setattr__(self, name, array)
-        for name, array in (("slopes", slopes), ("normal_spread", spread)):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, np.ascontiguousarray(array, np.float64))
+        object.__setattr__(self, "observed_linear", np.where(valid, observed, 0.0))
+        object.__setattr__(self, "light", light.astype(np.int64))
 
     @property
     def pair_count(self) -> IntArray:
@@ -202,9 +200,8 @@ class VertexSamples:
 
         B = albedo F (D + B), F the form factors, D where it is reached; one picture serves a flash.
         """
-        result = np.zeros((3, *self.lobes.shape[1::-1]))
         if self.form_factors is None or not albedo.any():
-            return np.ascontiguousarray(result.T)
+            return np.zeros((*self.lobes.shape[:2], 3))
         _, first, number = np.unique(self.light, return_index=True, return_inverse=True)
         direct = self.lobes[first, :, 0] * (1 if self.reached is None else self.reached[first])
         result = np.zeros((3, *direct.T.shape))

@@ -36,7 +36,7 @@ def test_inside_of_a_ball_sees_itself_all_around_and_outside_not_at_all(ball):
 
 
 def groove(samples_seed=0, pairs=12):
-    """Return samples of a groove of 90 degrees, the light it bounces by small areas, and vertices off its edges."""
+    """Return samples of a groove of 90 degrees, what it bounces by small areas, and vertices off edges."""
     across, along = np.linspace(-50, 50, 23), np.linspace(-60, 60, 13)
     x, y = np.meshgrid(across, along, indexing="ij")
     vertices = np.stack([x.ravel(), y.ravel(), np.abs(x).ravel()], 1)
