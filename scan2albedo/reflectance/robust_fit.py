@@ -80,15 +80,10 @@ class Observations:
 
     def of_vertices(self, rows: IntArray) -> Observations:
         """Return the observations of some vertices (N,)."""
-        return replace(
-            self,
-            observed=self.observed[:, rows],
-            precision=self.precision[:, rows],
-            lobes=self.lobes[:, rows],
-            slopes=None if self.slopes is None else self.slopes[:, rows],
-            tilt_sigma=None if self.tilt_sigma is None else self.tilt_sigma[rows],
-            bounce=self.bounce[:, rows] if len(self.bounce) else self.bounce,
-        )
+        names = ("observed", "precision", "lobes", "slopes", "bounce")
+        given = {name: array for name in names if (array := getattr(self, name)) is not None and len(array)}
+        sigma = None if self.tilt_sigma is None else self.tilt_sigma[rows]
+        return replace(self, tilt_sigma=sigma, **{name: array[:, rows] for name, array in given.items()})
 
 
 class RobustFit:

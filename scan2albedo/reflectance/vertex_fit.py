@@ -256,11 +256,9 @@ def with_bounce(
     """
     from scipy.optimize import minimize_scalar
 
-    stage = "reflectance.bounce"
-    if samples.form_factors is None:
-        return data, np.zeros(3), 0.0, PlanStep(stage, False, "the samples have no form factors")
-    if not samples.form_factors.nnz:
-        return data, np.zeros(3), 0.0, PlanStep(stage, False, "no part of the mesh faces another")
+    stage, factors = "reflectance.bounce", samples.form_factors
+    if factors is None or not factors.nnz:
+        return data, np.zeros(3), 0.0, PlanStep(stage, False, "no part of the mesh is known to face another")
     few = rows[:: max(1, len(rows) // _GAIN_VERTICES)]
 
     def fit_few(sent: FloatArray) -> RobustFit:

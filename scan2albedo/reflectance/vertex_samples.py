@@ -131,15 +131,13 @@ class VertexSamples:
     valid: BoolArray
     """(J, V, 3): seen, lit, neither saturated nor missing."""
     lobes: FloatArray
-    """(J, V, 4): radiance of unit albedo and unit weights, see `point_light_lobes`."""
+    """(J, V, 4): radiance of unit albedo and unit weights, see `point_light_lobes`; 0 in cast shadow."""
     light: IntArray
     """(J,): number of the flash."""
     slopes: FloatArray | None = None
     """(J, V, 4): how lobes change as the normal tilts, see `lobe_slopes`; None: normals are right."""
     normal_spread: FloatArray | None = None
     """(V,): root mean square angle, in radians, between a vertex's normal and those of its triangles."""
-    reached: BoolArray | None = None
-    """(J, V): vertices that the flash reaches, seen or not; None: all."""
     form_factors: sparse.csr_matrix | None = None
     """(V, V): of light from the mesh onto itself; None: none does, as in renderings of direct light alone."""
 
@@ -156,7 +154,6 @@ class VertexSamples:
             ("light", None, shape[:1]),
             ("slopes", numbers, lobed),
             ("normal_spread", numbers, shape[1:2]),
-            ("reached", None, shape[:2]),
         ):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), kind))
@@ -191,23 +188,23 @@ class VertexSamples:
 
     def of_pairs(self, pairs: ArrayLike) -> VertexSamples:
         """Return the samples of some pictures: indices, or a mask (J,)."""
-        names = ("observed_linear", "sigma", "valid", "lobes", "light", "slopes", "reached")
+        names = ("observed_linear", "sigma", "valid", "lobes", "light", "slopes")
         given = {name: array for name in names if (array := getattr(self, name)) is not None}
         return replace(self, **{name: array[np.asarray(pairs)] for name, array in given.items()})
 
     def bounced_light(self, albedo: FloatArray) -> FloatArray:
         """Return light (J, V, 3) between vertices of one `albedo` (3,), in units of the diffuse lobes D.
 
-        B = albedo F (D + B), F the form factors, D where it is reached; one picture serves a flash.
+        B = albedo F (D + B), F the form factors, D that of one picture a flash.
         """
         if self.form_factors is None or not albedo.any():
             return np.zeros((*self.lobes.shape[:2], 3))
         _, first, number = np.unique(self.light, return_index=True, return_inverse=True)
-        direct = self.lobes[first, :, 0] * (1 if self.reached is None else self.reached[first])
-        result = np.zeros((3, *direct.T.shape))
+        direct = self.lobes[first, :, 0].T
+        result = np.zeros((3, *direct.shape))
         for _ in range(4):  # bounces; the fifth is below 1 % of the first even on pale skin in creases
             for k in range(3):
-                result[k] = albedo[k] * (self.form_factors @ (direct.T + result[k]))
+                result[k] = albedo[k] * (self.form_factors @ (direct + result[k]))
         return np.ascontiguousarray(result.T[number])
 
     def turned_lobes(self, tilt: ArrayLike) -> FloatArray:
@@ -262,18 +259,14 @@ def sample_vertices(
     shape = (len(olat), len(xyz), 3)
     observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
     visibility = VertexVisibility(xyz, index, normal)
-    seen: dict[bytes, BoolArray] = {}
-    lit: dict[bytes, BoolArray] = {}
-    reached = np.zeros(shape[:2], bool)
-    for j in range(len(olat)):
-        camera, light = rig.cameras[j], rig.light_positions[j]
-        key, light_key = camera.tobytes(), light.tobytes()
-        if key not in seen:
-            seen[key] = visibility.seen(camera, VIEW_COSINE)
-        if light_key not in lit:
-            lit[light_key] = visibility.lit(light) & (np.einsum("vc,vc->v", normal, light - xyz) > 0)
-        pixels, _ = project(camera, xyz)
-        usable, reached[j] = seen[key] & lit[light_key], visibility.reached(light)
+    cameras, camera = np.unique(rig.cameras, axis=0, return_inverse=True)
+    flashes, flash = np.unique(rig.light_positions, axis=0, return_inverse=True)
+    seen = [visibility.seen(one, VIEW_COSINE) for one in cameras]
+    lit = [visibility.lit(one) for one in flashes]
+    lobes *= np.stack([visibility.reached(one) for one in flashes])[flash, :, None]
+    for j, (view, light) in enumerate(zip(camera, flash, strict=True)):
+        pixels, _ = project(cameras[view], xyz)
+        usable = seen[view] & lit[light] & (lobes[j, :, 0] > 0)
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
         spread = _POSITION_SIGMA_PX**2
         bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
@@ -287,5 +280,5 @@ def sample_vertices(
     normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(
         *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread),
-        *(reached, visibility.form_factors()),
+        visibility.form_factors(),
     )

@@ -132,8 +132,6 @@ def test_a_convex_mesh_costs_nothing(dug, ball):
 def test_other_shapes_are_refused(dug):
     with pytest.raises(ReflectanceError, match="form_factors is"):
         replace(dug[0], form_factors=dug[0].form_factors[:-1])
-    with pytest.raises(ReflectanceError, match="reached is"):
-        replace(dug[0], reached=np.ones((2, 2), bool))
 
 
 @pytest.mark.slow
