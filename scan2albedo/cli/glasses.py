@@ -33,11 +33,7 @@ KeyPointsOption = Annotated[
 ]
 FrameWidthOption = Annotated[
     float | None,
-    typer.Option(
-        help="Width of the (first) frame's whole front in mm, as measured on it: sets the scale, which the "
-        "other frames share.",
-        min=1,
-    ),
+    typer.Option(help="Width of the (first) frame's front in mm, as measured: sets the scale of all.", min=1),
 ]
 
 

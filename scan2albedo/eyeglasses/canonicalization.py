@@ -374,10 +374,8 @@ def _moved(
             evidence += f"; rims then {halves.apart:.3g} apart, rms" if surfaces else ""
             stays = common_lean(straight * (10.0**frame.unit_exponent / scale), halves.reflection)
         step = PlanStep("eyeglasses.unbend", halves is not None, reason, evidence)
-    plan = frame.plan + Plan((step,))
-    if stays:
-        reason = "a bend common to both temples stays, as it cannot be told from their design"
-        plan += Plan((PlanStep("eyeglasses.temples", False, reason, stays),))
+    reason = "a bend common to both temples stays, as it cannot be told from their design"
+    rows = [step, PlanStep("eyeglasses.temples", False, reason, stays)] if stays else [step]
     rigid = align_key_points(points, targets)
     transforms = carriers @ np.diag([scale, scale, scale, 1.0])
     off = transform_points(rigid, points) - targets
@@ -392,5 +390,5 @@ def _moved(
         residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
         unbent=options.mode == "unbend",
         converged=frame.converged,
-        plan=plan,
+        plan=frame.plan + rows,
     )

@@ -128,17 +128,15 @@ def read_frame(
         scale, how = MM_PER_UNIT.get(unit, 0.0), f"{unit}, as given"
         if marks_mm and not scale:
             # The unit in which the key points lie on the mesh: units are factors of ten apart.
-            known, away = marks[np.isfinite(marks).all(1)] * marks_mm, {}
-            surface = ClosestPointQuery(parsed.vertices, parsed.faces)
-            for u, mm in MM_PER_UNIT.items():
-                away[u] = mm * float(np.median(surface.query(known / mm).distance))
+            known = marks[np.isfinite(marks).all(1)] * marks_mm
+            query = ClosestPointQuery(parsed.vertices, parsed.faces).query
+            away = {u: mm * float(np.median(query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
             found = min(away, key=lambda u: away[u])
             # Farther off than a tenth of their size, key points are those of another mesh.
             if not 10 * away[found] <= float(np.ptp(known, axis=0).max()):
                 raise EyeglassesError(
                     f"{mesh.name}: in no unit do the key points lie on the mesh: at best, in {found}, they "
-                    f"are {away[found]:.3g} mm off; check that they belong to this mesh and that their file "
-                    "says their unit"
+                    f"are {away[found]:.3g} mm off; check that they are this mesh's, and their file's unit"
                 )
             scale, how = MM_PER_UNIT[found], f"{found}, decided from the key points on it, in {marks_unit}"
         ratio = marks_mm / scale if marks_mm else 1.0

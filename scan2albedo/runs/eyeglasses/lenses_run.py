@@ -191,12 +191,12 @@ def render_lenses(
                 f"the frame lies {apart:.0f} mm away from the head; give both in the same world, and their "
                 "units"
             )
-        # Of an open face the inside is not drawn, as in relit pictures, where it is wound alike and outward.
+        # As in relit pictures, the inside of an open face is not drawn: if it is wound alike, and outward.
         corners = np.asarray(head.faces)
         edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-        out = face_normals(np.asarray(head.vertices), corners)[hits.face]
-        outward = np.median(np.einsum("nc,nc->n", known - hits.points, out)) > 0
-        head = replace(head, one_sided=bool(outward and len(np.unique(edges, axis=0)) == len(edges)))
+        out = ((known - hits.points) * face_normals(np.asarray(head.vertices), corners)[hits.face]).sum(1)
+        alike = pictures_linear is None and len(np.unique(edges, axis=0)) == len(edges)
+        head = replace(head, one_sided=bool(alike and np.median(out) > 0))
     kind: Literal["given", "built-in", "none"] = "none" if environment_linear is None else "given"
     exposure = 1.0
     if pictures_linear is None:
