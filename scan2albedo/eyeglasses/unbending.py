@@ -43,8 +43,8 @@ _LABEL_SHARE = 1e-3
 _FARTHEST = 0.15
 """Part of the rim's size by which surfaces may move its key points: more fits by chance."""
 
-_LEAN_DEG = (0.0, 5.0)
-"""Of temples outward from their front by design: opticians let them back to 90 to 95 degrees."""
+_LEAN_DEG = (-5.0, 10.0)
+"""Of temples outward from hinge to tip by design: let back to 90 to 95 degrees, as much more for curves."""
 
 
 @dataclass(frozen=True)
