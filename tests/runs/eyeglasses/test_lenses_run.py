@@ -124,8 +124,8 @@ def test_the_inside_of_an_open_face_is_not_drawn():
             options=LensPictureOptions(supersampling=1, light_count=4),
         )
         shown[name] = (drawn.views[0].picture.without_lenses_linear.max(2) < 1e-6).mean()
-    assert shown["outward"] == 0
-    assert shown["inward"] > 0.1
+    # Temples in the shade of the face are dark too.
+    assert shown["outward"] < 0.01 < 0.9 < shown["inward"]
 
 
 def test_drawn_views_and_their_files(files, tmp_path, monkeypatch):
