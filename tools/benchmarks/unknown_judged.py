@@ -66,7 +66,8 @@ def judged(face: UnknownFace, models: FaceModels, folder: str | None, landmarks:
     model, normal_error = models.model, 0.0
     taken = photographed(face, model.diffuse.mean, None if folder is None else Path(folder))
     if landmarks:
-        given = FacePhotographFile(image="-", camera=taken.camera.tolist(), landmarks=[(0.0, 0.0)] * 68)
+        content = {"image": "-", "camera": taken.camera.tolist(), "landmarks": [None] * 68}
+        given = FacePhotographFile.model_validate(content)
         marks = landmarks_of(face)
         photograph = PhotographFiles(
             Path("-"), given, taken.image, taken.skin, taken.camera, None, None, marks
