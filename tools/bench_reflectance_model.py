@@ -2,7 +2,8 @@
 
     python tools/bench_reflectance_model.py [lobes] [fit] [shadows] [photograph] [speed] [unknown]
                                             [--picture fit.png] [--photographs faces.png]
-                                            [--cases 16] [--traced FOLDER] [--unknown faces.png]
+                                            [--cases 16] [--landmarks] [--traced FOLDER]
+                                            [--unknown faces.png]
 
 Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
 is generated; it casts shadows in `shadows` and `photograph` only, ray-traced as
@@ -11,6 +12,8 @@ tools/benchmarks/shadowed_shots.py tells.
 by Mitsuba (tools/benchmarks/unknown_faces.py). The model is that of 200 synthetic people, the mesh one fitted
 to the shape. Pictures, 25 s each, are kept in the folder that --traced names. "left" is what light and
 coefficients, without details, leave of the photograph.
+With --landmarks the shape, too, is found from the photograph (68 landmarks, a pixel off): six people from
+pale to dark in three lights each; the truth is what the picture shows at a vertex.
 Albedo errors are relative RMSE after the best single scale, over seen vertices; faces are such as the model
 was not learned from, unless said. Times are CPU seconds.
 """
@@ -290,22 +293,22 @@ def print_speed() -> None:
         print(f"{count}: learn 40 faces {learn:.2f} s, fit {used:.2f} s, {fit.iterations} steps")
 
 
-def print_unknown(count: int, folder: str | None, picture: str | None) -> None:
+def print_unknown(count: int, folder: str | None, picture: str | None, landmarks: bool) -> None:
     """Print errors of the mean face, of the fit alone and of `fit_face` on faces nobody here made."""
-    from benchmarks.unknown_faces import unknown_faces
+    from benchmarks.unknown_faces import faces_with_landmarks, unknown_faces
     from benchmarks.unknown_judged import judged, sheet
 
     start = time.process_time()
-    model = synthetic_model(200).model
-    print(f"{model.components} directions of 200 people in {time.process_time() - start:.0f} s")
+    models = synthetic_model(200)
+    print(f"{models.model.components} directions of 200 people in {time.process_time() - start:.0f} s")
     LightingModel.default()
     found = []
     print(
         f"{'albedo, relative RMSE %':44}{'mean face':>10}{'fit':>8}{'chosen':>8}"
         f"{'relit: mean':>12}{'chosen':>8}{'left':>8}"
     )
-    for case in unknown_faces(count):
-        one = judged(case, model, folder)
+    for case in faces_with_landmarks() if landmarks else unknown_faces(count):
+        one = judged(case, models, folder, landmarks)
         found.append(one)
         print(one, flush=True)
     errors = np.array([(*one.albedo, *one.relit, *one.seconds) for one in found])
@@ -318,6 +321,8 @@ def print_unknown(count: int, folder: str | None, picture: str | None) -> None:
         f"decisions right: {sum(right)} of {len(found)}; worse than the mean face: {worse} "
         f"(fit alone {fit_worse})"
     )
+    gain = 1 - errors[:, 2] / errors[:, 0]
+    print(f"gain over the mean face: {100 * gain.mean():.1f} %, least {100 * gain.min():.1f} %")
     print(f"CPU: fit alone {errors[:, 5].mean():.1f} s, chosen {errors[:, 6].mean():.1f} s")
     if picture:
         write_png(picture, sheet(found[:6]))
@@ -339,6 +344,9 @@ def main() -> None:
     parser.add_argument("--picture", help="PNG of one fit: image, albedo, weights; truth above, fit below")
     parser.add_argument("--photographs", help="PNG of four photographs")
     parser.add_argument("--cases", type=int, default=16, help="photographs of unknown faces")
+    parser.add_argument(
+        "--landmarks", action="store_true", help="unknown faces without a mesh: six people, 18"
+    )
     parser.add_argument("--traced", help="folder that keeps the traced pictures of unknown faces")
     parser.add_argument("--unknown", help="PNG of the first six unknown faces")
     arguments = parser.parse_args()
@@ -349,7 +357,7 @@ def main() -> None:
         elif part == "photograph":
             print_photographs(arguments.photographs)
         elif part == "unknown":
-            print_unknown(arguments.cases, arguments.traced, arguments.unknown)
+            print_unknown(arguments.cases, arguments.traced, arguments.unknown, arguments.landmarks)
         else:
             PARTS[part]()
 

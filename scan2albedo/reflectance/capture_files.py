@@ -49,8 +49,8 @@ class FacePhotographFile(_Part):
     )
     mesh: str | None = Field(
         None,
-        description="The face in the camera's frame: OBJ, PLY, GLB, STL or OFF with the model's vertices in "
-        "their order; null when landmarks give the shape. Relative to this file.",
+        description="The face in the camera's frame: OBJ, PLY, GLB, STL or OFF, or the folder of a processed "
+        "scan, whose fitted.glb counts; null when landmarks give the shape. Relative to this file.",
     )
     landmarks: tuple[_Pixel | None, ...] | None = Field(
         None, description="68 pixels (column, row), iBUG-68 order; null for what is hidden."
@@ -106,7 +106,8 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     camera[:, :3] /= scale
     vertices, faces = None, None
     if content.mesh is not None:
-        mesh = read_mesh_file(_beside(file, content.mesh))
+        place = _beside(file, content.mesh)
+        mesh = read_mesh_file(place / "fitted.glb" if place.is_dir() else place)
         vertices, faces = np.asarray(mesh.vertices, np.float64) * scale, mesh.faces
     landmarks = None
     if content.landmarks is not None:

@@ -13,7 +13,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
-from scan2albedo.reflectance.environment_shading import diffuse_response
+from scan2albedo.reflectance.environment_shading import diffuse_response, shading_gradient
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
@@ -51,6 +51,8 @@ class Evidence:
     objective_after: float = np.nan
     """`objective_before`, `objective_after`: of the fits to all blocks with the mean face and with the
     person; NaN where colour has decided already. `accepted` says whether the step is believed."""
+    untested: str = ""
+    """Why the step was not tried."""
 
     @property
     def missed_mean(self) -> bool:
@@ -60,7 +62,9 @@ class Evidence:
     def plan_step(self) -> PlanStep:
         """Return what was decided, and why."""
         what = {"person": "the person's coefficients", "details": "details of the albedo"}[self.step]
-        if self.blocks < _LEAST_BLOCKS:
+        if self.untested:
+            reason = f"{self.untested}; {what} would imitate it"
+        elif self.blocks < _LEAST_BLOCKS:
             reason = f"too little of the face is seen to test {what}"
         elif self.missed_mean:
             reason = f"{what} explain the whole photograph worse than the mean face does"
@@ -113,6 +117,7 @@ def fit_face(
     faces: ArrayLike,
     lighting: LightingModel | None = None,
     *,
+    normal_error: float = 0.0,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> FaceFit:
@@ -123,12 +128,12 @@ def fit_face(
     (`detail_field`); each is judged by all the light that what was left out sends. Only its colour counts,
     the ratios between channels: errors of the light are nearly grey, and a person can imitate them. Details
     must predict better than the mean face does under a light of its own, and the person better than the mean,
-    by two standard errors and 7 % of the error. Otherwise they are left out; if both are, the mean face is
-    returned, and `plan` says so. The last fits are to all blocks; a person whose objective is then above the
-    mean face's, which the model contains, is left out as well. If these leave more than a quarter of the
-    photograph (relative RMSE), light or shape are wrong, and both are left out. Raises `ReflectanceError` as
-    `fit_image`, or when a vertex is not finite. Warns by `RuntimeWarning` when the last fit stops without
-    having converged.
+    by two standard errors and, where normals are right, 7 % of the error. Otherwise they are left out; if
+    both are, the mean face is returned, and `plan` says so. The last fits are to all blocks; a person whose
+    objective is then above the mean face's, which the model contains, is left out as well. If these leave
+    more than a quarter of the photograph (relative RMSE; and what normals may be wrong by), both are left
+    out: light or shape are wrong. Raises `ReflectanceError` as `fit_image`, or when a vertex is not finite.
+    Warns by `RuntimeWarning` when the last fit stops without having converged.
 
     Parameters
     ----------
@@ -138,6 +143,9 @@ def fit_face(
     vertices, faces : (V, 3) array_like of float, (F, 3) array_like of int
         Millimetres.
     lighting : LightingModel, optional
+    normal_error : float
+        Root mean square angle, in radians, by which the normals may be wrong. Their light is then noise: what
+        a normal could explain is left out of the details, and the person's coefficients are not tried.
     budget, on_progress : optional
         Of each of the fits, see `fit_image`.
 
@@ -163,19 +171,21 @@ def fit_face(
     count, folds = int(block.max(initial=-1)) + 1, 3
     fold_of = np.random.default_rng(0).permutation(count) % folds
     errors: dict[str, FloatArray] = {}
+    tried = [("mean", model.mean_only()), ("person", model)][: 2 if normal_error == 0 else 1]
     for fold in range(folds):
         held_out = used & (fold_of[block] == fold)
         kept = used & ~held_out
         if not held_out.any() or not kept.any():
             continue
         shown = replace(observation, seen=kept)
-        for name, one in (("mean", model.mean_only()), ("person", model)):
+        for name, one in tried:
             with warnings.catch_warnings():
                 # One of several trials; what it predicts is measured.
                 warnings.filterwarnings("ignore", "the image fit stopped", RuntimeWarning)
                 fit = fit_image(shown, one, lighting, budget=budget)
             divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
-            field = detail_field(replace(divided, usable=divided.usable & ~held_out), xyz, index)
+            shown_part = replace(divided, usable=divided.usable & ~held_out)
+            field = detail_field(shown_part, xyz, index, normal_error)
             tested = np.flatnonzero(held_out & divided.lit)
             number = np.bincount(block[tested], minlength=count)
             for label, added in ((name, 0.0), (f"{name}+details", field)):
@@ -185,9 +195,15 @@ def fit_face(
                 total = np.bincount(block[tested], error, minlength=count)
                 means = errors.setdefault(label, np.full(count, np.nan))
                 means[number > 0] = total[number > 0] / number[number > 0]
-    details = _judged(errors, "details", "mean", "mean+details")
+    # What wrong normals colour is no part of details then, so that any gain above chance counts.
+    least = _LEAST_GAIN if normal_error == 0 else 0.0
+    details = _judged(errors, "details", "mean", "mean+details", least)
     ending = "+details" if details.accepted else ""
-    person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
+    if normal_error == 0:
+        person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
+    else:
+        text = f"the normals may be wrong by {np.degrees(normal_error):.0f} degrees"
+        person = Evidence("person", np.nan, np.nan, 0.0, 0.0, details.blocks, False, untested=text)
     mean = fit_image(observation, model.mean_only(), lighting, budget=budget, on_progress=on_progress)
     mean = replace(mean, face=model.reconstruct(np.zeros(model.components)))
     fit = mean
@@ -201,15 +217,16 @@ def fit_face(
         # The person may explain all that the details did.
         details = _judged(errors, "details", "person", "person+details")
     left = fit.relative_rmse
-    badly_explained = left > MOST_UNEXPLAINED
+    divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
+    by_normals = normal_error * np.sqrt(np.trace(divided.by_tilt) / 3)
+    badly_explained = left > np.hypot(MOST_UNEXPLAINED, by_normals)
     if badly_explained:
         fit = mean
         details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
     reflectance, accepted_field = fit.face.reflectance, None
     radiance, rmse = fit.radiance_linear, fit.relative_rmse
     if details.accepted:
-        divided = ShadingDivided.from_observation(observation, model, reflectance, fit.light)
-        accepted_field = detail_field(divided, xyz, index)
+        accepted_field = detail_field(divided, xyz, index, normal_error)
         factor = np.where(reflectance.known[:, None], np.exp(accepted_field), 1.0)
         reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
         part = VertexReflectance(
@@ -225,8 +242,10 @@ def fit_face(
     return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
 
 
-def _judged(errors: dict[str, FloatArray], step: str, before: str, after: str) -> Evidence:
-    """Return whether one description predicts better than another."""
+def _judged(
+    errors: dict[str, FloatArray], step: str, before: str, after: str, least: float = _LEAST_GAIN
+) -> Evidence:
+    """Return whether one description predicts better than another, by more than a share of the error."""
     if not errors:
         return Evidence(step, np.nan, np.nan, 0.0, 0.0, 0, False)
     one, two = errors[before], errors[after]
@@ -236,7 +255,7 @@ def _judged(errors: dict[str, FloatArray], step: str, before: str, after: str) -
         return Evidence(step, np.nan, np.nan, 0.0, 0.0, count, False)
     gain, spread = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(count))
     first, last = float(one[common].mean()), float(two[common].mean())
-    accepted = gain > max(2 * spread, _LEAST_GAIN * first)  # two standard errors
+    accepted = gain > max(2 * spread, least * first)  # two standard errors
     return Evidence(step, first, last, gain, spread, count, accepted)
 
 
@@ -267,6 +286,8 @@ class ShadingDivided:
     """(V, 3): of the predicted light; 0 where not seen."""
     log_whole: FloatArray
     """(V, 3): logarithm of the observed over the whole predicted light; 0 where not seen."""
+    by_tilt: FloatArray
+    """(3, 3): covariance of the logarithms of the channels' light by a normal's tilt of one radian."""
 
     @classmethod
     def from_observation(
@@ -299,12 +320,19 @@ class ShadingDivided:
         lit[used] = bright & (open_share > _LEAST_OPEN)
         share[used] = np.clip(highlight / np.maximum(diffuse + highlight, floor), 0.0, 1.0)
         usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
+        part = VertexReflectance(reflectance.diffuse_linear[used], reflectance.weights[used], lit[used])
+        normals, toward = (
+            np.asarray(given)[used] for given in (observation.normals, observation.toward_camera)
+        )
+        by_normal, _ = shading_gradient(part, normals, toward, light)
+        slopes = (by_normal / np.maximum(diffuse + highlight, floor)[..., None])[usable[used]]
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),
             usable=usable,
             lit=lit,
             highlight_share=share,
             log_whole=log_ratio(observed, diffuse + highlight),
+            by_tilt=np.einsum("uji,uki->jk", slopes, slopes) / max(2 * len(slopes), 1),
         )
 
     def left_over(self, field: FloatArray | float = 0.0) -> FloatArray:
@@ -313,13 +341,16 @@ class ShadingDivided:
         return np.asarray(self.log_whole - np.log(share + (1 - share) * np.exp(field)))
 
 
-def detail_field(divided: ShadingDivided, vertices: ArrayLike, faces: IntArray) -> FloatArray:
+def detail_field(
+    divided: ShadingDivided, vertices: ArrayLike, faces: IntArray, normal_error: float = 0.0
+) -> FloatArray:
     """Return the logarithm (V, 3) of the factor by which the albedo differs from the model's.
 
     Blurs of growing width divide the residual of the photograph into bands. In each, with R the residual's
     covariance (3, 3) over the channels and S that of the light's error, the best linear estimate of the
-    albedo's part is (R - S) R^-1 times the residual (Wiener); R - S is cut at 0. What is wider than the last
-    blur is left to the light, and the field fades far from usable vertices (V, 3), mm.
+    albedo's part is (R - S) R^-1 times the residual (Wiener); R - S is cut at 0. Normals that are off by an
+    angle (radians, root mean square) add an equal part of what that does to the light to S of each band. What
+    is wider than the last blur is left to the light, and the field fades far from usable vertices (V, 3), mm.
     """
     usable = divided.usable
     field = np.zeros_like(divided.log_ratio)
@@ -339,6 +370,7 @@ def detail_field(divided: ShadingDivided, vertices: ArrayLike, faces: IntArray) 
         inside = band[usable]
         total = inside.T @ inside / len(inside) + _TINY * np.eye(3)
         light = error**2 * (_GREY * np.ones((3, 3)) + (1 - _GREY) * np.eye(3))
+        light += normal_error**2 / len(_BANDS) * divided.by_tilt
         value, vector = np.linalg.eigh(total)
         root, inverse = vector * np.sqrt(value) @ vector.T, vector / np.sqrt(value) @ vector.T
         kept, axis = np.linalg.eigh(np.eye(3) - inverse @ light @ inverse)

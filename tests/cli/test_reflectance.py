@@ -1,5 +1,6 @@
 """The commands for reflectance, from pictures to samples of a model."""
 
+import dataclasses
 import json
 import shutil
 from contextlib import suppress
@@ -13,9 +14,16 @@ from typer.testing import CliRunner
 from scan2albedo.cli.commands import app
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import read_record
-from scan2albedo.reflectance import MorphableReflectanceModel, generated_environment, read_reflectance
+from scan2albedo.reflectance import (
+    MorphableReflectanceModel,
+    generated_environment,
+    read_photograph,
+    read_reflectance,
+)
 from scan2albedo.runs.reflectance import ReflectanceRecord
 from scan2albedo.runs.reflectance.demo import write_synthetic_capture, write_synthetic_photograph
+from scan2albedo.runs.reflectance.image_run import corresponding
+from scan2albedo.runs.reflectance.model_run import read_model_folder
 from scan2albedo.synthetic import (
     Portrait,
     face_photograph,
@@ -386,18 +394,36 @@ def test_files_of_the_users_own_stay_and_stop_the_command(people, model, photogr
         assert file.read_text() == "mine"
 
 
-def test_a_mesh_of_other_triangles_is_refused(model, photographs, tmp_path):
-    shutil.copytree(photographs[0].parent, tmp_path / "other")
-    mesh = trimesh.load(tmp_path / "other" / "face.ply", process=False)
+def _shuffled_mesh(photograph, folder):
+    """Return a copy of a photograph file whose mesh has its vertices in another order."""
+    shutil.copytree(photograph.parent, folder)
+    mesh = trimesh.load(folder / "face.ply", process=False)
     order = np.random.default_rng(0).permutation(len(mesh.vertices))
-    trimesh.Trimesh(mesh.vertices[order], np.argsort(order)[mesh.faces], process=False).export(
-        tmp_path / "other" / "face.ply"
-    )
-    file = tmp_path / "other" / "photograph.json"
-    done = run("fit-image", file, "--model", model, "-o", tmp_path / "out")
-    assert "other triangles" in str(done.exception)
-    tuned = run("finetune", model, file, "--held-out", photographs[1], "-o", tmp_path / "out")
-    assert "other triangles" in str(tuned.exception)
+    faces = np.argsort(order)[mesh.faces]
+    trimesh.Trimesh(mesh.vertices[order], faces, process=False).export(folder / "face.ply")
+    return folder / "photograph.json"
+
+
+def test_a_mesh_of_other_triangles_is_refused_by_a_model_of_other_surfaces(model, photographs, tmp_path):
+    file = _shuffled_mesh(photographs[0], tmp_path / "other")
+    models = read_model_folder(model)
+    other = dataclasses.replace(models.mean, faces=models.mean.faces[::-1])
+    with pytest.raises(
+        ReflectanceError, match=r"face\.ply has \d+ vertices and other triangles than the model"
+    ):
+        corresponding(read_photograph(file), dataclasses.replace(models, mean=other))
+
+
+def test_any_mesh_of_a_face_is_brought_to_the_default_model(photographs, tmp_path):
+    file = _shuffled_mesh(photographs[0], tmp_path / "other")
+    found = {}
+    for name, given in {"any": file, "own": photographs[0]}.items():
+        done = run("fit-image", given, "-o", tmp_path / name, "--json")
+        assert done.exit_code == 0, done.output
+        found[name] = read_reflectance(tmp_path / name / "reflectance.npz")
+        assert "geometry" not in json.loads(done.stdout)
+    off = np.linalg.norm(found["any"].vertices - found["own"].vertices, axis=1)
+    assert np.median(off) < 1.5
 
 
 def test_the_same_photograph_by_another_path_is_found_out(model, photographs, tmp_path):

@@ -18,6 +18,7 @@ from scan2albedo.reflectance import (
     generated_environment,
     shade_environment,
 )
+from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field
 
 DIRECTIONS = distant_directions(1600)
 NORMALS = DIRECTIONS[DIRECTIONS[:, 2] > 0]
@@ -138,3 +139,26 @@ def test_another_mesh_is_refused(model, lighting):
         fit_face(taken, model, VERTICES[:9], [[0, 1, 2]], lighting)
     with pytest.raises(ReflectanceError, match="1 vertices of the mesh are NaN"):
         fit_face(taken, model, np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES), FACES)
+
+
+def test_what_wrong_normals_could_explain_is_no_detail(model, lighting):
+    """Under normals that are off, shades are left out; pigment, which has another colour, stays in part."""
+    tilted = NORMALS + 0.2 * np.stack([waves(60 + k, (5, 7), 1.0) for k in range(3)], axis=1) / np.sqrt(3)
+    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    light, sizes = project_environment(generated_environment(3)), []
+    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    blotches = waves(50, (7, 8), 0.25)[:, None] * PIGMENT
+    for truth in (mean, skin(blotches)):
+        color = shade_environment(truth, tilted, VIEW, light).radiance_linear
+        taken = ImageObservation(color, NORMALS, VIEW, SEEN & (tilted[:, 2] > 0.1))
+        found = fit_face(taken, model, VERTICES, FACES, lighting, normal_error=0.2)
+        divided = ShadingDivided.from_observation(taken, model, mean, found.fit.light)
+        fields = [detail_field(divided, VERTICES, FACES, angle)[SEEN] for angle in (0.0, 0.2)]
+        sizes.append([np.linalg.norm(field) for field in fields])
+        (person,) = (step for step in found.plan if step.stage == "reflectance.image.person")
+        assert not person.ran
+        assert "the normals may be wrong by 11 degrees" in person.reason
+    assert sizes[0][1] < 0.25 * sizes[0][0]
+    assert sizes[1][1] > 2 * sizes[0][1]
+    assert found.plan.ran("reflectance.image.details")
+    assert error(found.reflectance, truth) < 0.97 * error(mean, truth)

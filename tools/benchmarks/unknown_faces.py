@@ -25,7 +25,7 @@ from benchmarks.traced_lights import ENVIRONMENTS, Environment, Part, Rig, rigs
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid
+from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.images import read_image_linear
@@ -76,6 +76,42 @@ def unknown_faces(count: int) -> list[UnknownFace]:
         azimuth, alpha = float(rng.uniform(-25, 25)), float(rng.uniform(0.25, 0.4))
         cases.append(UnknownFace(SHAPES[k % 5], skin, LIGHTS[(3 * k + k // 8) % 8], azimuth, alpha))
     return cases
+
+
+PEOPLE = ("p108_smile_m", "paint-43", "paint-41", "paint-42", "paint-40", "paint-57")
+"""From pale to dark, and the lights each is photographed in, for fits of landmarks."""
+PEOPLES_LIGHTS = ("window", "softboxes2", "sun")
+_LANDMARK_NOISE_PX = 1.0
+
+
+def faces_with_landmarks() -> list[UnknownFace]:
+    """Return six people in three lights each; no other case has their skins."""
+    cases = []
+    for k, skin in enumerate(PEOPLE):
+        for j, light in enumerate(PEOPLES_LIGHTS):
+            rng = np.random.default_rng([k, j, 81])
+            azimuth, alpha = float(rng.uniform(-25, 25)), float(rng.uniform(0.25, 0.4))
+            cases.append(UnknownFace(SHAPES[(k + j) % 4], skin, light, azimuth, alpha))
+    return cases
+
+
+def landmarks_of(face: UnknownFace) -> FloatArray:
+    """Return the 68 landmarks (68, 2) in the picture, placed by a hand that is a pixel off."""
+    pixels, _ = project(camera_of(face), head(face.shape).landmarks)
+    noise = np.random.default_rng([int(1e4 * face.alpha), 80]).normal(size=pixels.shape)
+    return np.asarray(pixels + _LANDMARK_NOISE_PX * noise)
+
+
+def seen_albedo(face: UnknownFace, mean: FloatArray, vertices: FloatArray) -> FloatArray:
+    """Return the true albedo (V, 3) where vertices lie in the picture; NaN beside the face."""
+    one, camera = head(face.shape), camera_of(face)
+    toward = pixel_directions(camera, project(camera, vertices)[0])
+    center = np.broadcast_to(camera_centers(camera[None])[0], toward.shape)
+    hits = RayCaster(one.vertices, one.faces).first_hit(center, toward)
+    albedo = albedo_of(face, mean)[one.faces[np.maximum(hits.face, 0)]]
+    seen = np.einsum("nk,nkc->nc", np.nan_to_num(hits.barycentric), albedo)
+    seen[(hits.face < 0) | ~one.on_face[np.maximum(hits.face, 0)]] = np.nan
+    return seen
 
 
 @dataclass(frozen=True)

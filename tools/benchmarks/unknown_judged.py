@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from benchmarks.unknown_faces import BLUR_PX, SIZE, UnknownFace, UnknownPhotograph, photographed
+from benchmarks.unknown_faces import (
+    BLUR_PX,
+    SIZE,
+    UnknownFace,
+    UnknownPhotograph,
+    landmarks_of,
+    photographed,
+    seen_albedo,
+)
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.pinhole import project
@@ -19,12 +27,17 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.reflectance import (
     FaceFit,
     ImageFit,
+    LightingModel,
     MorphableReflectanceModel,
+    PhotographFiles,
     VertexReflectance,
     fit_face,
     fit_image,
     observe_photograph,
 )
+from scan2albedo.reflectance.capture_files import FacePhotographFile
+from scan2albedo.runs.reflectance.image_run import LANDMARK_NORMALS, shaped_vertices
+from scan2albedo.runs.reflectance.model_run import FaceModels
 
 
 @dataclass(frozen=True)
@@ -48,16 +61,28 @@ class JudgedFace:
         return f"{row}{relit[0]:12.1f}{relit[1]:8.1f}{left:8.1f}  {steps}"
 
 
-def judged(face: UnknownFace, model: MorphableReflectanceModel, folder: str | None) -> JudgedFace:
-    """Fit a photograph, and compare with the truth."""
+def judged(face: UnknownFace, models: FaceModels, folder: str | None, landmarks: bool = False) -> JudgedFace:
+    """Fit a photograph, with the mesh fitted to the true shape or with landmarks, and compare."""
+    model, normal_error = models.model, 0.0
     taken = photographed(face, model.diffuse.mean, None if folder is None else Path(folder))
+    if landmarks:
+        content = {"image": "-", "camera": taken.camera.tolist(), "landmarks": [None] * 68}
+        given = FacePhotographFile.model_validate(content)
+        marks = landmarks_of(face)
+        photograph = PhotographFiles(
+            Path("-"), given, taken.image, taken.skin, taken.camera, None, None, marks
+        )
+        vertices, _, _ = shaped_vertices(photograph, models, LightingModel.default())
+        normal_error = LANDMARK_NORMALS
+        truth = seen_albedo(face, model.diffuse.mean, vertices)
+        taken = replace(taken, vertices=vertices, faces=models.mean.faces, albedo=truth)
     image = observe_photograph(taken.image, taken.camera, taken.vertices, taken.faces, mask=taken.skin)
     transfer = image.transfer
     assert transfer is not None
     start = time.process_time()
     plain = fit_image(image, model)
     between = time.process_time()
-    fit = fit_face(image, model, taken.vertices, taken.faces)
+    fit = fit_face(image, model, taken.vertices, taken.faces, normal_error=normal_error)
     seconds = between - start, time.process_time() - between
     mean = model.reconstruct(np.zeros(model.components)).reflectance
     counted = np.asarray(image.seen) & model.known & np.isfinite(taken.albedo[:, 0])

@@ -14,7 +14,10 @@ import numpy as np
 
 from scan2albedo.core import Budget, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.fitting import fit
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.reflectance import (
     FaceFit,
     GeometryFit,
@@ -33,11 +36,17 @@ from scan2albedo.reflectance import (
     write_reflectance,
 )
 from scan2albedo.reflectance.olat import linear_values, picture_values
+from scan2albedo.registration import register
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, naming, publishing, write_trace
 from scan2albedo.runs.reflectance.capture_run import gamma_notes, write_colored_mesh
-from scan2albedo.runs.reflectance.model_run import FaceModels
+from scan2albedo.runs.reflectance.model_run import SURFACE_LEVELS, FaceModels
+from scan2albedo.templates import AnnotatedFaceModel
+
+LANDMARK_NORMALS = 0.2
+"""Angle in radians by which the normals of a shape from landmarks are off, the median over 36 photographs of
+faces that the shape model does not know (`tools/benchmarks/unknown_faces.py`)."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +107,14 @@ def fit_photograph(
         vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
         observation = observe(photograph, vertices, faces)
         face = fit_face(
-            observation, models.model, vertices, faces, lighting, budget=budget, on_progress=on_progress
+            observation,
+            models.model,
+            vertices,
+            faces,
+            lighting,
+            normal_error=0.0 if geometry is None else LANDMARK_NORMALS,
+            budget=budget,
+            on_progress=on_progress,
         )
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
@@ -110,20 +126,9 @@ def shaped_vertices(
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> tuple[FloatArray, GeometryFit | None, Trace]:
-    """Return the vertices (V, 3) of a photograph's mesh, or those that its landmarks and colours give."""
+    """Return the vertices (V, 3) on a photograph's mesh, or those that its landmarks and colours give."""
     if photograph.vertices is not None:
-        if len(photograph.vertices) != len(models.mean.vertices):
-            raise ReflectanceError(
-                f"its mesh {photograph.content.mesh} has {len(photograph.vertices)} vertices and "
-                f"{models} {len(models.mean.vertices)}; give a mesh in the model's topology"
-            )
-        faces = photograph.faces
-        if faces is not None and len(faces) and not np.array_equal(faces, models.mean.faces):
-            raise ReflectanceError(
-                f"its mesh {photograph.content.mesh} has other triangles than {models}, so "
-                "that vertices do not correspond; give a mesh in the model's topology"
-            )
-        return photograph.vertices, None, Trace()
+        return corresponding(photograph, models), None, Trace()
     if models.shape is None:
         raise ReflectanceError(
             f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
@@ -144,6 +149,31 @@ def shaped_vertices(
         initial_expression=first.expression,
     )
     return refined.vertices, refined, first.trace + skin.trace + refined.trace
+
+
+def corresponding(photograph: PhotographFiles, models: FaceModels) -> FloatArray:
+    """Return the vertices (V, 3) in mm that the model's ones are on a photograph's mesh.
+
+    A mesh with the model's triangles is taken as it is. To any other one the face model is registered and
+    fitted, where the model of reflectance lies on its surface. Raises `ReflectanceError` where it does not,
+    `RegistrationError` where the mesh shows no face.
+    """
+    vertices, faces = photograph.vertices, photograph.faces
+    assert vertices is not None
+    alike = len(vertices) == len(models.mean.vertices)
+    if alike and (faces is None or not len(faces) or np.array_equal(faces, models.mean.faces)):
+        return vertices
+    template = AnnotatedFaceModel.default()
+    surface = template.subdivision(SURFACE_LEVELS)
+    if faces is None or not len(faces) or not np.array_equal(surface.faces, models.mean.faces):
+        raise ReflectanceError(
+            f"its mesh {photograph.content.mesh} has {len(vertices)} vertices and other triangles than "
+            f"{models} with {len(models.mean.vertices)}; give a mesh in the model's topology, or a model on "
+            "the default face model's surface"
+        )
+    scan = RawScan(vertices, faces, name=str(photograph.content.mesh))
+    fitted = fit(scan, template, register(scan, template))
+    return transform_points(invert_rigid(fitted.model_from_scan), surface.matrix @ fitted.control_points)
 
 
 @contextmanager

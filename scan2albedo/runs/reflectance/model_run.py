@@ -34,7 +34,7 @@ from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, publ
 from scan2albedo.templates import AnnotatedFaceModel
 
 DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
-_LEVELS = 1
+SURFACE_LEVELS = 1
 """Refinements of the default face model's surface for synthetic people."""
 
 
@@ -134,17 +134,19 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     if count < 2:
         raise ReflectanceError(f"{count} people make no model; give 2 or more")
     template = AnnotatedFaceModel.default()
-    people = [population_reflectance(k, seed=seed, levels=_LEVELS, model=template) for k in range(count)]
+    people = [
+        population_reflectance(k, seed=seed, levels=SURFACE_LEVELS, model=template) for k in range(count)
+    ]
     known = np.ones(len(people[0].vertices), bool)
     samples = [VertexReflectance(one.diffuse_linear, one.weights, known) for one in people]
-    rest, faces = template.surface(_LEVELS)
+    rest, faces = template.surface(SURFACE_LEVELS)
     if components is None:
         components = held_out_components(samples, rest)
     model = MorphableReflectanceModel.from_samples(samples, components=components)
     shapes = np.stack([transform_points(procrustes(one.vertices, rest), one.vertices) for one in people])
     assert template.landmarks is not None
     nearest = np.linalg.norm(rest - template.landmarks[:, None], axis=2).argmin(1)
-    offsets = expression_offsets(template, np.random.default_rng([seed, 14]), levels=_LEVELS)
+    offsets = expression_offsets(template, np.random.default_rng([seed, 14]), levels=SURFACE_LEVELS)
     shape = MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
     mean = model.reconstruct(np.zeros(model.components)).reflectance
     return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape)
@@ -160,7 +162,7 @@ def default_model() -> FaceModels:
         return [arrays[f"{name}_mean"].astype(np.float64), arrays[f"{name}_step"] * arrays[f"{name}_basis"]]
 
     template = AnnotatedFaceModel.default()
-    to_surface, (_, faces) = template.subdivision(_LEVELS).matrix, template.surface(_LEVELS)
+    to_surface, (_, faces) = template.subdivision(SURFACE_LEVELS).matrix, template.surface(SURFACE_LEVELS)
     # Two of the three shares of the lobes are stored; the shares sum to 1 and their directions to 0.
     shares = [
         np.concatenate([two, whole - two.sum(-1, keepdims=True)], axis=-1)
