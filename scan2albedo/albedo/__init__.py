@@ -1,9 +1,8 @@
 """Light found in a geometry image and divided out: the albedo."""
 
-from scan2albedo.albedo.error import AlbedoError, albedo_error
 from scan2albedo.albedo.estimate import estimate_albedo
 from scan2albedo.albedo.options import OPTIONAL_STEPS, EstimateOptions
-from scan2albedo.albedo.result import AlbedoEstimate
+from scan2albedo.albedo.result import AlbedoError, AlbedoEstimate, albedo_error
 from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty
 
 __all__ = [

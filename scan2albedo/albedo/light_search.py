@@ -206,10 +206,14 @@ class LightSearch:
             ranked.append((cost, x))
             if meter.exhausted:
                 break
-        for x in _distinct(model, ranked, count):
-            if found and meter.exhausted:
+        followed = list[Hypothesis]()
+        for _, x in sorted(ranked, key=lambda pair: pair[0]):
+            if len(found) == count or (found and meter.exhausted):
                 break
-            found.append(descend(Point(point.problem, model, x, known), _STEPS, meter))
+            lamps = model.decode(x[:-EXTRA])
+            if not any(_alike(lamps, other, _SAME_COSINE) for other in followed):
+                followed.append(lamps)
+                found.append(descend(Point(point.problem, model, x, known), _STEPS, meter))
         return sorted(found, key=lambda point: point.cost)
 
     def _starts(self, base: Point, model: LightModel, dark: bool, known: Start) -> Iterator[Point]:
@@ -240,18 +244,6 @@ class LightSearch:
 
     def _posterior(self, size: int, blur: float) -> Posterior:
         return self.scene.posterior(self.options.sizes[size], blur)
-
-
-def _distinct(model: LightModel, ahead: list[tuple[float, FloatArray]], count: int) -> list[FloatArray]:
-    """Return the x of least cost of which no two have all their lamps in like directions."""
-    kept = list[tuple[FloatArray, Hypothesis]]()
-    for _, x in sorted(ahead, key=lambda pair: pair[0]):
-        found = model.decode(x[:-EXTRA])
-        if not any(_alike(found, other, _SAME_COSINE) for _, other in kept):
-            kept.append((x, found))
-        if len(kept) == count:
-            break
-    return [x for x, _ in kept]
 
 
 def _alike(one: Hypothesis, other: Hypothesis, cosine: float) -> bool:

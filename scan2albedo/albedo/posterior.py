@@ -143,11 +143,7 @@ class Point:
         self.problem, self.model = problem, model
         lower, upper = model.bounds
         self.x = np.concatenate([np.clip(x[:-EXTRA], lower, upper), x[-EXTRA:]])
-        self._shade()
-        self._settle(known, fixed)
-
-    def _shade(self) -> None:
-        p, model, light_x = self.problem, self.model, self.light_x
+        p, light_x = problem, self.light_x
         level, found, cells = p.level, model.decode(light_x), len(p.value)
         visible, visible_slope = p.lattice.visibility(model, light_x, p.blur)
         light, specular = np.empty((2, cells))
@@ -182,6 +178,7 @@ class Point:
         self.rows = np.empty((cells, model.size + EXTRA + 1))
         log_rows(p.value, p.mean, light, specular, *slopes, *self.x[-EXTRA:], self.rows)
         self.left = self.rows[:, -1].copy()
+        self._settle(known, fixed)
 
     def _settle(self, known: Start, fixed: bool) -> None:
         """Estimate the nodes' field for robust weights; the cost follows."""

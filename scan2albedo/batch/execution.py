@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from itertools import islice
 from typing import Any
 
@@ -135,7 +134,17 @@ def run_on_cluster(
     one that raises in its worker. `on_jobs` is called with the number of workers. Raises
     `MissingDependencyError` without distributed, `BatchError` when no scheduler or worker answers.
     """
-    with _client(address) as client:
+    with needs_extra("cluster"):
+        from distributed import Client
+    try:
+        client = Client(address, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise BatchError(f"no dask scheduler answers at {address} ({error}); check the address") from error
+    with client:
+        if not client.nthreads():
+            raise BatchError(
+                f"the dask scheduler at {address} has no worker; start one: dask worker {address}"
+            )
         on_jobs(len(client.nthreads()))
         waiting = list(tasks)
         while waiting:
@@ -169,23 +178,6 @@ def run_on_cluster(
             if len(again) == len(waiting):
                 raise BatchError(f"the workers of {address} die before they begin a scan; see their logs")
             waiting = again
-
-
-@contextmanager
-def _client(address: str) -> Iterator[Any]:
-    """Give a client of the dask scheduler, which has at least one worker."""
-    with needs_extra("cluster"):
-        from distributed import Client
-    try:
-        client = Client(address, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise BatchError(f"no dask scheduler answers at {address} ({error}); check the address") from error
-    with client:
-        if not client.nthreads():
-            raise BatchError(
-                f"the dask scheduler at {address} has no worker; start one: dask worker {address}"
-            )
-        yield client
 
 
 def _failed(task: ScanTask, layout: Layout, reason: str) -> BatchScanRecord:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from scan2albedo.errors import Scan2AlbedoError
@@ -26,24 +25,14 @@ _CGROUP_FILES = (
 )
 
 
-@dataclass(frozen=True)
-class JobLimit:
-    """How many jobs fit into memory, the expected peak of a worker, and a note for the user or ""."""
-
-    jobs: int
-    worker_mb: float
-    note: str
-
-
-def job_limit(
-    asked: int,
+def worker_mb(
     scans: Iterable[Path],
     size: int,
     running_mb: float = 0.0,
     textures: str | Path | None = None,
     template: int = 0,
-) -> JobLimit:
-    """Return how many of the jobs asked for fit into the available memory with the largest scan.
+) -> float:
+    """Return the expected peak of a worker with the largest scan.
 
     `size` is the geometry images' side, `running_mb` a worker's measured peak, `textures` as in `load_scan`,
     `template` the side of a template's texture, whose colours, normals and marks are kept at once.
@@ -64,11 +53,15 @@ def job_limit(
         largest = max(largest, total)
     # Of a template's texel: two triples of float32, two marks, and some of the means that fill it.
     texels = size * size * _TEXEL_BYTES + template * template * 30
-    worker = max(_BASE_MB + (texels + largest) / MB, running_mb)
+    return max(_BASE_MB + (texels + largest) / MB, running_mb)
+
+
+def job_limit(asked: int, worker: float) -> tuple[int, str]:
+    """Return how many jobs fit into the available memory with `worker` MB each, and a note if not all do."""
     available = available_mb()
     jobs = max(1, min(asked, int((1 - _KEPT_FREE) * available / worker)))
     need = f"a worker may need {worker / 1024:.1f} GB and {available / 1024:.1f} GB are available"
-    return JobLimit(jobs, worker, f"{jobs} of {asked} jobs: {need}" if jobs < asked else "")
+    return jobs, f"{jobs} of {asked} jobs: {need}" if jobs < asked else ""
 
 
 def available_mb() -> float:

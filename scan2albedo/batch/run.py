@@ -21,7 +21,7 @@ from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_c
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
-from scan2albedo.batch.memory import job_limit
+from scan2albedo.batch.memory import job_limit, worker_mb
 from scan2albedo.batch.records import (
     FIXED,
     BatchProgress,
@@ -292,11 +292,11 @@ class _Run:
         painted = [
             task.options.texture_size for task in tasks if task.options.model not in ("default", "none")
         ]
-        limit = job_limit(asked, paths, texels, peak, tasks[0].options.textures, max(painted, default=0))
-        if limit.note:
-            self.show(note=limit.note)
-        self.jobs = limit.jobs
-        return limit.jobs
+        worker = worker_mb(paths, texels, peak, tasks[0].options.textures, max(painted, default=0))
+        self.jobs, note = job_limit(asked, worker)
+        if note:
+            self.show(note=note)
+        return self.jobs
 
     def show(self, last: BatchScanRecord | None = None, note: str = "") -> None:
         """Tell the caller of a scan that has ended, or of a note, which is kept."""

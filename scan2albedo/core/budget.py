@@ -42,13 +42,6 @@ def checked_seed(seed: int) -> int:
 
 ProgressCallback = Callable[[TraceRow], None]
 
-GRACE_S = 0.3
-
-
-def grace(seconds: float) -> float:
-    """Return the seconds by which a budget of `seconds` may be overrun to bring an answer to its end."""
-    return max(seconds / 5, GRACE_S)
-
 
 @dataclass
 class Meter:

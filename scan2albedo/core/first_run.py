@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
+from subprocess import DEVNULL, PIPE, Popen
 from typing import Any, NamedTuple
 
 SWITCH = "SCAN2ALBEDO_COMPILE"
@@ -63,7 +64,7 @@ def compiled_beside() -> Iterator[None]:
     if not _UNDER_WAY.acquire(blocking=False):
         yield
         return
-    helpers, thresholds = list[subprocess.Popen[bytes]](), gc.get_threshold()
+    helpers, thresholds = list[Popen[bytes]](), gc.get_threshold()
     try:
         count = _helper_count()
         if count and _is_cold([kernel.dispatcher() for kernel in recorded_kernels()]):
@@ -115,25 +116,18 @@ def _is_cold(kernels: Sequence[Any]) -> bool:
     return missing > _COLD * len(kernels)
 
 
-def _started(count: int) -> list[subprocess.Popen[bytes]]:
+def _started(count: int) -> list[Popen[bytes]]:
     """Start helpers, silent and of low priority, which see the modules that this process sees."""
-    helpers = list[subprocess.Popen[bytes]]()
-    priority = getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0) | getattr(
-        subprocess, "CREATE_NO_WINDOW", 0
-    )
+    helpers = list[Popen[bytes]]()
+    priority = getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
+    priority |= getattr(subprocess, "CREATE_NO_WINDOW", 0)
     path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
+    env = {**os.environ, "PYTHONPATH": path, SWITCH: "serial"}
     with contextlib.suppress(OSError):
         for number in range(count):
             command = [sys.executable, "-P", "-m", __name__, str(number), str(count)]
             helpers.append(
-                subprocess.Popen(
-                    command,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,
-                    env={**os.environ, "PYTHONPATH": path, SWITCH: "serial"},
-                    creationflags=priority,
-                )
+                Popen(command, stdin=PIPE, stdout=DEVNULL, stderr=DEVNULL, env=env, creationflags=priority)
             )
     return helpers
 

@@ -36,7 +36,6 @@ _SHAPES = {
     "on_face": (np.bool_, None),
 }
 
-
 _LENGTH = 0.01
 """Normals whose length differs from 1 by more are wrong; those shorter than this are not known."""
 

@@ -167,7 +167,13 @@ def appearance(
             likely = known & (prior[0] >= np.median(prior[0][known]))
             usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
             told[0] -= _PER_RELIEF * np.maximum(rough / usual_mm - _TOLERATED_RELIEF, 0)
-    shares = _agreed(log_prior + told, grid.part)
+    # The shares of the classes, for neighbours that likely agree.
+    logs = log_prior + told
+    shares = np.exp(logs - np.logaddexp.reduce(logs))
+    for _ in range(_ROUNDS):
+        around = np.stack([local_mean(one, grid.part, 3) for one in shares])
+        agreeing = logs + _AGREEMENT * around
+        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
     likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
     weight = np.where(seen, np.minimum(likeliest / SURE, 1), np.float32(0))
     for number, one in enumerate(shares[1:].astype(np.float32), 2):
@@ -330,16 +336,6 @@ def _starts(colors: FloatArray, weight: FloatArray) -> list[FloatArray]:
     chosen = [order[0], *order[apart][:1]]
     bright = [np.average(colors[:, 0], weights=near[k] + 1e-9) for k in chosen]
     return [np.array([level, *candidates[k, 1:]]) for level, k in zip(bright, chosen, strict=True)]
-
-
-def _agreed(logs: FloatArray, part: Image) -> FloatArray:
-    """Return the shares (C, h, w) of the classes, for neighbours that likely agree."""
-    shares = np.exp(logs - np.logaddexp.reduce(logs))
-    for _ in range(_ROUNDS):
-        around = np.stack([local_mean(one, part, 3) for one in shares])
-        agreeing = logs + _AGREEMENT * around
-        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
-    return np.asarray(shares)
 
 
 @dataclass(frozen=True)

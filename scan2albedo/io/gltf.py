@@ -93,9 +93,24 @@ def _read_parts(file: GltfFile) -> ParsedMesh:
             by_joints = _skinning_transforms(file, scene, node, mesh) if file.tree.get("skins") else None
             moved = np.asarray(transform, np.float64) if by_joints is None else by_joints
             parts.append(_part(mesh, moved, materials, pictures, file.path.name))
-    lost = (m.name for m in materials.values() if m.texture_linear is None and m.name in reasons)
-    notes = dict.fromkeys(f"the texture of {name} {reasons[name]}: went on without it" for name in lost)
-    return _joined(parts, tuple(materials.values()), tuple(notes))
+    lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in reasons]
+    without = {name: f"the texture of {name} {reasons[name]}: went on without it" for name in lost}
+    notes = tuple(without.values())
+    if not parts:
+        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=notes)
+    offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
+    names = ("vertices", "uv", "material", "vertex_color_linear")
+    vertices, uv, material, colors = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
+    # Colours and coordinates that no part has are left out.
+    return ParsedMesh(
+        vertices=vertices,
+        faces=np.concatenate([p.faces + offset for p, offset in zip(parts, offsets, strict=False)]),
+        uv=uv if np.isfinite(uv).any() else None,
+        material=material,
+        materials=tuple(materials.values()),
+        vertex_color_linear=colors if colors[:, 3].any() else None,
+        notes=notes,
+    )
 
 
 def _part(
@@ -156,25 +171,6 @@ def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
     """Return (N, 3), or with alpha (N, 4), in [0, 1] from whole integers or floats, not decoded."""
     top = np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1.0
     return (colors / top).astype(np.float32)
-
-
-def _joined(parts: list[ParsedMesh], materials: tuple[Material, ...], notes: tuple[str, ...]) -> ParsedMesh:
-    """Concatenate parts; colours and coordinates that none of them has are left out."""
-    if not parts:
-        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=notes)
-    offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
-    faces = [p.faces + offset for p, offset in zip(parts, offsets, strict=False)]
-    names = ("vertices", "uv", "material", "vertex_color_linear")
-    vertices, uv, material, colors = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
-    return ParsedMesh(
-        vertices=vertices,
-        faces=np.concatenate(faces),
-        uv=uv if np.isfinite(uv).any() else None,
-        material=material,
-        materials=materials,
-        vertex_color_linear=colors if colors[:, 3].any() else None,
-        notes=notes,
-    )
 
 
 def _skinning_transforms(

@@ -58,7 +58,49 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
     with the corners (the ``texcoord`` list) or with the vertices, textures in ``TextureFile`` comments.
     Raises ScanError when the file is damaged; the message names it.
     """
-    return mesh_of_columns(path, folder, *_read_elements(path))
+    data = limits.read_bytes(path, advice="decimate it")
+    end = _HEADER_END.search(data[: 1 << 20])
+    if not data.lstrip()[:3].lower() == b"ply" or end is None:
+        raise damaged(path, "it has no complete PLY header", "PLY")
+    header = data[: end.start()].decode("latin-1")
+    # Byte order "<" or ">", None for text.
+    orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+    order: str | None = "?"
+    elements: list[Element] = []
+    for line in header.splitlines():
+        words = line.split()
+        try:
+            if words[:1] == ["format"]:
+                order = orders[words[1]]
+            elif words[:1] == ["element"]:
+                elements.append(Element(words[1], int(words[2])))
+            elif words[:2] == ["property", "list"]:
+                count_type, item_type = (np.dtype(_TYPES[word]) for word in words[2:4])
+                elements[-1].properties.append((words[4], item_type, count_type))
+            elif words[:1] == ["property"]:
+                elements[-1].properties.append((words[2], np.dtype(_TYPES[words[1]]), None))
+        except (LookupError, ValueError) as error:
+            raise damaged(path, f"its header holds '{line.strip()[:60]}'", "PLY") from error
+    if order == "?" or any(element.count < 0 for element in elements):
+        raise damaged(path, "its header names no known format", "PLY")
+    for element in elements:
+        names = {name for name, _, _ in element.properties}
+        if len(names) < max(len(element.properties), min(element.count, 1)):
+            raise damaged(path, f"its {element.name} has no properties, or one twice", "PLY")
+    for element in elements:
+        if element.count <= len(data):  # else it is cut short, which is reported below
+            most = {"vertex": limits.VERTICES, "face": limits.TRIANGLES}.get(element.name, limits.TEXT_LINES)
+            limits.require_at_most(path.name, f"rows of {element.name}", element.count, most, "decimate it")
+        count, what = len(element.properties), f"properties of {element.name}"
+        limits.require_at_most(path.name, what, count, limits.MATERIALS, "export it again")
+    if order is None:
+        columns = ascii_columns(path, number_lines(data, end.end(), path.name), elements)
+    else:
+        columns, body = {}, np.frombuffer(data, np.uint8, offset=end.end())
+        for element in elements:
+            columns[element.name], size = _binary_rows(path, body, element, order)
+            body = body[size:]
+    return mesh_of_columns(path, folder, columns, _texture_files(header))
 
 
 def mesh_of_columns(
@@ -154,53 +196,6 @@ def _texture_files(header: str) -> list[str]:
     lines = header.splitlines()
     found = (re.match(r"comment\s+TextureFile\s+(.+)", line, re.IGNORECASE) for line in lines)
     return [match[1].strip() for match in found if match]
-
-
-def _read_elements(path: Path) -> tuple[dict[str, Columns], list[str]]:
-    """Return all values, by element and property name, and the names of textures; ScanError for damage."""
-    data = limits.read_bytes(path, advice="decimate it")
-    end = _HEADER_END.search(data[: 1 << 20])
-    if not data.lstrip()[:3].lower() == b"ply" or end is None:
-        raise damaged(path, "it has no complete PLY header", "PLY")
-    header = data[: end.start()].decode("latin-1")
-    # Byte order "<" or ">", None for text.
-    orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
-    order: str | None = "?"
-    elements: list[Element] = []
-    for line in header.splitlines():
-        words = line.split()
-        try:
-            if words[:1] == ["format"]:
-                order = orders[words[1]]
-            elif words[:1] == ["element"]:
-                elements.append(Element(words[1], int(words[2])))
-            elif words[:2] == ["property", "list"]:
-                count_type, item_type = (np.dtype(_TYPES[word]) for word in words[2:4])
-                elements[-1].properties.append((words[4], item_type, count_type))
-            elif words[:1] == ["property"]:
-                elements[-1].properties.append((words[2], np.dtype(_TYPES[words[1]]), None))
-        except (LookupError, ValueError) as error:
-            raise damaged(path, f"its header holds '{line.strip()[:60]}'", "PLY") from error
-    if order == "?" or any(element.count < 0 for element in elements):
-        raise damaged(path, "its header names no known format", "PLY")
-    for element in elements:
-        names = {name for name, _, _ in element.properties}
-        if len(names) < max(len(element.properties), min(element.count, 1)):
-            raise damaged(path, f"its {element.name} has no properties, or one twice", "PLY")
-    for element in elements:
-        if element.count <= len(data):  # else it is cut short, which is reported below
-            most = {"vertex": limits.VERTICES, "face": limits.TRIANGLES}.get(element.name, limits.TEXT_LINES)
-            limits.require_at_most(path.name, f"rows of {element.name}", element.count, most, "decimate it")
-        count, what = len(element.properties), f"properties of {element.name}"
-        limits.require_at_most(path.name, what, count, limits.MATERIALS, "export it again")
-    if order is None:
-        columns = ascii_columns(path, number_lines(data, end.end(), path.name), elements)
-        return columns, _texture_files(header)
-    columns, body = {}, np.frombuffer(data, np.uint8, offset=end.end())
-    for element in elements:
-        columns[element.name], size = _binary_rows(path, body, element, order)
-        body = body[size:]
-    return columns, _texture_files(header)
 
 
 def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> dict[str, Columns]:

@@ -50,9 +50,9 @@ def keyword(word: bytes) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _parse_unsigned(text, position, end):  # type: ignore[no-untyped-def]
-    """Return (digits as an integer, digits dropped beyond 18, digits seen, position after them)."""
-    value, dropped, seen = 0, 0, 0
+def _parse_unsigned(text, position, end, value):  # type: ignore[no-untyped-def]
+    """Return (`value` with the digits behind it, digits dropped beyond 18, digits seen, position after)."""
+    dropped, seen = 0, 0
     while position < end and 48 <= text[position] <= 57:
         if value < 100_000_000_000_000_000:
             value = value * 10 + (text[position] - 48)
@@ -76,16 +76,11 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
     letter = text[position] | 32 if position < end else 0
     if letter in (_N, _I):
         return np.nan if letter == _N else sign * np.inf, True, _token_end(text, position, end)
-    mantissa, dropped, seen, position = _parse_unsigned(text, position, end)
-    exponent = dropped
+    mantissa, exponent, seen, position = _parse_unsigned(text, position, end, 0)
     if position < end and text[position] in (_POINT, _COMMA):
-        position += 1
-        while position < end and 48 <= text[position] <= 57:
-            if mantissa < 100_000_000_000_000_000:
-                mantissa = mantissa * 10 + (text[position] - 48)
-                exponent -= 1
-            seen += 1
-            position += 1
+        mantissa, dropped, digits, position = _parse_unsigned(text, position + 1, end, mantissa)
+        exponent -= digits - dropped
+        seen += digits
     if position < end and text[position] == _HASH:
         # 1.#QNAN and 1.#INF of old Microsoft compilers
         return np.nan, seen > 0, _token_end(text, position, end)
@@ -94,7 +89,7 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
         negative = position < end and text[position] == 45
         if position < end and (text[position] == 43 or text[position] == 45):
             position += 1
-        power, _, digits, position = _parse_unsigned(text, position, end)
+        power, _, digits, position = _parse_unsigned(text, position, end, 0)
         exponent += -power if negative else power
         if digits == 0:
             return np.nan, False, position
@@ -152,7 +147,7 @@ def _parse_integer(text, position, end):  # type: ignore[no-untyped-def]
     negative = position < end and text[position] == 45
     if negative or (position < end and text[position] == 43):
         position += 1
-    value, dropped, seen, position = _parse_unsigned(text, position, end)
+    value, dropped, seen, position = _parse_unsigned(text, position, end, 0)
     return -value if negative else value, seen > 0 and dropped == 0, position
 
 

@@ -53,15 +53,6 @@ class Identification:
         """(P, G): whether the probe shows the person."""
         return np.asarray(np.array(self.probe_names, object)[:, None] == np.array(self.persons, object))
 
-    @property
-    def tied(self) -> BoolArray:
-        """(P,): whether several persons are the most similar, or as similar as the right one."""
-        scores = self.similarities
-        own = np.where(self.genuine, scores, np.nan)
-        right = np.nanmax(np.where(self.known[:, None], own, np.inf), axis=1, keepdims=True)
-        best = scores.max(axis=1, keepdims=True)
-        return ((scores == best).sum(axis=1) > 1) | ((scores == right).sum(axis=1) > 1)
-
     def rate(self, rank: int = 1) -> float:
         """Return the share of probes of known persons whose person is among the first `rank`."""
         return float((self.ranks[self.known] <= rank).mean())

@@ -87,12 +87,8 @@ def each_lamp(
     for k in np.flatnonzero(light.intensity.any(1)):
         direction, distance = light.directions[k], float(light.distances_mm[k])
         visible = shadows.reached(direction, distance, float(light.radii_deg[k]), _LAMP_POINTS)
-        yield (
-            int(k),
-            lamp_factors(
-                shadows.position, shadows.normal, visible, direction, 1 / distance, toward_viewer, reflectance
-            ),
-        )
+        surface = shadows.position, shadows.normal, visible
+        yield int(k), lamp_factors(*surface, direction, 1 / distance, toward_viewer, reflectance)
 
 
 def shade(

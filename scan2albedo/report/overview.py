@@ -77,9 +77,11 @@ def result_panels(
     view, panels = None, list[Panel]()
     if fitted is not None:
         view = View.around(fitted.vertices)
-        panels.append(_scan_panel("registered input, found landmarks", scan, fitted, view))
+        # Pictures of the scan show more around the face than those of the fit.
+        wide = View(view.center_mm, 1.5 * view.half_width_mm)
+        panels.append(_scan_panel("registered input, found landmarks", scan, fitted, wide))
         if fitted.landmarks is not None:
-            dots = _wider(view).pixels(fitted.landmarks, len(panels[0].picture))
+            dots = wide.pixels(fitted.landmarks, len(panels[0].picture))
             panels[0] = replace(panels[0], dots=dots)
         panels.append(Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view)))
         colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
@@ -117,7 +119,7 @@ def result_panels(
                 )
                 panels.append(Panel(f"face with its {name}", picture))
         if unlit is not None:
-            panels.append(_scan_panel("scan without its light", unlit, fitted, view))
+            panels.append(_scan_panel("scan without its light", unlit, fitted, wide))
     return panels
 
 
@@ -144,11 +146,6 @@ def _chart(srgb: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
     return np.round(np.where(mask[..., None], np.clip(colors, 0, 1), 1.0) * 255).astype(np.uint8)
 
 
-def _wider(view: View) -> View:
-    """Return the view for pictures of the scan, which show more around the face than those of the fit."""
-    return View(view.center_mm, 1.5 * view.half_width_mm)
-
-
 def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Panel:
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     near = ~far_faces(scan.vertices, scan.faces)  # stray faces in front would hide the face
@@ -162,7 +159,7 @@ def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Pa
         scan.faces[near],
         vertex_color_srgb=color,
         texture_srgb=texture,
-        view=_wider(view),
+        view=view,
         shaded=not scan.has_color,
     )
     return Panel(title, picture)

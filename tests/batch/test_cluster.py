@@ -6,10 +6,11 @@ import threading
 import time
 from concurrent.futures import CancelledError
 from contextlib import nullcontext
+from types import SimpleNamespace
 
 import pytest
 
-from scan2albedo.batch import execution, load_catalogue, run_batch
+from scan2albedo.batch import load_catalogue, run_batch
 from scan2albedo.batch.layout import Layout
 from scan2albedo.errors import BatchError, MissingDependencyError
 from scan2albedo.pipeline.options import ProcessOptions
@@ -82,10 +83,11 @@ def test_without_dask_the_command_that_installs_it_is_told(scans_in, tmp_path, m
         run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
 
 
-class Answers:
+class Answers(nullcontext):
     """Stands for a dask client with one worker: each task ends at once, processed or as its name says."""
 
     def __init__(self, endings):
+        super().__init__(self)
         self.endings = endings
 
     def nthreads(self):
@@ -115,7 +117,8 @@ def answering(monkeypatch, scans_in, tmp_path, no_workers):
     """Run a batch of the scans a, b and c on a cluster whose tasks end as told."""
 
     def run(**endings):
-        monkeypatch.setattr(execution, "_client", lambda address: nullcontext(Answers(endings)))
+        stand_in = SimpleNamespace(Client=lambda address, **_: Answers(endings))
+        monkeypatch.setitem(sys.modules, "distributed", stand_in)
         manifest = scans_in("a", "b", "c")
         return run_batch(manifest, tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
 

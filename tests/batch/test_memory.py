@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.batch import memory
-from scan2albedo.batch.memory import available_mb, job_limit
+from scan2albedo.batch.memory import available_mb, job_limit, worker_mb
 
 
 @pytest.fixture
@@ -16,33 +16,33 @@ def four_gb(monkeypatch):
 def test_a_worker_for_512_texels_is_counted_with_about_as_much_as_was_measured():
     # `process` of a scan of 31,000 vertices with a texture of 1800 x 900 pixels was measured with 745 MB at
     # 512 texels and 1061 MB at 1024, of which texture and mesh make some 300 MB.
-    assert 500 < job_limit(1, [], 512).worker_mb < 745
-    assert 800 < job_limit(1, [], 1024).worker_mb < 1061
+    assert 500 < worker_mb([], 512) < 745
+    assert 800 < worker_mb([], 1024) < 1061
 
 
 def test_a_templates_texture_counts():
-    with_template = job_limit(1, [], 512, template=8192).worker_mb
-    assert 1500 < with_template - job_limit(1, [], 512).worker_mb < 2048
+    with_template = worker_mb([], 512, template=8192)
+    assert 1500 < with_template - worker_mb([], 512) < 2048
 
 
 def test_jobs_are_cut_and_the_user_is_told(four_gb, tmp_path):
-    limit = job_limit(16, [], 512)
-    assert limit.jobs == 6
-    assert limit.note == "6 of 16 jobs: a worker may need 0.5 GB and 4.0 GB are available"
-    assert job_limit(6, [], 512).note == ""
-    assert job_limit(16, [], 512, running_mb=2000).jobs == 1
-    assert job_limit(16, [tmp_path / "missing.obj"], 512).jobs == 6
+    jobs, note = job_limit(16, worker_mb([], 512))
+    assert jobs == 6
+    assert note == "6 of 16 jobs: a worker may need 0.5 GB and 4.0 GB are available"
+    assert job_limit(6, worker_mb([], 512)) == (6, "")
+    assert job_limit(16, worker_mb([], 512, running_mb=2000))[0] == 1
+    assert job_limit(16, worker_mb([tmp_path / "missing.obj"], 512))[0] == 6
 
 
 def test_a_texture_counts_by_its_pixels_and_a_mesh_by_its_bytes(four_gb, tmp_path):
     (tmp_path / "big.obj").write_text("mtllib big.mtl\n" + "v 0 0 0\n" * 250_000)
     (tmp_path / "big.mtl").write_text("newmtl skin\nmap_Kd big.png\n")
-    mesh = job_limit(1, [tmp_path / "big.obj"], 512).worker_mb - job_limit(1, [], 512).worker_mb
+    mesh = worker_mb([tmp_path / "big.obj"], 512) - worker_mb([], 512)
     assert mesh == pytest.approx(48, abs=2)
     cv2.imwrite(str(tmp_path / "big.png"), np.zeros((2048, 4096), np.uint8))
-    textured = job_limit(1, [tmp_path / "big.obj"], 512).worker_mb
+    textured = worker_mb([tmp_path / "big.obj"], 512)
     # 8 million pixels: 33 million were measured to take 4.9 GB.
-    assert textured - mesh - job_limit(1, [], 512).worker_mb == pytest.approx(1280, abs=2)
+    assert textured - mesh - worker_mb([], 512) == pytest.approx(1280, abs=2)
 
 
 def test_a_containers_limit_counts(monkeypatch, tmp_path):
@@ -57,7 +57,7 @@ def test_a_containers_limit_counts(monkeypatch, tmp_path):
     assert available_mb() == 200.0
     used.write_text(f"{400 << 20}\n")
     assert available_mb() == 0.0
-    assert job_limit(4, [], 64).jobs == 1
+    assert job_limit(4, worker_mb([], 64))[0] == 1
 
 
 def test_pictures_that_are_refused_leave_the_jobs_alone(four_gb, tmp_path):
@@ -67,4 +67,4 @@ def test_pictures_that_are_refused_leave_the_jobs_alone(four_gb, tmp_path):
         (tmp_path / "a.obj").write_text("mtllib a.mtl\n")
         (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd a.png\n")
         (tmp_path / "a.png").write_bytes(content)
-        assert job_limit(2, [tmp_path / "a.obj"], 512).jobs == 2
+        assert job_limit(2, worker_mb([tmp_path / "a.obj"], 512))[0] == 2

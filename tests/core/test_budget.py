@@ -8,7 +8,6 @@ import math
 import pytest
 
 from scan2albedo.core import Budget, Meter, Trace, TraceRow
-from scan2albedo.core.budget import grace
 
 
 def test_a_number_means_seconds_and_none_means_no_limit():
@@ -46,10 +45,6 @@ def test_only_seconds_run_out_of_time():
     assert not counted.out_of_time
     assert Meter("fit", "mm", Budget(seconds=1e-9)).out_of_time
     assert not Meter("fit", "mm", Budget(seconds=1e9, evaluations=1)).out_of_time
-
-
-def test_finishing_may_take_a_fifth_of_the_budget_or_three_tenths_of_a_second():
-    assert (grace(0.1), grace(1000)) == (0.3, 200)
 
 
 def test_meter_records_rows_and_tells_the_caller():

@@ -43,7 +43,7 @@ def test_stray_patches_in_front_hide_nothing():
     color = np.where(np.arange(len(vertices))[:, None] < len(ball.vertices), [0.0, 0, 1], [1.0, 0, 0])
     fitted = SimpleNamespace(model_from_scan=np.eye(4))
     scan = RawScan(vertices, faces, vertex_color_linear=color.astype(np.float32))
-    picture = _scan_panel("scan", scan, fitted, View((0, 0, 0), 100.0)).picture
+    picture = _scan_panel("scan", scan, fitted, View((0, 0, 0), 150.0)).picture
     middle = len(picture) // 2
     assert picture[middle, middle].tolist() == [0, 0, 255]
 
