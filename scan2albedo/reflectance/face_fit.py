@@ -70,10 +70,9 @@ class Evidence:
             reason = f"{what} explain the whole photograph worse than the mean face does"
         elif self.unexplained:
             reason = f"light and model explain the photograph too badly to believe {what}"
-        elif self.accepted:
-            reason = f"{what} predict parts of the photograph that were left out"
         else:
-            reason = f"{what} do not predict parts of the photograph that were left out"
+            believed = "" if self.accepted else "do not "
+            reason = f"{what} {believed}predict parts of the photograph that were left out"
         text = f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
         if np.isfinite(self.error_before):
             text = (
@@ -171,7 +170,7 @@ def fit_face(
     count, folds = int(block.max(initial=-1)) + 1, 3
     fold_of = np.random.default_rng(0).permutation(count) % folds
     errors: dict[str, FloatArray] = {}
-    tried = [("mean", model.mean_only()), ("person", model)][: 2 if normal_error == 0 else 1]
+    tried = [("mean", model.mean_only()), ("person", model)][: 1 if normal_error else 2]
     for fold in range(folds):
         held_out = used & (fold_of[block] == fold)
         kept = used & ~held_out
@@ -195,15 +194,14 @@ def fit_face(
                 total = np.bincount(block[tested], error, minlength=count)
                 means = errors.setdefault(label, np.full(count, np.nan))
                 means[number > 0] = total[number > 0] / number[number > 0]
-    # What wrong normals colour is no part of details then, so that any gain above chance counts.
-    least = _LEAST_GAIN if normal_error == 0 else 0.0
-    details = _judged(errors, "details", "mean", "mean+details", least)
+    # Details hold nothing that wrong normals could colour, so that any gain above chance counts.
+    details = _judged(errors, "details", "mean", "mean+details", 0.0 if normal_error else _LEAST_GAIN)
     ending = "+details" if details.accepted else ""
-    if normal_error == 0:
-        person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
-    else:
+    if normal_error:
         text = f"the normals may be wrong by {np.degrees(normal_error):.0f} degrees"
         person = Evidence("person", np.nan, np.nan, 0.0, 0.0, details.blocks, False, untested=text)
+    else:
+        person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
     mean = fit_image(observation, model.mean_only(), lighting, budget=budget, on_progress=on_progress)
     mean = replace(mean, face=model.reconstruct(np.zeros(model.components)))
     fit = mean
@@ -218,8 +216,7 @@ def fit_face(
         details = _judged(errors, "details", "person", "person+details")
     left = fit.relative_rmse
     divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
-    by_normals = normal_error * np.sqrt(np.trace(divided.by_tilt) / 3)
-    badly_explained = left > np.hypot(MOST_UNEXPLAINED, by_normals)
+    badly_explained = left > np.hypot(MOST_UNEXPLAINED, normal_error * np.sqrt(np.trace(divided.by_tilt) / 3))
     if badly_explained:
         fit = mean
         details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
@@ -321,10 +318,8 @@ class ShadingDivided:
         share[used] = np.clip(highlight / np.maximum(diffuse + highlight, floor), 0.0, 1.0)
         usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
         part = VertexReflectance(reflectance.diffuse_linear[used], reflectance.weights[used], lit[used])
-        normals, toward = (
-            np.asarray(given)[used] for given in (observation.normals, observation.toward_camera)
-        )
-        by_normal, _ = shading_gradient(part, normals, toward, light)
+        directions = (np.asarray(one)[used] for one in (observation.normals, observation.toward_camera))
+        by_normal, _ = shading_gradient(part, *directions, light)
         slopes = (by_normal / np.maximum(diffuse + highlight, floor)[..., None])[usable[used]]
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),

@@ -31,7 +31,7 @@ def ripple(length_mm):
 
 def divided(residual, usable):
     """Return a matt picture's residual (V, 3)."""
-    return ShadingDivided(residual, usable, ALL, np.zeros_like(residual), residual)
+    return ShadingDivided(residual, usable, ALL, np.zeros_like(residual), residual, np.zeros((3, 3)))
 
 
 def kept(length_mm, color, size):

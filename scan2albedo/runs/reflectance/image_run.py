@@ -106,16 +106,12 @@ def fit_photograph(
     with _named(photograph):
         vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
         observation = observe(photograph, vertices, faces)
-        face = fit_face(
-            observation,
-            models.model,
-            vertices,
-            faces,
-            lighting,
-            normal_error=0.0 if geometry is None else LANDMARK_NORMALS,
-            budget=budget,
-            on_progress=on_progress,
-        )
+        options: dict[str, Any] = {
+            "normal_error": 0.0 if geometry is None else LANDMARK_NORMALS,
+            "budget": budget,
+        }
+        model = models.model
+        face = fit_face(observation, model, vertices, faces, lighting, **options, on_progress=on_progress)
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
 
