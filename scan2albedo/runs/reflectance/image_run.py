@@ -106,12 +106,9 @@ def fit_photograph(
     with _named(photograph):
         vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
         observation = observe(photograph, vertices, faces)
-        options: dict[str, Any] = {
-            "normal_error": 0.0 if geometry is None else LANDMARK_NORMALS,
-            "budget": budget,
-        }
-        model = models.model
-        face = fit_face(observation, model, vertices, faces, lighting, **options, on_progress=on_progress)
+        angle = 0.0 if geometry is None else LANDMARK_NORMALS
+        more: dict[str, Any] = {"normal_error": angle, "budget": budget, "on_progress": on_progress}
+        face = fit_face(observation, models.model, vertices, faces, lighting, **more)
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
 
