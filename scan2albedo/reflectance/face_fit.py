@@ -318,8 +318,8 @@ class ShadingDivided:
         share[used] = np.clip(highlight / np.maximum(diffuse + highlight, floor), 0.0, 1.0)
         usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
         part = VertexReflectance(reflectance.diffuse_linear[used], reflectance.weights[used], lit[used])
-        directions = (np.asarray(one)[used] for one in (observation.normals, observation.toward_camera))
-        by_normal, _ = shading_gradient(part, *directions, light)
+        normals, toward = np.asarray(observation.normals)[used], np.asarray(observation.toward_camera)[used]
+        by_normal, _ = shading_gradient(part, normals, toward, light)
         slopes = (by_normal / np.maximum(diffuse + highlight, floor)[..., None])[usable[used]]
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),
