@@ -264,7 +264,7 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
         mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
     else:
         own_uv, pictures, whole = uv.copy(), list[MeshPicture](), texture.shape[:2]
-        parts = [("", np.s_[:, :], np.ones(len(scan.faces), bool))]
+        parts: list[tuple[str, Any, Any]] = [("", np.s_[:, :], np.ones(len(scan.faces), bool))]
         if len(scan.texture_tiles) > 1:
             parts = []
             for number, tile in enumerate(scan.texture_tiles):
