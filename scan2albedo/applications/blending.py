@@ -78,9 +78,8 @@ def blend_faces(
     # The reflectance is the nearer one's where the models do not blend.
     ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
     levels = [float(np.exp(np.log(gain).mean())) for gain in gains]
-    strength = (1 - weight) * levels[0] * ours.specular_strength + weight * levels[
-        1
-    ] * theirs.specular_strength
+    strength = (1 - weight) * levels[0] * ours.specular_strength
+    strength += weight * levels[1] * theirs.specular_strength
     if (ours.brdf == "minnaert") == (theirs.brdf == "minnaert"):
         exponent = float(ours.exponent ** (1 - weight) * theirs.exponent**weight)
         if 0 < weight < 1 and 0 in (ours.specular_strength, theirs.specular_strength):

@@ -42,6 +42,8 @@ FACE_FILES = OwnFiles(
     command="scan2albedo swap, blend or transfer-expression",
 )
 """Of a face that an application made."""
+_AS_IN_FACE = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
+"""Fields that an application's record has as the face has them."""
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
 
@@ -118,8 +120,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     else:
         file = folder / APPLICATION_FILE
         made = read_record(file, ApplicationRecord)
-        names = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
-        found = {name: getattr(made, name) for name in names} | {"model_name": made.model}
+        found = {name: getattr(made, name) for name in _AS_IN_FACE} | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
     if parameters:
         image, albedo = read_image_and_albedo(folder)
@@ -222,26 +223,18 @@ def write_face(
             on_white = np.where(face.mask[..., None], preview, np.uint8(255))
             alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
             write_png(staging.folder / "albedo.png", np.dstack([on_white, alpha]))
-            parameters = {
-                "brdf": skin.brdf,
-                "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
-                "specular_strength": skin.specular_strength,
-                "specular_exponent": skin.exponent,
-            }
+            rough = "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad"
+            highlight = {"specular_strength": skin.specular_strength, "specular_exponent": skin.exponent}
+            parameters = {"brdf": skin.brdf, rough: skin.roughness, **highlight}
         write_glb(staging.folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
         write_png(staging.folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
         staging.write_record(
-            name=face.name,
+            **{name: getattr(face, name) for name in _AS_IN_FACE},
             application=application,
             inputs=tuple(given.name for given in inputs),
             options=plain_json(options or {}),
             model=face.model_name,
             chart_mesh=mesh.from_chart,
-            casts_shadows=face.casts_shadows,
-            view_direction=face.view_direction,
-            shadow_offset_mm=face.shadow_offset_mm,
             reflectance=parameters,
-            lights=face.lights,
-            environment=face.environment,
         )
     return target

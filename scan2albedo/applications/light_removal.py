@@ -271,9 +271,8 @@ def _unlit_texture(
         # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
         side = 2 * _GUTTER + 1
         count_there = uniform_filter(there.astype(np.float32), side, mode="mirror")[..., None]
-        total = uniform_filter(
-            (divisor * there[..., None]).astype(np.float32), (side, side, 1), mode="mirror"
-        )
+        lit = (divisor * there[..., None]).astype(np.float32)
+        total = uniform_filter(lit, (side, side, 1), mode="mirror")
         spread = np.where(count_there > 1e-6, total / np.maximum(count_there, 1e-6), light.usual)
         unlit = np.where(there[..., None], albedo, tile / spread) * light.usual
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]

@@ -65,11 +65,8 @@ def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     shown = np.minimum(np.abs(contrasts[0]), np.abs(warped(contrasts[1], there)))
     weight = mask * agrees * near * np.clip(shown / _LEAST_CONTRAST - 1, 0, 1)
     sigma = (_LOCAL / 2 * side, _LOCAL / 2 * side, 0)
-    total, share = (
-        gaussian_filter(field, sigma, mode="mirror")
-        for field in (weight[..., None] * there, weight[..., None])
-    )
-    return np.asarray(total / np.maximum(share, 0.1), np.float64)
+    total = gaussian_filter(np.dstack([weight[..., None] * there, weight]), sigma, mode="mirror")
+    return np.asarray(total[..., :2] / np.maximum(total[..., 2:], 0.1), np.float64)
 
 
 def warped(field: FloatArray, flow: FloatArray) -> FloatArray:

@@ -50,15 +50,13 @@ class DemoReport:
 
     def table(self) -> str:
         """Return the figures as text for a terminal."""
+        lights = f"{self.lights_found} found, {self.lights_true} true, {self.light_deg:.1f} deg off at most"
         rows = (
             ("pose", f"{self.pose_rotation_deg:.2f} deg, {self.pose_translation_mm:.2f} mm off"),
             ("surface", f"{self.surface_mm:.3f} mm mean distance of the true face"),
             ("correspondence", f"{self.correspondence_mm:.2f} mm mean over all texels"),
             ("51 inner landmarks", f"{self.landmarks_mm:.2f} mm mean"),
-            (
-                "lights",
-                f"{self.lights_found} found, {self.lights_true} true, {self.light_deg:.1f} deg off at most",
-            ),
+            ("lights", lights),
             ("texture as scanned", _albedo_text(self.texture)),
             ("estimated albedo", _albedo_text(self.albedo)),
         )

@@ -166,11 +166,10 @@ class ProcessOptions:
         for name in (*self.skip, *self.force):
             if name not in STAGES:
                 raise ValueError(f"unknown stage {name!r}; stages are {', '.join(STAGES)}")
-        for name in ("fit", "geometry_image"):
-            if name in self.skip:
-                raise ValueError(
-                    f"{name!r} cannot be skipped: later stages need it (model='none' works without)"
-                )
+        if needed := {"fit", "geometry_image"} & set(self.skip):
+            raise ValueError(
+                f"{min(needed)!r} cannot be skipped: later stages need it (model='none' works without)"
+            )
         for name in self.force:
             if name not in STEPS:
                 raise ValueError(

@@ -44,24 +44,13 @@ FILES = OwnFiles(
     RESULT_FILE,
     ResultRecord,
     (
-        "geometry_image.npz",
-        "geometry_image.exr",
-        "albedo.exr",
-        "albedo.png",
-        "shading.exr",
-        "specular.exr",
-        "shadow.png",
-        "skin.png",
-        "labels.png",
+        *("geometry_image.npz", "geometry_image.exr"),
+        *("albedo.exr", "albedo.png", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
         "fitted.glb",
         *TEMPLATE_FILES,
         *UNLIT_FILES,
-        "registration.json",
-        "landmarks.json",
-        "landmarks.csv",
-        "trace.csv",
-        "error_vs_time.png",
-        "overview.png",
+        *("registration.json", "landmarks.json", "landmarks.csv"),
+        *("trace.csv", "error_vs_time.png", "overview.png"),
     ),
     whole_folder=True,
 )
@@ -274,31 +263,24 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
     if uv is None or texture is None:
         mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
     else:
-        confidence = np.round(255 * np.clip(unlit.confidence, 0, 1)).astype(np.uint8)
         own_uv, pictures, whole = uv.copy(), list[MeshPicture](), texture.shape[:2]
-        tiles = scan.texture_tiles if len(scan.texture_tiles) > 1 else ()
-        for number, tile in enumerate(tiles):
-            chosen = tile.holds(uv, whole)
-            own_uv[chosen] = tile.own_uv(uv[chosen], whole)
-            place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
-            write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
-            picture = _encoded(folder / f"unlit.{number}.exr", texture[place], samples, exr)
-            pictures.append(MeshPicture(f"unlit.{number}.png", picture, chosen))
-        if not pictures:
-            write_png(folder / "unlit_confidence.png", confidence)
-            every = np.ones(len(scan.faces), bool)
-            picture = _encoded(folder / "unlit.exr", texture, samples, exr)
-            pictures.append(MeshPicture("unlit.png", picture, every))
+        parts: list[tuple[str, Any, Any]] = [("", np.s_[:, :], np.ones(len(scan.faces), bool))]
+        if len(scan.texture_tiles) > 1:
+            parts = []
+            for number, tile in enumerate(scan.texture_tiles):
+                chosen = tile.holds(uv, whole)
+                own_uv[chosen] = tile.own_uv(uv[chosen], whole)
+                place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
+                parts.append((f".{number}", place, chosen))
+        for end, place, chosen in parts:
+            write_png(folder / f"unlit_confidence{end}.png", _gray_bytes(unlit.confidence[place]))
+            if exr:
+                write_exr(folder / f"unlit{end}.exr", texture[place])
+            picture = encode_image(texture[place], ".png", samples)
+            pictures.append(MeshPicture(f"unlit{end}.png", picture, chosen))
         mesh = TexturedMesh(scan.vertices, scan.faces, own_uv, tuple(pictures))
     write_textured_obj(folder / "unlit.obj", mesh, mm_per_unit=scan.mm_per_unit)
     write_textured_glb(folder / "unlit.glb", mesh)
-
-
-def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bool) -> bytes:
-    """Return a picture's PNG with such samples; with `exr` write it in linear colour, too."""
-    if exr:
-        write_exr(exr_file, linear)
-    return encode_image(linear, ".png", samples)
 
 
 def write_template(

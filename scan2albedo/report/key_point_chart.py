@@ -32,7 +32,7 @@ def key_point_chart() -> Figure:
         ),
     )
     figure = Figure(figsize=(12, 10), dpi=100, layout="constrained")
-    size = 1400
+    size, line = 1400, {"arrowstyle": "-", "color": "gray", "shrinkB": 0}
     for axes, (title, view, names) in zip(figure.subplots(2, 1), pictures, strict=True):
         axes.imshow(render_mesh(glasses.vertices, glasses.faces, view=view, size=size))
         axes.set_title(title, fontsize=12)
@@ -44,15 +44,8 @@ def key_point_chart() -> Figure:
         upper = [name for name in ordered if places[name][1] < middle]
         for row, level in ((upper, -270), ([name for name in ordered if name not in upper], 270)):
             for number, name in enumerate(row):
-                axes.annotate(
-                    name,
-                    xy=tuple(places[name]),
-                    xytext=((number + 0.5) * size / len(row), middle + level),
-                    fontsize=10,
-                    ha="center",
-                    va="center",
-                    arrowprops={"arrowstyle": "-", "color": "gray", "shrinkB": 0},
-                )
+                at, beside = tuple(places[name]), ((number + 0.5) * size / len(row), middle + level)
+                axes.annotate(name, at, beside, arrowprops=line, fontsize=10, ha="center", va="center")
                 axes.plot(*places[name], "o", color="crimson", markersize=5)
         axes.set_ylim(middle + 320, middle - 320)
     return figure

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,20 +149,12 @@ def _chart(srgb: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
 def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Panel:
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     near = ~far_faces(scan.vertices, scan.faces)  # stray faces in front would hide the face
-    texture, color = None, None
+    colors: dict[str, Any] = {"shaded": not scan.has_color}
     if scan.uv is not None and scan.texture_linear is not None:
-        texture = scan.uv[near], encode_srgb_bytes(scan.texture_linear)
+        colors["texture_srgb"] = scan.uv[near], encode_srgb_bytes(scan.texture_linear)
     elif scan.vertex_color_linear is not None:
-        color = linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
-    picture = render_mesh(
-        placed,
-        scan.faces[near],
-        vertex_color_srgb=color,
-        texture_srgb=texture,
-        view=view,
-        shaded=not scan.has_color,
-    )
-    return Panel(title, picture)
+        colors["vertex_color_srgb"] = linear_to_srgb(np.clip(scan.vertex_color_linear, 0, 1))
+    return Panel(title, render_mesh(placed, scan.faces[near], view=view, **colors))
 
 
 def figure_png(figure: Figure, dpi: float | None = None) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from textwrap import fill
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -82,14 +82,8 @@ def _figure(
         x, y, low, high = drawn[names[0]][1]
         label = f"{'; '.join(names)}{', one curve for all' if len(names) > 1 else ''}, {text}"
         width = 1 + (len(alike) - number) / 2
-        (line,) = axis.plot(
-            x,
-            y,
-            label=fill(label, 88, break_on_hyphens=False),
-            linewidth=width,
-            marker=marker,
-            markersize=width + 2,
-        )
+        style: dict[str, Any] = {"linewidth": width, "marker": marker, "markersize": width + 2}
+        (line,) = axis.plot(x, y, label=fill(label, 88, break_on_hyphens=False), **style)
         bars = np.arange(number % len(x), len(x), len(alike))
         axis.vlines(x[bars], low[bars], high[bars], color=line.get_color(), linewidth=1)
     axis.set_ylim(bottom=0)

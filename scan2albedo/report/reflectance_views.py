@@ -149,9 +149,8 @@ def relit_picture(
     if len(seen.index) == 0 or not reflectance.known.any():
         return np.zeros((*shape, 3)), np.zeros(shape, bool)
     numbers = np.concatenate([reflectance.diffuse_linear, reflectance.weights], axis=1)
-    albedo, gloss = np.split(
-        seen.interpolated(filled_over_mesh(numbers, reflectance.known, faces)), [3], axis=1
-    )
+    numbers = filled_over_mesh(numbers, reflectance.known, faces)
+    albedo, gloss = np.split(seen.interpolated(numbers), [3], axis=1)
     point, normal = seen.interpolated(vertices), normalized(seen.interpolated(normals))
     lobes = point_light_lobes(
         point, normal, center, light[None], reference_distance_mm=reference_distance_mm

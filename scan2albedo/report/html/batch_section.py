@@ -25,17 +25,9 @@ RESIDUAL = "metrics_fit_residual_mean_mm"
 COVERAGE = "metrics_fit_coverage"
 UNCERTAINTY = "metrics_albedo_uncertainty_albedo_deviation"
 FIGURES = (
-    RESIDUAL,
-    COVERAGE,
-    "metrics_geometry_image_seen",
-    "metrics_fit_residual_p95_mm",
-    "metrics_registration_rmse_mm",
-    "metrics_registration_confidence",
-    "metrics_albedo_lights",
-    UNCERTAINTY,
-    "seconds",
-    "cpu_seconds",
-    "peak_memory_mb",
+    *(RESIDUAL, COVERAGE, "metrics_geometry_image_seen", "metrics_fit_residual_p95_mm"),
+    *("metrics_registration_rmse_mm", "metrics_registration_confidence", "metrics_albedo_lights"),
+    *(UNCERTAINTY, "seconds", "cpu_seconds", "peak_memory_mb"),
 )
 """Columns of the table and distributions, where the batch has them."""
 _SHOWN_ELSEWHERE = {

@@ -109,18 +109,10 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
         bars.append({**place, "height": round(drawing["bottom"] - top, 2), "count": count, "text": text})
     p5, median, p95 = (float(v) for v in np.percentile(known, (5, 50, 95)))
     summary = f"median {number_text(median)}, 90 % within {number_text(p5)} … {number_text(p95)}"
-    return {
-        **drawing,
-        "column": column,
-        "label": label_of(column),
-        "unit": unit,
-        "bars": bars,
-        "ticks": axis.labels(4, whole=whole),
-        "count_ticks": upward.labels(3, whole=True),
-        "median_at": axis.place(median),
-        "summary": f"all {number_text(median)}" if low == high else summary,
-        "missing": len(values) - len(known),
-    }
+    summary = f"all {number_text(median)}" if low == high else summary
+    about = {"column": column, "label": label_of(column), "unit": unit, "missing": len(values) - len(known)}
+    ticks = {"ticks": axis.labels(4, whole=whole), "count_ticks": upward.labels(3, whole=True)}
+    return {**drawing, **about, **ticks, "bars": bars, "median_at": axis.place(median), "summary": summary}
 
 
 def read_trace(file: Path) -> list[TraceRow]:
@@ -135,14 +127,8 @@ def read_trace(file: Path) -> list[TraceRow]:
     rows = []
     for k, line in enumerate(lines, 2):
         try:
-            row = TraceRow(
-                line["stage"],
-                float(line["elapsed_s"]),
-                float(line["cpu_s"]),
-                int(line["evaluations"]),
-                float(line["error"]),
-                line["unit"],
-            )
+            spent = float(line["elapsed_s"]), float(line["cpu_s"]), int(line["evaluations"])
+            row = TraceRow(line["stage"], *spent, float(line["error"]), line["unit"])
         except (KeyError, TypeError, ValueError) as error:
             raise Scan2AlbedoError(f"{file}: line {k} is not a row of a trace ({error})") from error
         if math.isfinite(row.error) and math.isfinite(row.elapsed_s):
@@ -171,20 +157,9 @@ def stage_charts(trace: Sequence[TraceRow]) -> list[dict[str, Any]]:
             f"{number_text(row.cpu_s, 4)} s CPU · evaluation {row.evaluations:,}"
             for row in shown
         ]
-        charts.append(
-            {
-                **drawing,
-                "stage": stage,
-                "unit": last.unit,
-                "rows": shown,
-                "summary": summary,
-                "time": time,
-                "error": error,
-                "time_ticks": time.labels(4),
-                "error_ticks": error.labels(4),
-                "places": places,
-                "line": " ".join(f"{x:g},{y:g}" for x, y in places),
-                "points_json": json.dumps([[x, y, text] for (x, y), text in zip(places, texts, strict=True)]),
-            }
-        )
+        about = {"stage": stage, "unit": last.unit, "rows": shown, "summary": summary}
+        axes = {"time": time, "error": error, "time_ticks": time.labels(4), "error_ticks": error.labels(4)}
+        line = " ".join(f"{x:g},{y:g}" for x, y in places)
+        points = json.dumps([[x, y, text] for (x, y), text in zip(places, texts, strict=True)])
+        charts.append({**drawing, **about, **axes, "places": places, "line": line, "points_json": points})
     return charts

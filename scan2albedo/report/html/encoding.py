@@ -54,13 +54,10 @@ def mesh_entry(mesh: FaceMesh, topologies: dict[str, dict[str, Any]]) -> dict[st
     key = hashlib.sha256(index + chart).hexdigest()[:12]
     topologies[key] = {"faces": encoded(index), "uv": encoded(chart), "wide": wide}
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
-    return {
-        "topology": key,
-        "positions": encoded(quantized(mesh.vertices, low, high - low).tobytes()),
-        "normals": encoded(octahedral(mesh.normals).tobytes()),
-        "low": low.tolist(),
-        "span": (high - low).tolist(),
-    }
+    box = {"low": low.tolist(), "span": (high - low).tolist()}
+    positions = encoded(quantized(mesh.vertices, low, high - low).tobytes())
+    normals = encoded(octahedral(mesh.normals).tobytes())
+    return {"topology": key, "positions": positions, "normals": normals, **box}
 
 
 def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:

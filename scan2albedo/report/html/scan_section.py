@@ -81,14 +81,12 @@ def scan_section(
             bar = {"stage": stage.replace("_", " "), "text": seconds_text(seconds)}
             times.append({**bar, "share": share, "start": start})
             start += share
+        about = {"anchor": anchor, "name": name, "record": record}
+        shown = {"viewer": viewer, "viewer_missing": viewer_missing, "residual_note": measured}
         return {
             **_figures(record),
-            "anchor": anchor,
-            "name": name,
-            "record": record,
-            "viewer": viewer,
-            "viewer_missing": viewer_missing,
-            "residual_note": measured,
+            **about,
+            **shown,
             "overview": picture_url(folder / "overview.png", 1800 if single else 1000),
             "charts": [chart for chart in charts if len(chart["rows"]) > 1],
             "single_points": [chart for chart in charts if len(chart["rows"]) == 1],
@@ -174,13 +172,8 @@ def _figures(record: ResultRecord) -> dict[str, Any]:
             where = angles_text(other.get("lights_deg") or ()) or "no directed light"
             odds = math.exp(min(float(other.get("excess") or 0), 100.0))
             alternatives.append((where, number_text(odds, 2)))
-    return {
-        "headline": headline,
-        "warnings": warnings,
-        "figures": rows,
-        "lights": lights,
-        "alternatives": alternatives,
-    }
+    words = {"headline": headline, "warnings": warnings, "figures": rows}
+    return {**words, "lights": lights, "alternatives": alternatives}
 
 
 def _option_text(value: Any) -> str:

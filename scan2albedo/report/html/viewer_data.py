@@ -96,45 +96,32 @@ def viewer_entry(
     elif record.parameters.get("brdf") == "spherical-harmonics":
         given = np.asarray(record.parameters.get("sh_coefficients"), np.float64)
         harmonics = given if given.shape == (9, 3) and np.isfinite(given).all() else None
+    lights = []
+    for light in record.lights:
+        place = {"azimuth": math.degrees(light.azimuth_rad), "elevation": math.degrees(light.elevation_rad)}
+        distance = light.distance_mm if math.isfinite(light.distance_mm) else None
+        shines = {"intensity": light.intensity, "color": list(light.color_linear)}
+        lights.append({**place, "distance": distance, **shines})
+    # The portrait's camera, as `applications.default_camera` has it.
     middle, radius, depth = portrait_frame(face.mesh.vertices)
+    frame = {"middle": middle.tolist(), "radius": radius, "margin": PORTRAIT_MARGIN, "depth": depth}
+    highlight = {"strength": skin.specular_strength, "exponent": skin.exponent}
+    extent = float(np.ptp(face.mesh.vertices, axis=0).max())
     entry = {
         **mesh_entry(mesh, topologies),
         "hasAlbedo": face.has_albedo,
         "albedo": texture_entry(face.albedo_linear, image.mask, size, quality=quality),
         "albedoExposure": preview_factor(face.albedo_linear, face.mask),
         "albedoLevel": face.level(),
-        "reflectance": {
-            "brdf": skin.brdf,
-            "roughness": skin.roughness,
-            "strength": skin.specular_strength,
-            "exponent": skin.exponent,
-        },
+        "reflectance": {"brdf": skin.brdf, "roughness": skin.roughness, **highlight},
         "assumed": list(assumed),
         "assumedGloss": skin.specular_strength > face.reflectance.specular_strength,
-        "lights": [
-            {
-                "azimuth": math.degrees(light.azimuth_rad),
-                "elevation": math.degrees(light.elevation_rad),
-                "distance": light.distance_mm if math.isfinite(light.distance_mm) else None,
-                "intensity": light.intensity,
-                "color": list(light.color_linear),
-            }
-            for light in record.lights
-        ],
+        "lights": lights,
         "harmonics": None if harmonics is None else np.ravel(harmonics).tolist(),
         "castsShadows": face.casts_shadows,
-        "shadowOffset": shadow_offset_mm(
-            float(np.ptp(face.mesh.vertices, axis=0).max()), face.shadow_offset_mm
-        ),
+        "shadowOffset": shadow_offset_mm(extent, face.shadow_offset_mm),
         "reach": float(np.linalg.norm(face.mesh.vertices, axis=1).max()),
-        # The portrait's camera, as `applications.default_camera` has it.
-        "frame": {
-            "middle": middle.tolist(),
-            "radius": radius,
-            "margin": PORTRAIT_MARGIN,
-            "depth": depth,
-            "distance": max(DISTANCE_MM, 4 * radius),
-        },
+        "frame": {**frame, "distance": max(DISTANCE_MM, 4 * radius)},
     }
     if image.texture_linear is not None:
         entry["texture"] = texture_entry(image.texture_linear, image.mask, size, quality=quality, factor=1.0)
@@ -148,9 +135,9 @@ def viewer_entry(
         # Red, green, blue of the soft light on each vertex as 16-bit parts of a scale.
         caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows else None
         shadows = ShadowMap(caster, mesh.vertices, mesh.normals, face.shadow_offset_mm)
-        light = environment_light_on(face.environment, shadows)
-        scale = float(light.max()) or 1.0
-        parts = quantized(light, np.zeros(3), np.full(3, scale))
+        soft = environment_light_on(face.environment, shadows)
+        scale = float(soft.max()) or 1.0
+        parts = quantized(soft, np.zeros(3), np.full(3, scale))
         entry["soft"] = {"scale": scale, "data": encoded(parts.tobytes())}
     if residual_mm is not None:
         # 255 is not measured.

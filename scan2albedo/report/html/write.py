@@ -38,16 +38,8 @@ if TYPE_CHECKING:
 
 REPORT_FILE = "report.html"
 _SCRIPTS = (
-    "elements",
-    "viewer_math",
-    "viewer_shaders",
-    "viewer_gl",
-    "viewer_lights",
-    "viewer_pointer",
-    "viewer",
-    "tables",
-    "charts",
-    "report",
+    *("elements", "viewer_math", "viewer_shaders", "viewer_gl", "viewer_lights", "viewer_pointer", "viewer"),
+    *("tables", "charts", "report"),
 )
 """In the order in which they build on each other."""
 
