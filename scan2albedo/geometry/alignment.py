@@ -76,8 +76,7 @@ def align(
     now = Alignment(start, np.zeros(count)) if isinstance(start, Similarity) else replace(start, steps=0)
     for step in range(steps):
         pose, c = now.pose, now.coefficients
-        shape = points if modes is None else points + modes @ c
-        moved = pose.apply(shape)
+        moved = pose.apply(points if modes is None else points + modes @ c)
         found = pairs(now, moved)
         if found is None:
             break

@@ -45,8 +45,7 @@ class LoopSubdivision:
             step, refined = refine(matrix.shape[0], refined)
             matrix = step @ matrix
         limit = limit_matrix(matrix.shape[0], refined)
-        parent = np.repeat(np.arange(len(faces)), 4**levels)
-        return cls(refined, (limit @ matrix).tocsr(), parent, levels)
+        return cls(refined, (limit @ matrix).tocsr(), np.repeat(np.arange(len(faces)), 4**levels), levels)
 
     def points_matrix(self, points: SurfacePoints) -> sparse.csr_matrix:
         """Return the (N, C) matrix that evaluates the refined limit mesh at `points`, linear inside faces."""
