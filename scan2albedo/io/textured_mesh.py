@@ -113,8 +113,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
             vertex, faces = split.vertex, split.faces
             attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
         if picture is None and mesh.vertex_color_linear is not None:
-            colors = np.clip(mesh.vertex_color_linear[vertex], 0, 1)
-            attributes["COLOR_0"] = (colors.astype("f4"), "VEC3")
+            attributes["COLOR_0"] = (np.clip(mesh.vertex_color_linear[vertex], 0, 1).astype("f4"), "VEC3")
         file.add_mesh(
             name,
             mesh.vertices[vertex],
