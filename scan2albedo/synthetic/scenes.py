@@ -109,8 +109,7 @@ def hemisphere(
     mask = radius < 1
     # Equal area: rho = 2 R sin(theta / 2), scaled so that theta = 90 degrees lies on the rim.
     z = 1 - radius**2
-    lateral = disc * np.sqrt(np.maximum(0, 2 - radius**2))[:, None]
-    normal = np.column_stack([lateral, z])
+    normal = np.column_stack([disc * np.sqrt(np.maximum(0, 2 - radius**2))[:, None], z])
     normal[~mask] = 0
     image = GeometryImage(
         (HEMISPHERE_RADIUS_MM * normal).reshape(size, size, 3),

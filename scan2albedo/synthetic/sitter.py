@@ -79,8 +79,7 @@ class Sitter:
 
     def specular_scale_at(self, face: IntArray) -> FloatArray:
         """Return (N,) relative strength of highlights on faces (N,)."""
-        by_part = np.array([1.0, 0.8, 0.5, 0.0])
-        scale = by_part[self.part[face]]
+        scale = np.array([1.0, 0.8, 0.5, 0.0])[self.part[face]]
         on_face = self.part[face] == BodyPart.FACE
         scale[on_face] = self.model.region_values("specular_scale")[self.face.region[face[on_face]]]
         return scale

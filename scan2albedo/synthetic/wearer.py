@@ -56,10 +56,8 @@ def seat(glasses: SyntheticEyeglasses, head: RayScene, eyes: FloatArray) -> Floa
     # Lower rims lean towards the cheeks, and the frame hangs a little, as opticians fit them.
     start = compose(rotation_from_vector([np.deg2rad(3.0), 0, 0]), eyes + [0.0, -3.0, _FAR_MM])
     front = glasses.vertices[:, 2] > glasses.keypoints[:, 2].max() - _FRONT_MM
-    points = transform_points(start, glasses.vertices[front])
-    hits = head.first_hit(points, np.array([0.0, 0, -1]))
-    gap = float(hits.distance[hits.face >= 0].min())
-    start[2, 3] -= gap - _CLEARANCE_MM
+    hits = head.first_hit(transform_points(start, glasses.vertices[front]), np.array([0.0, 0, -1]))
+    start[2, 3] -= float(hits.distance[hits.face >= 0].min()) - _CLEARANCE_MM
     return start
 
 
@@ -173,8 +171,7 @@ def wearer(
         if min(window) <= 0:
             continue
         rays = pixel_directions(camera, pixel_grid(window) + low)
-        center = camera_centers(camera[None])[0]
-        first = both.first_hit(np.broadcast_to(center, rays.shape), rays).face
+        first = both.first_hit(np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays).face
         shown = ((first >= 0) & (first < len(glasses.faces))).reshape(window)
         if mask_noise_px > 0 and shown.any():
             # A smooth random field moves the outline.
