@@ -49,8 +49,7 @@ class ScanSurface:
 
     def on_boundary(self, hits: ClosestHits) -> BoolArray:
         """Return (N,) True where the closest point lies on the border of the scan or of a hole."""
-        weight = np.where(self.boundary[self.faces[hits.face]], hits.barycentric, 0.0).sum(1)
-        return weight > 0.999
+        return np.where(self.boundary[self.faces[hits.face]], hits.barycentric, 0.0).sum(1) > 0.999
 
     def turned_outward(self, points: FloatArray, normals: FloatArray, reach_mm: float) -> ScanSurface:
         """Return the surface, reversed when most normals disagree with the model's `normals` at `points`."""
