@@ -114,13 +114,8 @@ class AnnotatedSurface:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a model from its JSON file; raises `ModelError` when files are damaged or do not match."""
-        entry = read_record(
-            path,
-            FaceModelFile,
-            what="face model",
-            advice="give the .json file of a model (data_schemas/annotated_face_model.schema.json)",
-            error=ModelError,
-        )
+        advice = "give the .json file of a model (data_schemas/annotated_face_model.schema.json)"
+        entry = read_record(path, FaceModelFile, what="face model", advice=advice, error=ModelError)
         file = Path(path).with_name(entry.arrays)
         advice = "copy it beside its .json file again"
         arrays = read_npz(file, what="face model", advice=advice, error=ModelError)

@@ -142,14 +142,8 @@ def head_around(
     # Neck: Hermite curves from the rim under the chin to an ellipse at the neck's base.
     sideways = rim[:, 0] / np.abs(rim[:, 0]).max()
     turn = sideways * np.deg2rad(120)
-    base = np.stack(
-        [
-            tip[0] + 62.0 * np.sin(turn),
-            np.full(len(rim), tip[1] - 190.0),
-            tip[2] - 118.0 + 60.0 * np.cos(turn),
-        ],
-        1,
-    )
+    x, z = tip[0] + 62.0 * np.sin(turn), tip[2] - 118.0 + 60.0 * np.cos(turn)
+    base = np.stack([x, np.full(len(rim), tip[1] - 190.0), z], 1)
     leave = outward * 110 + np.array([0.0, 0.0, -60.0])
     arrive = np.array([0.0, -170.0, 0.0]) + 110 * sideways[:, None] * np.array([1.0, 0.0, 0.0])
     s = share

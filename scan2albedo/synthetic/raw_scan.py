@@ -345,15 +345,9 @@ def scan_of(
     image = face_geometry_image(sitter.model, sitter.face, scanner.size)
     albedo = np.zeros((*image.shape, 3), np.float32)
     albedo[image.mask] = sitter.face_albedo(texel_coordinates(scanner.size)[image.mask.ravel()])
+    model_from_scan, landmarks = invert_rigid(scan_from_model), sitter.face.landmarks
     truth = SyntheticTruth(
-        invert_rigid(scan_from_model),
-        image,
-        albedo,
-        sitter.face.landmarks,
-        sitter.control_points,
-        flashes,
-        material,
-        exposure,
+        model_from_scan, image, albedo, landmarks, sitter.control_points, flashes, material, exposure
     )
     return scan, truth
 

@@ -100,12 +100,8 @@ def sit_down(
     `Sitter`, are random when None.
     """
     rng = np.random.default_rng([seed, 6])
-    control_points = person(
-        model,
-        np.random.default_rng([seed, 2]),
-        expression=expression,
-        expression_strength=expression_strength,
-    )
+    of_shape = np.random.default_rng([seed, 2])
+    control_points = person(model, of_shape, expression=expression, expression_strength=expression_strength)
     face = with_relief(face_surface(model, control_points), rng)
     head_vertices, head_faces, head_uv = head_around(face.vertices, face.faces, face.normals)
     bare = join([(face.vertices, face.faces), (head_vertices, head_faces)])

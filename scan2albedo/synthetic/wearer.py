@@ -151,12 +151,8 @@ def wearer(
     # Cameras look from 600 mm away at a point between the lenses and the ears.
     target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
     frame = (picture_size, picture_size)
-    cameras = np.array(
-        [
-            look_at(target + 600 * toward(*place), target, focal_px=focal_px, shape=frame)
-            for place in _PLACES_DEG
-        ]
-    )
+    places = [target + 600 * toward(*place) for place in _PLACES_DEG]
+    cameras = np.array([look_at(place, target, focal_px=focal_px, shape=frame) for place in places])
     rng = np.random.default_rng([seed, 9])
     # Half a millimetre behind what a ray meets first is still the same surface.
     hidden = np.stack([scene.hidden(eye, vertices, 0.5) for eye in camera_centers(cameras)])
