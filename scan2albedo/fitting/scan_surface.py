@@ -62,12 +62,8 @@ class ScanSurface:
 
     def moved(self, target_from_here: FloatArray) -> ScanSurface:
         """Return the surface in another frame (rigid (4, 4))."""
-        return ScanSurface(
-            transform_points(target_from_here, self.vertices),
-            self.faces,
-            self.normals @ target_from_here[:3, :3].T,
-            self.boundary,
-        )
+        vertices = transform_points(target_from_here, self.vertices)
+        return ScanSurface(vertices, self.faces, self.normals @ target_from_here[:3, :3].T, self.boundary)
 
 
 def scan_near_model(

@@ -117,14 +117,9 @@ def anneal_depth_derivatives(
     )
     meter.count(rough.evaluations + 1)
     here = rough.x if fine(rough.x) < start_error else here
+    low, high = here - _REACH / 4, here + _REACH / 4
     result = simulated_annealing(
-        fine,
-        here,
-        here - _REACH / 4,
-        here + _REACH / 4,
-        seed=seed,
-        evaluations=evaluations - half,
-        meter=meter,
+        fine, here, low, high, seed=seed, evaluations=evaluations - half, meter=meter
     )
     delta = _moved(result.x, fine.depth_shift_mm(result.x))
     translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
