@@ -132,8 +132,7 @@ class LightModel:
 
     def tangents(self, x: FloatArray) -> FloatArray:
         """Return (L, 2, 3) the derivatives of each light's direction by p."""
-        lamps = x[: 3 * self.lights].reshape(-1, 3).tolist()
-        found = [_with_tangents(px, py)[1:] for px, py, _ in lamps]
+        found = [_with_tangents(px, py)[1:] for px, py, _ in x[: 3 * self.lights].reshape(-1, 3).tolist()]
         return np.asarray(np.reshape(found, (self.lights, 2, 3)) @ self._frame)
 
     def decode(self, x: FloatArray) -> Hypothesis:

@@ -89,8 +89,7 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
         if meter.exhausted:
             break
         more = replace(model, lights=count)
-        x = np.insert(best.x, 3 * (count - 1), [0.0, 0.0, np.log(0.5)])
-        trial = _annealed(middle, more, x, seed)
+        trial = _annealed(middle, more, np.insert(best.x, 3 * (count - 1), [0.0, 0.0, np.log(0.5)]), seed)
         gain = 1 - trial.cost / best.cost if best.cost > 0 else 0.0
         intensity = trial.hypothesis.rows[:, 4]
         accepted = gain >= _LIGHT_GAIN and intensity.min() >= _LIGHT_SHARE * intensity.max()

@@ -103,8 +103,7 @@ class Posterior:
         """Return `weight` (N,) of the cells, that of points far from an optimum when None, and its factor."""
         if weight is None:
             weight = 1 / (self.repeats * self.variance * scales.grain**2)
-        factor = posterior_factor(self.nodes, weight, self.field.precision(scales))
-        return Start(weight, scales, factor)
+        return Start(weight, scales, posterior_factor(self.nodes, weight, self.field.precision(scales)))
 
     def start(self, model: LightModel, x: FloatArray, known: Start) -> Point:
         """Return the point of a light x (P,), at the albedo's scale that fits best."""
@@ -173,8 +172,7 @@ class Point:
         p.soft.add(model, light_x, light, slopes[0])
         self.light, self.specular = light, specular
         if math.isnan(self.x[-EXTRA]):
-            seen = np.log(np.exp(self.x[-1] * p.mean) * light + specular)
-            self.x[-EXTRA] = np.median(p.value - seen)
+            self.x[-EXTRA] = np.median(p.value - np.log(np.exp(self.x[-1] * p.mean) * light + specular))
         self.rows = np.empty((cells, model.size + EXTRA + 1))
         log_rows(p.value, p.mean, light, specular, *slopes, *self.x[-EXTRA:], self.rows)
         self.left = self.rows[:, -1].copy()
@@ -312,8 +310,7 @@ class Point:
         for _ in range(3):
             factor = posterior_factor(p.nodes, weight, precision)
             rows = np.column_stack([np.ones(len(left)), left])
-            onto = p.onto_nodes @ (rows * weight[:, None])
-            one, u = solved(factor, onto).T
+            one, u = solved(factor, p.onto_nodes @ (rows * weight[:, None])).T
             rest = weight * (left - p.nodes @ u)
             level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), TINY))
             u = u - level * one

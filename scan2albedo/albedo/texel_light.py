@@ -58,10 +58,8 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     if told is None:
         return _of_solution(scene, found.solution, None, LightColours.white(found.solution.model.lights))
     lit = _of_solution(scene, found.solution, told.best, told.colours)
-    cells = np.column_stack([told.shift, told.spread])
-    *shift, spread = cell_field(told.level, cells, scene.image.mask).T
-    light = lit.light_linear * np.exp(np.stack(shift, 1))
-    return replace(lit, light_linear=light, deviation=spread)
+    *shift, spread = cell_field(told.level, np.column_stack([told.shift, told.spread]), scene.image.mask).T
+    return replace(lit, light_linear=lit.light_linear * np.exp(np.stack(shift, 1)), deviation=spread)
 
 
 def _of_solution(

@@ -90,8 +90,7 @@ def expected_error(
 def light_uncertainty(point: Point, others: Sequence[Alternative] = ()) -> LightUncertainty:
     """Return how sure the light of a point is."""
     variance = np.maximum(np.diag(point.covariance()), 0.0)
-    rows = point.solution().hypothesis.rows
-    order = np.argsort(-rows[:, 4], kind="stable")
+    order = np.argsort(-point.solution().hypothesis.rows[:, 4], kind="stable")
     direction = tuple(float(np.sqrt(variance[3 * k : 3 * k + 2].mean())) for k in order)
     intensity = tuple(float(np.sqrt(variance[3 * k + 2])) for k in order)
     cells = point.light_deviation()

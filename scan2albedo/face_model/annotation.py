@@ -105,8 +105,7 @@ class AnnotatedSurface:
             raise ModelError(f"{self.name}: uv has shape {self.uv.shape}, expected ({count}, 2)")
         if self.region.shape != (faces,):
             raise ModelError(f"{self.name}: region has shape {self.region.shape}, expected ({faces},)")
-        known = {r.index for r in self.regions.values()}
-        unknown = sorted(set(np.unique(self.region).tolist()) - known)
+        unknown = sorted(set(np.unique(self.region).tolist()) - {r.index for r in self.regions.values()})
         if unknown:
             raise ModelError(
                 f"{self.name}: faces carry region indices {unknown} that `regions` does not name"
@@ -115,13 +114,8 @@ class AnnotatedSurface:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a model from its JSON file; raises `ModelError` when files are damaged or do not match."""
-        entry = read_record(
-            path,
-            FaceModelFile,
-            what="face model",
-            advice="give the .json file of a model (data_schemas/annotated_face_model.schema.json)",
-            error=ModelError,
-        )
+        advice = "give the .json file of a model (data_schemas/annotated_face_model.schema.json)"
+        entry = read_record(path, FaceModelFile, what="face model", advice=advice, error=ModelError)
         file = Path(path).with_name(entry.arrays)
         advice = "copy it beside its .json file again"
         arrays = read_npz(file, what="face model", advice=advice, error=ModelError)
@@ -319,10 +313,8 @@ def _check_arrays(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
     if entry.landmarks:
         expected |= {"landmark_face": (68,), "landmark_barycentric": (68, 3)}
     if entry.template_vertices:
-        expected |= {
-            "template_face": (entry.template_vertices,),
-            "template_barycentric": (entry.template_vertices, 3),
-        }
+        expected["template_face"] = (entry.template_vertices,)
+        expected["template_barycentric"] = (entry.template_vertices, 3)
     if "template_offset" in arrays:
         expected["template_offset"] = (entry.template_vertices, 3)
     if "template_from_model" in arrays:

@@ -171,8 +171,7 @@ def appearance(
     logs = log_prior + told
     shares = np.exp(logs - np.logaddexp.reduce(logs))
     for _ in range(_ROUNDS):
-        around = np.stack([local_mean(one, grid.part, 3) for one in shares])
-        agreeing = logs + _AGREEMENT * around
+        agreeing = logs + _AGREEMENT * np.stack([local_mean(one, grid.part, 3) for one in shares])
         shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
     likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
     weight = np.where(seen, np.minimum(likeliest / SURE, 1), np.float32(0))
@@ -231,9 +230,8 @@ def features_of(
     filled = np.where(known, bright, local_mean(bright, part, odd_side(3 * _GRAIN_MM / texel_mm)))
     edgeless = np.abs(filled - median_filter(filled, 5, mode="nearest"))
     contrast = np.minimum(edgeless, np.abs(filled - local_mean(filled, part, 3)))
-    skin = known & (weight >= np.median(weight[known]))
     # Skin is never smoother than an even one, nor rougher than a noisy picture's; hair counts up to 0.5.
-    own = float(np.median(contrast[skin]))
+    own = float(np.median(contrast[known & (weight >= np.median(weight[known]))]))
     grain = local_mean(np.minimum(contrast, 0.5), part, odd_side(_GRAIN_MM / texel_mm))
     return colors, np.log((grain + _FAINT) / (1.3 * np.clip(own, _FAINT, 0.06) + _FAINT))
 
@@ -241,8 +239,7 @@ def features_of(
 def light_basis(normal: NDArray[np.floating]) -> FloatArray:
     """Return (..., 9) the constant, linear and quadratic functions of normals (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(normal, np.float64), -1, 0)
-    one = np.ones_like(x)
-    return np.stack([one, x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
+    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
 
 
 def skin_in_light(basis: FloatArray, colors: FloatArray, weight: FloatArray, start: FloatArray) -> FloatArray:

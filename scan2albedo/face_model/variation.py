@@ -104,8 +104,7 @@ def displacement(bump: Bump, points: FloatArray, landmarks: FloatArray) -> Float
 
 
 def _gaussian(points: FloatArray, center: FloatArray, radius_mm: float) -> FloatArray:
-    squared = np.sum((points - center) ** 2, axis=1)
-    return np.exp(-squared / (2 * radius_mm**2))[:, None]
+    return np.exp(-np.sum((points - center) ** 2, axis=1) / (2 * radius_mm**2))[:, None]
 
 
 def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:

@@ -86,12 +86,11 @@ def with_landmarks(
     if landmarks is None:
         return Pairs(forces.offset, forces.normal, forces.weight, forces.tangential, NOISE_MM)
     offset = landmarks.seen_offsets(points[len(forces.weight) :])
-    ones = np.ones(len(offset))
     return Pairs(
         np.vstack([forces.offset, offset]),
         np.vstack([forces.normal, np.zeros_like(offset)]),
         np.concatenate([forces.weight, landmarks.person_weight(offset)]),
-        np.concatenate([np.full(len(forces.weight), forces.tangential), ones]),
+        np.concatenate([np.full(len(forces.weight), forces.tangential), np.ones(len(offset))]),
         NOISE_MM,
     )
 

@@ -107,8 +107,7 @@ class LandmarkPull:
         """Return (L,) mm2 of surface that each counts for at `offset` (L, 3), while shape is a mean one."""
         variance = _PERSON_MM**2 + self.sigma_mm**2
         far = np.sum(offset**2, axis=1) / self.wrong_mm**2
-        weight = _FIRST_MM2 * _PERSON_MM**2 / variance / (1 + far) ** 2
-        return np.where(self.still, weight, 0.0)
+        return np.where(self.still, _FIRST_MM2 * _PERSON_MM**2 / variance / (1 + far) ** 2, 0.0)
 
     def without_wrong(
         self, model: AnnotatedSurface, control_points: FloatArray

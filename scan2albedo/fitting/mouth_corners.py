@@ -51,8 +51,7 @@ def corners_pulled(deformation: Deformation) -> Deformation:
             return deformation
         if mm in FURTHER_MM and not mouth.gains(reached, FURTHER_MM[mm]):
             continue
-        start = corners.pulled(reference, (mm, mm)) if mm else reference
-        reached[mm] = coarsely_fitted(deformation, start)
+        reached[mm] = coarsely_fitted(deformation, corners.pulled(reference, (mm, mm)) if mm else reference)
     pull = mouth.chosen(reached)
     return replace(deformation, reference=corners.pulled(reference, pull), corners_mm=pull)
 

@@ -114,8 +114,7 @@ class JawHinge:
 
     @cached_property
     def _from_limit(self) -> Callable[[FloatArray], FloatArray]:
-        near = sparse.identity(len(self.weight))
-        return factorized(self.limit.T @ self.limit + LIMIT_FREEDOM * near)
+        return factorized(self.limit.T @ self.limit + LIMIT_FREEDOM * sparse.identity(len(self.weight)))
 
     def opened(self, control_points: FloatArray, angle_deg: float) -> FloatArray:
         """Return the control points (C, 3) whose surface has its jaw turned down by `angle_deg`."""
@@ -128,8 +127,7 @@ class JawHinge:
         jaw = self.weight > JAW_WEIGHT
         _, y, z = ((self.limit @ rest)[jaw] - self.center).T
         _, v, w = ((self.limit @ moved)[jaw] - self.center).T
-        turned = np.arctan2(y * w - z * v, y * v + z * w)
-        return float(np.rad2deg(np.median(turned / self.weight[jaw])))
+        return float(np.rad2deg(np.median(np.arctan2(y * w - z * v, y * v + z * w) / self.weight[jaw])))
 
     def _turned(self, points: FloatArray, angle_deg: float) -> FloatArray:
         angle = np.deg2rad(angle_deg) * self.weight

@@ -85,8 +85,7 @@ class _Places:
     @classmethod
     def of(cls, points: FloatArray, line: FloatArray) -> _Places:
         """Return points (N, 2) by a line (K, 2)."""
-        order = np.argsort(line[:, 0])
-        height = np.interp(points[:, 0], *line[order].T)
+        height = np.interp(points[:, 0], *line[np.argsort(line[:, 0])].T)
         return cls(np.stack([points[:, 0], height], axis=1), points[:, 1] - height)
 
     def moved(self, motions: FloatArray, middle: FloatArray) -> FloatArray:
@@ -354,8 +353,7 @@ def _posterior(
 @cache
 def _draws() -> FloatArray:
     """Return (_SAMPLES, _MOTIONS) normal numbers, evenly spread, always the same: mean 0, covariance 1."""
-    even = qmc.Sobol(_MOTIONS, seed=1).random(_SAMPLES)
-    draws = norm.ppf(np.clip(even, 1e-6, 1 - 1e-6))
+    draws = norm.ppf(np.clip(qmc.Sobol(_MOTIONS, seed=1).random(_SAMPLES), 1e-6, 1 - 1e-6))
     draws -= draws.mean(axis=0)
     return np.asarray(np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T)
 

@@ -200,8 +200,7 @@ def residuals_mm(
     query = ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest
     hits = query.query(vertices)
     facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
-    seen = ~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing
-    return np.where(seen, hits.distance, np.nan)
+    return np.where(~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing, hits.distance, np.nan)
 
 
 def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:

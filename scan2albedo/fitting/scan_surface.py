@@ -49,8 +49,7 @@ class ScanSurface:
 
     def on_boundary(self, hits: ClosestHits) -> BoolArray:
         """Return (N,) True where the closest point lies on the border of the scan or of a hole."""
-        weight = np.where(self.boundary[self.faces[hits.face]], hits.barycentric, 0.0).sum(1)
-        return weight > 0.999
+        return np.where(self.boundary[self.faces[hits.face]], hits.barycentric, 0.0).sum(1) > 0.999
 
     def turned_outward(self, points: FloatArray, normals: FloatArray, reach_mm: float) -> ScanSurface:
         """Return the surface, reversed when most normals disagree with the model's `normals` at `points`."""
@@ -63,12 +62,8 @@ class ScanSurface:
 
     def moved(self, target_from_here: FloatArray) -> ScanSurface:
         """Return the surface in another frame (rigid (4, 4))."""
-        return ScanSurface(
-            transform_points(target_from_here, self.vertices),
-            self.faces,
-            self.normals @ target_from_here[:3, :3].T,
-            self.boundary,
-        )
+        vertices = transform_points(target_from_here, self.vertices)
+        return ScanSurface(vertices, self.faces, self.normals @ target_from_here[:3, :3].T, self.boundary)
 
 
 def scan_near_model(

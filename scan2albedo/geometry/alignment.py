@@ -76,8 +76,7 @@ def align(
     now = Alignment(start, np.zeros(count)) if isinstance(start, Similarity) else replace(start, steps=0)
     for step in range(steps):
         pose, c = now.pose, now.coefficients
-        shape = points if modes is None else points + modes @ c
-        moved = pose.apply(shape)
+        moved = pose.apply(points if modes is None else points + modes @ c)
         found = pairs(now, moved)
         if found is None:
             break
@@ -108,11 +107,8 @@ def align(
         lower[6], upper[6] = min(low, 0.0), max(high, 0.0)
         # The damping is that of rounding: what nothing determines stays.
         change = damped_step(NormalEquations(matrix, gradient, lower, upper), SMALLEST_DIAGONAL)
-        pose = Similarity(
-            rotation_from_vector(change[:3]) @ pose.rotation,
-            pose.translation + change[3:6],
-            pose.scale * float(np.exp(change[6])),
-        )
+        rotation = rotation_from_vector(change[:3]) @ pose.rotation
+        pose = Similarity(rotation, pose.translation + change[3:6], pose.scale * float(np.exp(change[6])))
         length = max(float(np.rad2deg(np.linalg.norm(change[:3]))), float(np.linalg.norm(change[3:6])))
         now = Alignment(pose, c + change[7:], step + 1, length, length < settled)
         if now.converged:

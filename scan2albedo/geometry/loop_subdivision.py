@@ -45,8 +45,7 @@ class LoopSubdivision:
             step, refined = refine(matrix.shape[0], refined)
             matrix = step @ matrix
         limit = limit_matrix(matrix.shape[0], refined)
-        parent = np.repeat(np.arange(len(faces)), 4**levels)
-        return cls(refined, (limit @ matrix).tocsr(), parent, levels)
+        return cls(refined, (limit @ matrix).tocsr(), np.repeat(np.arange(len(faces)), 4**levels), levels)
 
     def points_matrix(self, points: SurfacePoints) -> sparse.csr_matrix:
         """Return the (N, C) matrix that evaluates the refined limit mesh at `points`, linear inside faces."""
@@ -126,12 +125,9 @@ def limit_matrix(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     boundary: (1/6, 2/3, 1/6) (the cubic B-spline's limit).
     """
     edges, uses = edges_with_faces(faces)
+    boundary = edges[uses != 2]
     return _one_ring_rule(
-        vertex_count,
-        faces,
-        edges[uses != 2],
-        lambda n: 1 / (0.375 * n / _n_beta(n) + n),
-        boundary_neighbour=1 / 6,
+        vertex_count, faces, boundary, lambda n: 1 / (0.375 * n / _n_beta(n) + n), boundary_neighbour=1 / 6
     )
 
 

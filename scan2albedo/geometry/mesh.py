@@ -160,8 +160,7 @@ def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
     """
     far = ~used
     for _ in range(10):
-        near = vertices[~far]
-        distance = lengths(vertices - np.median(near, axis=0))
+        distance = lengths(vertices - np.median(vertices[~far], axis=0))
         farther = distance > FAR_FACTOR * np.percentile(distance[~far], FAR_PERCENT)
         if not (farther & ~far).any():
             break

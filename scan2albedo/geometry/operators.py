@@ -44,8 +44,7 @@ def laplacian(
     if face_weight is not None:
         weights = weights * face_weight[:, None]
     start, end = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
-    shape = (len(vertices), len(vertices))
-    directed = sparse.csr_matrix((weights.ravel(), (start, end)), shape=shape)
+    directed = sparse.csr_matrix((weights.ravel(), (start, end)), shape=(len(vertices), len(vertices)))
     symmetric = directed + directed.T
     return (sparse.diags(np.asarray(symmetric.sum(1)).ravel()) - symmetric).tocsr()
 
@@ -77,8 +76,7 @@ def vertex_minimum(vertex_count: int, faces: IntArray, face_value: FloatArray) -
 def vertex_average(vertex_count: int, faces: IntArray, face_value: FloatArray) -> FloatArray:
     """Return (V,) means of the values (F,) of the faces around each vertex; zero where there is none."""
     total = np.bincount(faces.ravel(), np.repeat(face_value, 3), minlength=vertex_count)
-    count = np.bincount(faces.ravel(), minlength=vertex_count)
-    return total / np.maximum(count, 1)
+    return total / np.maximum(np.bincount(faces.ravel(), minlength=vertex_count), 1)
 
 
 def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse.csr_matrix:
@@ -93,8 +91,7 @@ def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse
         count = matrix.shape[0]
         ends = np.full((finer.max() + 1 - count, 2), -1, np.int64)
         for corner, (start, end) in enumerate(((0, 1), (1, 2), (2, 0))):
-            middle = finer[3::4][:, corner]
-            ends[middle - count] = current[:, [start, end]]
+            ends[finer[3::4][:, corner] - count] = current[:, [start, end]]
         rows = np.repeat(np.arange(len(ends)), 2)
         halves = sparse.csr_matrix((np.full(len(rows), 0.5), (rows, ends.ravel())), shape=(len(ends), count))
         matrix = sparse.vstack([sparse.identity(count), halves]).tocsr() @ matrix

@@ -65,11 +65,8 @@ def nearest_depths(
 def _contiguous(
     pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    return (
-        np.ascontiguousarray(pixels, np.float64),
-        np.ascontiguousarray(depth, np.float64),
-        np.ascontiguousarray(faces, np.int64),
-    )
+    places, depths = np.ascontiguousarray(pixels, np.float64), np.ascontiguousarray(depth, np.float64)
+    return places, depths, np.ascontiguousarray(faces, np.int64)
 
 
 @njit(cache=True, nogil=True)

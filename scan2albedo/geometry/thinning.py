@@ -47,5 +47,4 @@ def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurfac
     means = np.stack([np.bincount(cluster, vertices[:, axis]) / count for axis in range(3)], 1)
     joined = cluster[faces]
     a, b, c = joined.T
-    distinct = joined[(a != b) & (b != c) & (c != a)]
-    return ThinnedSurface(means, distinct, count)
+    return ThinnedSurface(means, joined[(a != b) & (b != c) & (c != a)], count)

@@ -138,8 +138,7 @@ def _part(
             if (color < 1).any():
                 texture = texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
         base = (float(color[0]), float(color[1]), float(color[2]))
-        title = str(getattr(source, "name", None) or "material")
-        materials[id(source)] = Material(title, texture, base)
+        materials[id(source)] = Material(str(getattr(source, "name", None) or "material"), texture, base)
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
     require_valid_indices(faces, len(vertices), name)

@@ -203,8 +203,7 @@ class GltfFile:
         accessor = self.tree["accessors"][entry["inverseBindMatrices"]]
         if accessor["componentType"] != 5126 or accessor["type"] != "MAT4" or "bufferView" not in accessor:
             raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
-        stored = self._array(accessor)[:count].reshape(count, 4, 4)
-        return stored.transpose(0, 2, 1).astype(np.float64)
+        return self._array(accessor)[:count].reshape(count, 4, 4).transpose(0, 2, 1).astype(np.float64)
 
     def _numbers(self, accessor: dict[str, Any]) -> FloatArray:
         """Return (count, components) of an accessor, whole numbers as parts of their range (glTF 3.6.2)."""

@@ -149,13 +149,9 @@ def _in_srgb(image: Image.Image) -> Image.Image | None:
         image = image.convert("RGBA")
     kind = "RGBA" if image.mode == "RGBA" else "RGB"
     try:
-        convert = ImageCms.buildTransform(
-            ImageCms.ImageCmsProfile(BytesIO(profile)),
-            ImageCms.createProfile("sRGB"),
-            image.mode,
-            kind,
-            ImageCms.Intent.RELATIVE_COLORIMETRIC,
-        )
+        own, srgb = ImageCms.ImageCmsProfile(BytesIO(profile)), ImageCms.createProfile("sRGB")
+        intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
+        convert = ImageCms.buildTransform(own, srgb, image.mode, kind, intent)
     except (ImageCms.PyCMSError, OSError):  # a damaged profile, or one of another kind of samples
         return None
     if image.mode == kind:

@@ -86,8 +86,7 @@ def read_npz(
                     raise ValueError(f"its arrays have {total:,} bytes, more than the {most:,} that are read")
                 return {name: stored[name] for name in wanted}
     except (ScanError, *limits.DAMAGE) as cause:
-        reason = one_line(cause)
-        raise error(f"{what} {path} cannot be read ({reason}); {advice}") from cause
+        raise error(f"{what} {path} cannot be read ({one_line(cause)}); {advice}") from cause
 
 
 def write_npz_record(

@@ -146,8 +146,7 @@ def mesh_of_columns(
         uv = of_corners[corners] if complete.any() else None
     elif of_vertices is not None:
         per_vertex = np.stack([vertex[name] for name in of_vertices], axis=1).astype(np.float64)
-        inside = (faces >= 0) & (faces < len(per_vertex))
-        uv = per_vertex[np.where(inside, faces, 0)]
+        uv = per_vertex[np.where((faces >= 0) & (faces < len(per_vertex)), faces, 0)]
     colors = _colors(vertex)
     if colors is None and (of_faces := _colors(of_face)) is not None:
         known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
@@ -193,8 +192,7 @@ def files_of_ply(path: Path, folder: ScanFolder) -> list[str]:
 
 
 def _texture_files(header: str) -> list[str]:
-    lines = header.splitlines()
-    found = (re.match(r"comment\s+TextureFile\s+(.+)", line, re.IGNORECASE) for line in lines)
+    found = (re.match(r"comment\s+TextureFile\s+(.+)", line, re.IGNORECASE) for line in header.splitlines())
     return [match[1].strip() for match in found if match]
 
 

@@ -44,8 +44,7 @@ class ScanFolder:
                     places = [place for place in folders if self._allows(place)]
                     named = (place / relative.name for place in places)
                     others = (file for place in places if place.is_dir() for file in sorted(place.iterdir()))
-                    alike = (file for file in others if _folded(file.name) == wanted)
-                    for file in chain(named, alike):
+                    for file in chain(named, (file for file in others if _folded(file.name) == wanted)):
                         if file.is_file() and self._allows(file):
                             return file
             except (OSError, ValueError):  # a name that no file may have, a folder that may not be read

@@ -116,10 +116,9 @@ def write_skinned_glb(
     mesh = file.add_mesh("frame", xyz, index, attributes=attributes)
     # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
     number = {int(joint): i + 2 for i, joint in enumerate(known)}
-    roots = [number[joint] for joint in number if above[joint] < 0]
     nodes: list[dict[str, Any]] = [
         {"name": "frame", "mesh": mesh, "skin": 0},
-        {"name": "skeleton", "children": roots},
+        {"name": "skeleton", "children": [number[joint] for joint in number if above[joint] < 0]},
     ]
     places = joints * METRES_PER_MM
     for joint in number:

@@ -113,16 +113,9 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
             vertex, faces = split.vertex, split.faces
             attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
         if picture is None and mesh.vertex_color_linear is not None:
-            colors = np.clip(mesh.vertex_color_linear[vertex], 0, 1)
-            attributes["COLOR_0"] = (colors.astype("f4"), "VEC3")
-        file.add_mesh(
-            name,
-            mesh.vertices[vertex],
-            faces.reshape(-1, 3),
-            len(materials),
-            attributes,
-            normals=normals[vertex],
-        )
+            attributes["COLOR_0"] = (np.clip(mesh.vertex_color_linear[vertex], 0, 1).astype("f4"), "VEC3")
+        vertices, faces = mesh.vertices[vertex], faces.reshape(-1, 3)
+        file.add_mesh(name, vertices, faces, len(materials), attributes, normals=normals[vertex])
         materials.append(material)
     nodes = [{"name": file.meshes[k]["name"], "mesh": k} for k in range(len(materials))]
     file.write(path, nodes, list(range(len(nodes))), materials=materials)

@@ -43,8 +43,7 @@ def largest_extent(vertices: FloatArray, components: IntArray) -> float:
     centered = kept - kept.mean(axis=0)
     scale = np.abs(centered).max() or 1.0
     _, axes = np.linalg.eigh((centered / scale).T @ (centered / scale))
-    along = centered @ axes
-    low, high = np.percentile(along, [0.5, 99.5], axis=0)
+    low, high = np.percentile(centered @ axes, [0.5, 99.5], axis=0)
     return float((high - low).max())
 
 
@@ -88,8 +87,7 @@ def glasses_millimetres_per_unit(
     for an unknown unit.
     """
     known = keypoints[np.isfinite(keypoints).all(axis=1)]
-    apart = np.linalg.norm(known[:, None] - known, axis=2)
-    extent = float(apart.max(initial=0.0))
+    extent = float(np.linalg.norm(known[:, None] - known, axis=2).max(initial=0.0))
     low, high = sizes_mm
     if unit in MM_PER_UNIT and not low <= extent * MM_PER_UNIT[unit] < high:
         raise ScanError(

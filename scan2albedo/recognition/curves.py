@@ -185,8 +185,7 @@ def _rates_of_draw(identification: Identification) -> Callable[[FloatArray, Floa
     # All claims in order of falling similarity: the probe's person and the claimed one, by index.
     known = identification.known
     scores, own = identification.similarities[known], identification.genuine[known].argmax(axis=1)
-    order = np.argsort(-scores, axis=None, kind="stable")
-    probe, claimed = np.unravel_index(order, scores.shape)
+    probe, claimed = np.unravel_index(np.argsort(-scores, axis=None, kind="stable"), scores.shape)
     falling, prober = scores[probe, claimed], own[probe]
     genuine = prober == claimed
     # The last of each run of equal similarities, which a threshold takes whole.

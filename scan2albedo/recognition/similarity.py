@@ -91,8 +91,7 @@ def pair_similarity(
         raise RecognitionError(_no_window_message("the pair", window))
     a, b = a.astype(np.complex128), b.astype(np.complex128)
     shared = np.abs(_window_sums(a * b.conj(), window))
-    energy = _window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, window)
-    index = (2 * shared + STABILIZER) / (energy + STABILIZER)
+    index = (2 * shared + STABILIZER) / (_window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, window) + STABILIZER)
     return min(float(index[:, inside].mean()), 1.0)  # rounding goes beyond
 
 

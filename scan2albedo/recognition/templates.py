@@ -345,8 +345,7 @@ def coarsest_bands(image: FloatArray) -> NDArray[np.complex128]:
     """
     filters = _coarsest_filters(image.shape)
     rows, columns = (np.fft.fftfreq(n, 1 / n).astype(int) for n in filters.shape[1:])
-    spectrum = fft.fft2(image)[np.ix_(rows, columns)]
-    return np.asarray(fft.ifft2(spectrum * filters), np.complex128)
+    return np.asarray(fft.ifft2(fft.fft2(image)[np.ix_(rows, columns)] * filters), np.complex128)
 
 
 @lru_cache(maxsize=8)

@@ -79,8 +79,7 @@ def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: 
     Of `rotation_count` super-Fibonacci rotations those are tried whose +z axis is near the averaged normal.
     """
     rotations = super_fibonacci_rotations(rotation_count)
-    facing = anchors.normals @ rotations[:, :, 2].T >= np.cos(_CONE_RAD)
-    anchor, rotation = np.nonzero(facing)
+    anchor, rotation = np.nonzero(anchors.normals @ rotations[:, :, 2].T >= np.cos(_CONE_RAD))
     turned = rotations[rotation]
     translations = anchors.points[anchor] - turned @ front
     return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(translations))

@@ -56,8 +56,7 @@ class DepthDerivativeObjective:
         raster = rasterize(places, self._vertices[:, 2], self._faces, shape)
         self._weights = interpolate(raster, self._faces, template.coarse_stiffness)
         self._slopes = _slopes(self._scan)
-        seen = np.isfinite(self._slopes).all(0)
-        self._pixel_weights = np.where(seen, self._weights[:-1, :-1], 0.0)
+        self._pixel_weights = np.where(np.isfinite(self._slopes).all(0), self._weights[:-1, :-1], 0.0)
 
     def _draw(self, parameters: FloatArray) -> FloatArray:
         return depth_image(self._vertices, self._faces, self._frame, _moved(parameters, 0.0))
@@ -70,8 +69,7 @@ class DepthDerivativeObjective:
         limit = 0.5 * self._frame.pixel
         with np.errstate(invalid="ignore"):
             off = np.abs(_slopes(self._draw(parameters)) - self._slopes)
-        cost = np.vdot(self._pixel_weights, np.fmin(off, limit).sum(0))
-        return float(cost) / (2 * limit * total)
+        return float(np.vdot(self._pixel_weights, np.fmin(off, limit).sum(0))) / (2 * limit * total)
 
     def depth_shift_mm(self, parameters: FloatArray) -> float:
         """Return the weighted median of scan depth minus model depth: the z that derivatives cannot see."""
@@ -119,14 +117,9 @@ def anneal_depth_derivatives(
     )
     meter.count(rough.evaluations + 1)
     here = rough.x if fine(rough.x) < start_error else here
+    low, high = here - _REACH / 4, here + _REACH / 4
     result = simulated_annealing(
-        fine,
-        here,
-        here - _REACH / 4,
-        here + _REACH / 4,
-        seed=seed,
-        evaluations=evaluations - half,
-        meter=meter,
+        fine, here, low, high, seed=seed, evaluations=evaluations - half, meter=meter
     )
     delta = _moved(result.x, fine.depth_shift_mm(result.x))
     translation = start.translation + start.scale * start.rotation @ delta[:3, 3]

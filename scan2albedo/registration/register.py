@@ -136,8 +136,7 @@ def refined_registration(
     # In the frame of the search, so that the same pose has the same distance.
     vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
     samples = oriented_points(vertices, faces, SPACING_MM)
-    prepared_from_model = prepared_from_scan @ invert_rigid(model_from_scan)
-    pose = Similarity.of_rigid(prepared_from_model, face_scale, model.front)
+    pose = Similarity.of_rigid(prepared_from_scan @ invert_rigid(model_from_scan), face_scale, model.front)
     change = model_from_scan @ invert_rigid(registration.model_from_scan)
     turned_deg = np.rad2deg(rotation_angle_rad(change[:3, :3]))
     evidence = f"{turned_deg:.1f} degrees and {np.linalg.norm(change[:3, 3]):.1f} mm from the search's"

@@ -53,8 +53,7 @@ class DepthFrame:
 
     def pixels(self, points: FloatArray) -> FloatArray:
         """Return the places (N, 2), column and row, of points (N, 3)."""
-        offset = (points[:, :2] - self.center) / [self.pixel, -self.pixel]
-        return offset + (self.size - 1) / 2
+        return (points[:, :2] - self.center) / [self.pixel, -self.pixel] + (self.size - 1) / 2
 
 
 def depth_image(

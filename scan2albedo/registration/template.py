@@ -102,12 +102,8 @@ class Template:
     def first(self, count: int) -> Template:
         """Return the template with its first `count` samples."""
         chosen = np.arange(min(count, len(self.samples)))
-        return replace(
-            self,
-            samples=self.samples.subset(chosen),
-            rigidity=self.rigidity[chosen],
-            modes=self.modes[chosen],
-        )
+        rigidity, modes = self.rigidity[chosen], self.modes[chosen]
+        return replace(self, samples=self.samples.subset(chosen), rigidity=rigidity, modes=modes)
 
 
 _KNOWN: dict[tuple[int, int], Template] = {}

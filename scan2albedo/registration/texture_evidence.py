@@ -64,6 +64,5 @@ class ColourScorer:
             return 0.0
         texture, seen = np.zeros((*self._covered.shape, 3), np.float32), self._covered.copy()
         texture[self._covered], seen[self._covered] = color, near
-        position = face_scale * self._points
-        looks = appearance(position, self._normals, seen, texture, place=self._place)
+        looks = appearance(face_scale * self._points, self._normals, seen, texture, place=self._place)
         return float(np.clip(looks.log_odds, *_CAPS))

@@ -53,8 +53,7 @@ def paint_face(
     albedo = skin(uv, rng, grain=grain, tone=tone, marks=marks)
     pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))
     for k in (31, 35):
-        cheek = landmarks[k] + [0.08 * np.sign(k - 33), 0.02]
-        blood += rng.uniform(0.05, 0.3) * _blob(uv, cheek, 0.06)
+        blood += rng.uniform(0.05, 0.3) * _blob(uv, landmarks[k] + [0.08 * np.sign(k - 33), 0.02], 0.06)
     blood += rng.uniform(0.05, 0.25) * _blob(uv, landmarks[30], 0.03)
     brows = rng.uniform(0.6, 0.9) * sum(
         _brow(uv, landmarks[side], rng, features) for side in (slice(17, 22), slice(22, 27))

@@ -119,8 +119,7 @@ def with_relief(
 
     Its standard deviation is `height_mm`; about `bumps` bumps lie across the chart (40 are wrinkles of 5 mm).
     """
-    uv = surface.vertex_uv()
-    height = height_mm * smooth_noise(uv, (bumps, bumps), rng)
+    height = height_mm * smooth_noise(surface.vertex_uv(), (bumps, bumps), rng)
     vertices = surface.vertices + height[:, None] * surface.normals
     return replace(surface, vertices=vertices, normals=vertex_normals(vertices, surface.faces))
 

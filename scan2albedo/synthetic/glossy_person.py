@@ -135,8 +135,7 @@ class GlossyPerson:
         n_l = np.einsum("nc,nc->n", seen.normal, toward)
         facing = np.flatnonzero(n_l > 0)
         start = seen.position[facing] + SHADOW_OFFSET_MM * seen.normal[facing]
-        hidden = self.scene.occluded(start, toward[facing], reach[facing])
-        rows = facing[~hidden]
+        rows = facing[~self.scene.occluded(start, toward[facing], reach[facing])]
         half = normalized(toward[rows] + seen.toward_camera[rows])
         n_h = np.maximum(np.einsum("nc,nc->n", seen.normal[rows], half), 0.0)
         gloss = np.zeros(len(rows))
@@ -153,8 +152,7 @@ def gloss_weights(face: FaceSurface, model: AnnotatedSurface, uv: FloatArray, se
     mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)
     patches = np.exp(0.25 * np.stack([smooth_noise(uv, (6, 6), rng) for _ in EXPONENTS], axis=1))
     scale, touching = np.zeros(len(uv)), np.zeros(len(uv))
-    of_face = model.region_values("specular_scale")[face.region]
-    np.add.at(scale, face.faces.ravel(), np.repeat(of_face, 3))
+    np.add.at(scale, face.faces.ravel(), np.repeat(model.region_values("specular_scale")[face.region], 3))
     np.add.at(touching, face.faces.ravel(), 1.0)
     return mean * patches * (scale / np.maximum(touching, 1))[:, None]
 

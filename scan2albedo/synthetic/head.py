@@ -26,10 +26,8 @@ def nose_tip(vertices: FloatArray) -> FloatArray:
 def join(meshes: list[Mesh]) -> Mesh:
     """Return one mesh holding all the given ones as loose parts, in order."""
     offsets = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
-    return (
-        np.concatenate([v for v, _ in meshes]),
-        np.concatenate([f + o for (_, f), o in zip(meshes, offsets, strict=True)]),
-    )
+    faces = np.concatenate([f + o for (_, f), o in zip(meshes, offsets, strict=True)])
+    return np.concatenate([v for v, _ in meshes]), faces
 
 
 def grid_faces(rows: int, columns: int, *, wrap: bool = False) -> IntArray:
@@ -82,8 +80,7 @@ def hair_shell(
         noise = gaussian_filter(rng.normal(size=size), sigma, mode=("nearest", "wrap"))
         locks += amplitude * noise / noise.std()
     radius += 0.8 + (thickness_mm - 0.8) * np.sqrt(1 - share**2) + locks * (1.2 - share)
-    shell = center + radius[..., None] * directions
-    return shell.reshape(-1, 3), grid_faces(*size, wrap=True)
+    return (center + radius[..., None] * directions).reshape(-1, 3), grid_faces(*size, wrap=True)
 
 
 def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:
@@ -110,8 +107,7 @@ def crumb_meshes(vertices: FloatArray, rng: np.random.Generator, count: int) -> 
         anchor = vertices[rng.integers(len(vertices))]
         outward = anchor - vertices.mean(0)
         center = anchor + outward / np.linalg.norm(outward) * rng.uniform(6, 30)
-        points = center + rng.normal(scale=rng.uniform(1.5, 4), size=(9, 3))
-        parts.append((points, grid_faces(3, 3)))
+        parts.append((center + rng.normal(scale=rng.uniform(1.5, 4), size=(9, 3)), grid_faces(3, 3)))
     return parts
 
 
@@ -146,14 +142,8 @@ def head_around(
     # Neck: Hermite curves from the rim under the chin to an ellipse at the neck's base.
     sideways = rim[:, 0] / np.abs(rim[:, 0]).max()
     turn = sideways * np.deg2rad(120)
-    base = np.stack(
-        [
-            tip[0] + 62.0 * np.sin(turn),
-            np.full(len(rim), tip[1] - 190.0),
-            tip[2] - 118.0 + 60.0 * np.cos(turn),
-        ],
-        1,
-    )
+    x, z = tip[0] + 62.0 * np.sin(turn), tip[2] - 118.0 + 60.0 * np.cos(turn)
+    base = np.stack([x, np.full(len(rim), tip[1] - 190.0), z], 1)
     leave = outward * 110 + np.array([0.0, 0.0, -60.0])
     arrive = np.array([0.0, -170.0, 0.0]) + 110 * sideways[:, None] * np.array([1.0, 0.0, 0.0])
     s = share

@@ -338,23 +338,16 @@ def scan_of(
         sitter.vertices, sitter.faces, pods, spacing_mm=scanner.spacing_mm, rng=rng, axis_mm=axis
     )
     scan_from_model = random_pose(rng, scanner.rotation_max_deg)
-    size = scanner.picture_size
     texture, exposure = flash_pictures(
-        sitter, pods, flashes, material, size=size, rng=rng, colors=colors, ambient=ambient
+        sitter, pods, flashes, material, size=scanner.picture_size, rng=rng, colors=colors, ambient=ambient
     )
     scan = assembled(measured, pods, texture, scan_from_model, scanner, rng, name)
     image = face_geometry_image(sitter.model, sitter.face, scanner.size)
     albedo = np.zeros((*image.shape, 3), np.float32)
     albedo[image.mask] = sitter.face_albedo(texel_coordinates(scanner.size)[image.mask.ravel()])
+    model_from_scan, landmarks = invert_rigid(scan_from_model), sitter.face.landmarks
     truth = SyntheticTruth(
-        invert_rigid(scan_from_model),
-        image,
-        albedo,
-        sitter.face.landmarks,
-        sitter.control_points,
-        flashes,
-        material,
-        exposure,
+        model_from_scan, image, albedo, landmarks, sitter.control_points, flashes, material, exposure
     )
     return scan, truth
 

@@ -62,8 +62,7 @@ class RayScene:
         limit = np.asarray(reach, np.float64)
         if limit.ndim == 0:
             return self._scene.test_occlusions(rays, 0.0, float(limit)).numpy().astype(bool)
-        nearest = self._scene.cast_rays(rays)["t_hit"].numpy()
-        return nearest < limit
+        return self._scene.cast_rays(rays)["t_hit"].numpy() < limit
 
     def hidden(self, eye: FloatArray, points: FloatArray, behind_mm: float) -> BoolArray:
         """Return (N,) True for points (N, 3) more than `behind_mm` behind what `eye` (3,) sees."""
@@ -144,11 +143,8 @@ def incident_light(position: FloatArray, light: PointLight) -> tuple[FloatArray,
     """Return unit directions toward the light (N, 3), distances to it (N,) mm, irradiance factors (N,)."""
     if np.isinf(light.distance_mm):
         count = len(position)
-        return (
-            np.tile(light.direction, (count, 1)),
-            np.full(count, np.inf),
-            np.full(count, float(light.intensity)),
-        )
+        intensity = np.full(count, float(light.intensity))
+        return np.tile(light.direction, (count, 1)), np.full(count, np.inf), intensity
     offset = light.distance_mm * light.direction - position
     reach = np.linalg.norm(offset, axis=1)
     return offset / reach[:, None], reach, light.intensity * (light.distance_mm / reach) ** 2
@@ -163,9 +159,8 @@ def oren_nayar(
     the smaller of theta_i and theta_r (Oren, Nayar, "Generalization of Lambert's Reflectance Model", SIGGRAPH
     1994, eq. 30). Angles are computed one by one; a viewer below the horizon counts as at the horizon.
     """
-    # Of the coordinate axes each normal leans on this one least.
-    other_axis = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
-    tangent = normalized(np.cross(normal, other_axis))
+    # The tangent is across the coordinate axis that each normal leans on least.
+    tangent = normalized(np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)]))
     bitangent = np.cross(normal, tangent)
 
     def polar(direction: FloatArray) -> tuple[FloatArray, FloatArray]:

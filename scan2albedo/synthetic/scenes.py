@@ -109,14 +109,10 @@ def hemisphere(
     mask = radius < 1
     # Equal area: rho = 2 R sin(theta / 2), scaled so that theta = 90 degrees lies on the rim.
     z = 1 - radius**2
-    lateral = disc * np.sqrt(np.maximum(0, 2 - radius**2))[:, None]
-    normal = np.column_stack([lateral, z])
+    normal = np.column_stack([disc * np.sqrt(np.maximum(0, 2 - radius**2))[:, None], z])
     normal[~mask] = 0
-    image = GeometryImage(
-        (HEMISPHERE_RADIUS_MM * normal).reshape(size, size, 3),
-        normal.reshape(size, size, 3),
-        mask.reshape(size, size),
-    )
+    normal = normal.reshape(size, size, 3)
+    image = GeometryImage(HEMISPHERE_RADIUS_MM * normal, normal, mask.reshape(size, size))
     albedo = np.zeros((size * size, 3))
     albedo[mask] = painter(texture)(uv[mask], np.random.default_rng(seed), grain=grain)
     shaped = albedo.reshape(size, size, 3)
@@ -211,15 +207,9 @@ def _photographed(
     material = material or Material()
     mask, shape = image.mask, image.shape
     scale = np.ones(int(mask.sum())) if image.specular_scale is None else image.specular_scale[mask]
-    rendered = render(
-        image.position[mask],
-        image.normal[mask],
-        albedo_linear[mask],
-        lights,
-        material=material,
-        occluder=RayScene(*image.occluder_mesh()),
-        specular_scale=scale,
-    )
+    surface = image.position[mask], image.normal[mask], albedo_linear[mask]
+    occluder = RayScene(*image.occluder_mesh())
+    rendered = render(*surface, lights, material=material, occluder=occluder, specular_scale=scale)
     gain = exposure * auto_exposure(rendered.radiance_linear)
     rng = np.random.default_rng([seed, 1])
     picture = photograph(rendered.radiance_linear, exposure=gain, noise=noise, bits=bits, rng=rng)

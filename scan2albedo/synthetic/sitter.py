@@ -79,8 +79,7 @@ class Sitter:
 
     def specular_scale_at(self, face: IntArray) -> FloatArray:
         """Return (N,) relative strength of highlights on faces (N,)."""
-        by_part = np.array([1.0, 0.8, 0.5, 0.0])
-        scale = by_part[self.part[face]]
+        scale = np.array([1.0, 0.8, 0.5, 0.0])[self.part[face]]
         on_face = self.part[face] == BodyPart.FACE
         scale[on_face] = self.model.region_values("specular_scale")[self.face.region[face[on_face]]]
         return scale
@@ -101,12 +100,8 @@ def sit_down(
     `Sitter`, are random when None.
     """
     rng = np.random.default_rng([seed, 6])
-    control_points = person(
-        model,
-        np.random.default_rng([seed, 2]),
-        expression=expression,
-        expression_strength=expression_strength,
-    )
+    of_shape = np.random.default_rng([seed, 2])
+    control_points = person(model, of_shape, expression=expression, expression_strength=expression_strength)
     face = with_relief(face_surface(model, control_points), rng)
     head_vertices, head_faces, head_uv = head_around(face.vertices, face.faces, face.normals)
     bare = join([(face.vertices, face.faces), (head_vertices, head_faces)])

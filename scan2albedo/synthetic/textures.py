@@ -23,12 +23,10 @@ HEMOGLOBIN = np.array([0.12, 1.0, 0.85])
 def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Generator) -> FloatArray:
     """Return (N,) smooth noise of unit variance and period 1, with about `cells` bumps across u and v."""
     xy = np.asarray(uv, float)
-    shape = tuple(max(4, int(np.ceil(c))) for c in cells)
-    lattice = rng.normal(size=shape)
+    lattice = rng.normal(size=tuple(max(4, int(np.ceil(c))) for c in cells))
     coordinates = np.stack([xy[:, 0] * cells[0], xy[:, 1] * cells[1]])
-    values = map_coordinates(lattice, coordinates, order=3, mode="grid-wrap")
     # Between lattice points a cubic spline through white noise keeps 0.866 of its standard deviation.
-    return np.asarray(values / 0.866)
+    return np.asarray(map_coordinates(lattice, coordinates, order=3, mode="grid-wrap") / 0.866)
 
 
 def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> FloatArray:
@@ -39,8 +37,7 @@ def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> Floa
     radius = np.hypot((xy[:, 0] - heart[0]) * 1.0, (xy[:, 1] - heart[1]) * 0.25) + warp
     phase = (radius * 22) % 1.0
     ring = np.where(phase < 0.8, phase / 0.8, (1 - phase) / 0.2)
-    fibres = smooth_noise(xy, (160, 7), rng)
-    share = np.clip(0.15 + 0.6 * ring**1.5 + 0.13 * fibres, 0, 1)[:, None]
+    share = np.clip(0.15 + 0.6 * ring**1.5 + 0.13 * smooth_noise(xy, (160, 7), rng), 0, 1)[:, None]
     return np.clip(_LIGHT_WOOD * (1 - share) + _DARK_WOOD * share, 0.02, 0.95)
 
 

@@ -56,10 +56,8 @@ def seat(glasses: SyntheticEyeglasses, head: RayScene, eyes: FloatArray) -> Floa
     # Lower rims lean towards the cheeks, and the frame hangs a little, as opticians fit them.
     start = compose(rotation_from_vector([np.deg2rad(3.0), 0, 0]), eyes + [0.0, -3.0, _FAR_MM])
     front = glasses.vertices[:, 2] > glasses.keypoints[:, 2].max() - _FRONT_MM
-    points = transform_points(start, glasses.vertices[front])
-    hits = head.first_hit(points, np.array([0.0, 0, -1]))
-    gap = float(hits.distance[hits.face >= 0].min())
-    start[2, 3] -= gap - _CLEARANCE_MM
+    hits = head.first_hit(transform_points(start, glasses.vertices[front]), np.array([0.0, 0, -1]))
+    start[2, 3] -= float(hits.distance[hits.face >= 0].min()) - _CLEARANCE_MM
     return start
 
 
@@ -153,12 +151,8 @@ def wearer(
     # Cameras look from 600 mm away at a point between the lenses and the ears.
     target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
     frame = (picture_size, picture_size)
-    cameras = np.array(
-        [
-            look_at(target + 600 * toward(*place), target, focal_px=focal_px, shape=frame)
-            for place in _PLACES_DEG
-        ]
-    )
+    places = [target + 600 * toward(*place) for place in _PLACES_DEG]
+    cameras = np.array([look_at(place, target, focal_px=focal_px, shape=frame) for place in places])
     rng = np.random.default_rng([seed, 9])
     # Half a millimetre behind what a ray meets first is still the same surface.
     hidden = np.stack([scene.hidden(eye, vertices, 0.5) for eye in camera_centers(cameras)])
@@ -173,8 +167,7 @@ def wearer(
         if min(window) <= 0:
             continue
         rays = pixel_directions(camera, pixel_grid(window) + low)
-        center = camera_centers(camera[None])[0]
-        first = both.first_hit(np.broadcast_to(center, rays.shape), rays).face
+        first = both.first_hit(np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays).face
         shown = ((first >= 0) & (first < len(glasses.faces))).reshape(window)
         if mask_noise_px > 0 and shown.any():
             # A smooth random field moves the outline.
