@@ -2,6 +2,7 @@
 
     python tools/bench_reflectance.py [--vertices 20000] [--peer 400] [--seed 0] [--skip-speed] [--people 3]
     python tools/bench_reflectance.py --heads [--size 256] [--files DIR]
+    python tools/bench_reflectance.py --bounce [--size 160]
 
 Speed, on one thread, is CPU time in the same run:
 
@@ -22,6 +23,9 @@ the median is of the relative difference of albedos, CPU seconds those of two fi
 With --heads only: captures of a head that is not of the project, rendered by Mitsuba (two minutes each), with
 normals that are off (`benchmarks/reflectance_heads.py` tells the columns); needs ../shared/data and mitsuba.
 --files also writes them as files for the commands.
+
+With --bounce only: intervals on pale and dark heads that light themselves, traced by Mitsuba (ten minutes),
+with and without bounced light in the model (`benchmarks/reflectance_bounce.py` tells the columns).
 """
 
 from __future__ import annotations
@@ -33,6 +37,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from benchmarks.reflectance_bounce import print_bounce
 from benchmarks.reflectance_captures import (
     Capture,
     head_capture,
@@ -78,9 +83,9 @@ def normal_equations(samples: VertexSamples) -> FloatArray:
     weight = np.ones(samples.observed_linear.shape[:2])
     for start in range(0, count, 128):
         rows = np.arange(start, min(start + 128, count))
-        add_normal_equations(
-            samples.observed_linear, precision, samples.lobes, weight, rows, normal[rows[0] : rows[-1] + 1]
-        )
+        part = normal[rows[0] : rows[-1] + 1]
+        nothing = np.empty((0, 0, 3))
+        add_normal_equations(samples.observed_linear, precision, samples.lobes, nothing, weight, rows, part)
     return normal
 
 
@@ -307,12 +312,17 @@ def main() -> None:
     parser.add_argument("--skip-speed", action="store_true")
     parser.add_argument("--people", type=int, default=3, help="of the synthetic rig")
     parser.add_argument("--heads", action="store_true", help="captures rendered by Mitsuba instead")
-    parser.add_argument("--size", type=int, default=256, help="of their pictures")
+    parser.add_argument("--bounce", action="store_true", help="intervals under light that heads bounce")
+    parser.add_argument("--size", type=int, help="of their pictures; otherwise 256, with --bounce 160")
     parser.add_argument("--files", type=Path, help="folder to write them to")
     given = parser.parse_args()
     if given.heads:
         with threadpool_limits(1):
-            print_heads(given.size, given.files)
+            print_heads(given.size or 256, given.files)
+        return
+    if given.bounce:
+        with threadpool_limits(1):
+            print_bounce(given.size or 160)
         return
     capture = head_capture(given.vertices, seed=given.seed)
     if not given.skip_speed:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -60,6 +60,7 @@ class Observations:
 
     `lobes` is (J, V, 4); `mean` and `prior` (6,) are means and precisions of the prior. Normals are right
     when there are no `slopes` (J, V, 4); otherwise they may be tilted, by `tilt_sigma` (V,), radians, > 0.
+    `bounce` (J, V, 3), or empty, is added to the diffuse lobe of each channel, and does not tilt.
     """
 
     observed: FloatArray
@@ -69,23 +70,20 @@ class Observations:
     prior: FloatArray
     slopes: FloatArray | None = None
     tilt_sigma: FloatArray | None = None
+    bounce: FloatArray = field(default_factory=lambda: np.empty((0, 0, 3)))
 
     def __post_init__(self) -> None:
         # Kernels are compiled anew for every other memory layout.
-        for name in ("observed", "precision", "lobes", "slopes"):
+        for name in ("observed", "precision", "lobes", "slopes", "bounce"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
 
     def of_vertices(self, rows: IntArray) -> Observations:
         """Return the observations of some vertices (N,)."""
-        return replace(
-            self,
-            observed=self.observed[:, rows],
-            precision=self.precision[:, rows],
-            lobes=self.lobes[:, rows],
-            slopes=None if self.slopes is None else self.slopes[:, rows],
-            tilt_sigma=None if self.tilt_sigma is None else self.tilt_sigma[rows],
-        )
+        names = ("observed", "precision", "lobes", "slopes", "bounce")
+        given = {name: array for name in names if (array := getattr(self, name)) is not None and len(array)}
+        sigma = None if self.tilt_sigma is None else self.tilt_sigma[rows]
+        return replace(self, tilt_sigma=sigma, **{name: array[:, rows] for name, array in given.items()})
 
 
 class RobustFit:
@@ -197,7 +195,8 @@ class RobustFit:
     def _equations(self, part: IntArray) -> FloatArray:
         normal = np.empty((len(part), 3, 14))
         data = self.data
-        kernels.add_normal_equations(data.observed, data.precision, self.lobes, self.weight, part, normal)
+        seen = data.observed, data.precision, self.lobes, data.bounce, self.weight
+        kernels.add_normal_equations(*seen, part, normal)
         return normal
 
     def _tilt_prior(self) -> FloatArray:
@@ -208,7 +207,8 @@ class RobustFit:
 
     def _tilt_equations(self, part: IntArray) -> FloatArray:
         equations = np.empty((len(part), 17))
-        data, seen = self.data, (self.lobes, self.data.slopes, self.weight, self.estimate, self.tilt)
+        data = self.data
+        seen = self.lobes, data.bounce, data.slopes, self.weight, self.estimate, self.tilt
         tilt_kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
         return equations
 
@@ -217,9 +217,9 @@ class RobustFit:
 
         def work(block: slice) -> None:
             data = self.data
-            seen = data.observed, data.precision, self.lobes, self.estimate, data.mean, data.prior
+            seen = data.observed, data.precision, self.lobes, data.bounce, self.estimate
             filled = self.scale, self.weight, self.loss, self.misfit
-            kernels.reweigh(*seen, rows[block], self.power, _WIDTH, *filled)
+            kernels.reweigh(*seen, data.mean, data.prior, rows[block], self.power, _WIDTH, *filled)
 
         each_block(work, blocks(len(rows), BLOCK))
         if self.tilting:

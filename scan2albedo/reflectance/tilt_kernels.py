@@ -16,9 +16,9 @@ from numba import njit
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_tilt_equations(  # type: ignore[no-untyped-def]
-    observed, precision, lobes, slopes, weight, estimate, tilt, rows, equations
+    observed, precision, lobes, bounce, slopes, weight, estimate, tilt, rows, equations
 ):
-    """Fill equations (N, 17) of a further step of the tilts, from turned lobes (J, V, 4).
+    """Fill equations (N, 17) of a further step of the tilts, from turned lobes (J, V, 4) and bounced light.
 
     With g the derivative of a channel's prediction by the tilts: sum u p g g^T (3: 11 12 22), sum u p g r (2)
     of the residuals r, sum u p D g (3 x 2) of each albedo, sum u p S g (3 x 2) of each weight.
@@ -45,7 +45,8 @@ def add_tilt_equations(  # type: ignore[no-untyped-def]
                 if p == 0.0:
                     continue
                 c = estimate[v, k]
-                r = observed[j, v, k] - diffuse * c - gloss
+                lit = diffuse + bounce[j, v, k] if len(bounce) else diffuse
+                r = observed[j, v, k] - lit * c - gloss
                 g0, g1 = c * d0 + h0, c * d1 + h1
                 a0, a1 = p * g0, p * g1
                 row[0] += a0 * g0
@@ -53,8 +54,8 @@ def add_tilt_equations(  # type: ignore[no-untyped-def]
                 row[2] += a1 * g1
                 row[3] += a0 * r
                 row[4] += a1 * r
-                row[5 + 2 * k] += diffuse * a0
-                row[6 + 2 * k] += diffuse * a1
+                row[5 + 2 * k] += lit * a0
+                row[6 + 2 * k] += lit * a1
                 sum0 += a0
                 sum1 += a1
             row[11] += s0 * sum0

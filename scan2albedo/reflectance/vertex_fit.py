@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.olat import OlatOptions
 from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes, point_light_radiance
 from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
+from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_free
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
@@ -24,6 +25,8 @@ shows from fitting noise."""
 _TWO_SIDED_95 = 1.959964
 _IDENTIFIED_BELOW = 0.3
 """Posterior over prior standard deviation below which a number counts as identified."""
+_BOUNCE_SIGMA = 0.1
+"""Relative deviation of bounced light that is found by rays from vertices, against eight times as many."""
 _LEAST_COSINE = 0.05
 """Where all light grazes more, intervals do not widen further."""
 _GAIN_ROUNDS, _GAIN_VERTICES, _GAIN_TOLERANCE = 50, 2000, 1e-5
@@ -62,6 +65,10 @@ class ReflectanceFit:
     `normal_sigma_degrees`: (V,): their deviation that the fit assumed."""
     light_gain: FloatArray
     """(L, 3): strength of each flash, mean 1 over those used; NaN for flashes that lit nothing."""
+    bounce_albedo: FloatArray
+    """(3,): mean albedo by which the face lights itself, 0 where it does not."""
+    plan: Plan
+    """Whether bounced light is in the model, and why: "reflectance.bounce"."""
     level: float
     """Unit of the prior: the median albedo without highlights."""
     converged: bool
@@ -113,7 +120,8 @@ def fit_reflectance(
     Albedos are in units of the flashes' strength; the prior follows their level. Intervals come from the
     Gaussian posterior before the bounds, cut at 0. They account for noise, the prior and, where samples have
     slopes, wrong normals: two tilts of each normal are found with the six numbers, their prior Student's t.
-    They widen with the misfit, and by 1 / max n.l where no flash stands above the vertex. ``python
+    They widen with the misfit, by 1 / max n.l where no flash stands above the vertex, and with what is not
+    known of the light that the face throws on itself, whose part of the model is in `plan`. ``python
     tools/bench_reflectance.py --heads`` counts how many hold the truth: 90 to 97 %.
 
     Examples
@@ -158,6 +166,7 @@ def fit_reflectance(
     if options.light_gains:
         gain, gains_settled = find_light_gains(data, samples.light, rows, options, meter)
         data = divided_by_gain(data, samples.light, gain)
+    data, bounce_albedo, bounce_sigma, step = with_bounce(data, samples, rows, options, meter)
     if samples.slopes is not None and options.normal_sigma_degrees != 0:
         data = replace(data, slopes=samples.slopes)
         data = replace(data, tilt_sigma=normal_sigma(data, samples.normal_spread, rows, options, meter))
@@ -179,6 +188,14 @@ def fit_reflectance(
     steepest = np.max(n_l, axis=0, where=seen, initial=_LEAST_COSINE)
     deviation = fitted.deviation / np.minimum(steepest[rows], 1.0)[:, None]
     std = deviation * np.fmax(misfit, 1.0)[:, None]
+    if len(data.bounce):
+        # How far all numbers move with the strength of bounced light, which all pictures share.
+        bounced, normal = data.bounce * np.nan_to_num(fitted.estimate[:, :3]), np.empty((len(rows), 3, 14))
+        moved, unused = np.empty((2, len(rows), 6))
+        seen_by = data.precision, fitted.lobes, data.bounce, fitted.weight
+        add_normal_equations(bounced, *seen_by, rows, normal)
+        solve_free(normal, np.zeros(6), data.prior, moved, unused)
+        std = np.hypot(std, bounce_sigma * moved)
     low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, estimate)
     identifiability = np.minimum(deviation * np.sqrt(data.prior), 1.0)
     known, impossible = np.zeros((2, count), bool)
@@ -217,12 +234,49 @@ def fit_reflectance(
         tilt=spread(fitted.tilt[rows]),
         normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
         light_gain=gain,
+        bounce_albedo=bounce_albedo,
+        plan=Plan((step,)),
         level=level,
         converged=bool(fitted.settled.all()) and gains_settled,
         iterations=fitted.iterations,
         residual=fitted.residual,
         trace=meter.trace,
     )
+
+
+def with_bounce(
+    data: Observations, samples: VertexSamples, rows: IntArray, options: ReflectanceFitOptions, meter: Meter
+) -> tuple[Observations, FloatArray, float, PlanStep]:
+    """Return observations that expect bounced light, the albedo (3,) that sends it, its deviation, and why.
+
+    B of `VertexSamples.bounced_light` joins D. It is sent by t times the mean albedo; the part t is that of
+    the least robust loss of some vertices, at most 1, or an albedo of 1 where the strength of the flashes is
+    not known. The deviation, relative to B, is that of the albedos among vertices and of what the rays leave.
+    It joins the noise of each picture and, shared by all, the intervals.
+    """
+    from scipy.optimize import minimize_scalar
+
+    stage, factors = "reflectance.bounce", samples.form_factors
+    if factors is None or not factors.nnz:
+        return data, np.zeros(3), 0.0, PlanStep(stage, False, "no part of the mesh is known to face another")
+    few = rows[:: max(1, len(rows) // _GAIN_VERTICES)]
+
+    def fit_few(sent: FloatArray) -> RobustFit:
+        meter.count()
+        lit = replace(data.of_vertices(few), bounce=samples.bounced_light(sent)[:, few])
+        return RobustFit(lit, options.loss).fit(np.arange(len(few)), meter.untraced())
+
+    albedo = fit_few(np.zeros(3)).estimate[:, :3]
+    mean = np.maximum(np.median(albedo, axis=0), np.finfo(float).tiny)
+    most = 1 / max(1.0, mean.max()) if options.most_albedo is not None else 1 / mean.max()
+    within = {"bounds": (0, most), "method": "bounded", "options": {"xatol": most / 20}}
+    part = minimize_scalar(lambda part: fit_few(part * mean).residual, **within).x
+    bounce = samples.bounced_light(part * mean)
+    sigma = float(np.hypot(_BOUNCE_SIGMA, np.median(np.abs(albedo / mean - 1))))
+    precision = data.precision / (1 + data.precision * (sigma * mean * bounce) ** 2)
+    evidence = f"{100 * part:.0f} % of what its mean albedo would send, red {mean[0]:.2f}"
+    step = PlanStep(stage, True, "the face lights itself", evidence)
+    return replace(data, bounce=bounce, precision=precision), part * mean, sigma, step
 
 
 def divided_by_gain(data: Observations, light: IntArray, gain: FloatArray) -> Observations:
@@ -310,6 +364,7 @@ def relighting_error(
     both = min(len(gains), len(fit.light_gain))
     gains[:both] = np.where(np.isfinite(fit.light_gain[:both]), fit.light_gain[:both], 1.0)
     radiance = point_light_radiance(fit.reflectance, unseen.turned_lobes(fit.tilt))
+    radiance += fit.reflectance.diffuse_linear * unseen.bounced_light(fit.bounce_albedo)
     predicted = gains[unseen.light][:, None] * radiance
     seen = unseen.valid & fit.reflectance.known[:, None]
     if not seen.any():

@@ -18,22 +18,23 @@ UNIT_MEDIAN = 0.888
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_normal_equations(observed, precision, lobes, weight, rows, normal):  # type: ignore[no-untyped-def]
+def add_normal_equations(observed, precision, lobes, bounce, weight, rows, normal):  # type: ignore[no-untyped-def]
     """Fill normal (N, 3, 14) with a, d (3), G (6: 11 12 13 22 23 33), b, g (3) of the vertices `rows` (N,).
 
     `observed`, `precision` (0 without observation) and robust `weight` are (J, V, 3), (J, V, 3) and (J, V);
-    `lobes` is (J, V, 4).
+    `lobes` is (J, V, 4), and `bounce` (J, V, 3), or empty, is added to D.
     """
     normal[:] = 0.0
     for j in range(observed.shape[0]):
         for i in range(len(rows)):
             v = rows[i]
             u = weight[j, v]
-            diffuse, s0, s1, s2 = lobes[j, v, 0], lobes[j, v, 1], lobes[j, v, 2], lobes[j, v, 3]
+            direct, s0, s1, s2 = lobes[j, v, 0], lobes[j, v, 1], lobes[j, v, 2], lobes[j, v, 3]
             for k in range(3):
                 p = u * precision[j, v, k]
                 if p == 0.0:
                     continue
+                diffuse = direct + bounce[j, v, k] if len(bounce) else direct
                 y = p * observed[j, v, k]
                 t, t0, t1, t2 = p * diffuse, p * s0, p * s1, p * s2
                 row = normal[i, k]
@@ -210,7 +211,7 @@ def solve_free(normal, mean, prior, center, deviation):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def reweigh(  # type: ignore[no-untyped-def]
-    observed, precision, lobes, estimate, mean, prior, rows, power, width, scale, weight, loss, misfit
+    observed, precision, lobes, bounce, estimate, mean, prior, rows, power, width, scale, weight, loss, misfit
 ):
     """Fill the robust weights of the vertices `rows` (N,), with the residuals of their `estimate` (V, 6).
 
@@ -227,7 +228,7 @@ def reweigh(  # type: ignore[no-untyped-def]
     for j in range(count):
         for i in range(len(rows)):
             v = rows[i]
-            diffuse, total, channels = lobes[j, v, 0], 0.0, 0
+            direct, total, channels = lobes[j, v, 0], 0.0, 0
             gloss = (
                 lobes[j, v, 1] * estimate[v, 3]
                 + lobes[j, v, 2] * estimate[v, 4]
@@ -236,6 +237,7 @@ def reweigh(  # type: ignore[no-untyped-def]
             for k in range(3):
                 p = precision[j, v, k]
                 if p > 0.0:
+                    diffuse = direct + bounce[j, v, k] if len(bounce) else direct
                     residual = observed[j, v, k] - diffuse * estimate[v, k] - gloss
                     total += p * residual * residual
                     channels += 1

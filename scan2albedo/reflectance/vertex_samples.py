@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
@@ -130,40 +131,45 @@ class VertexSamples:
     valid: BoolArray
     """(J, V, 3): seen, lit, neither saturated nor missing."""
     lobes: FloatArray
-    """(J, V, 4): radiance of unit albedo and unit weights, see `point_light_lobes`."""
+    """(J, V, 4): radiance of unit albedo and unit weights, see `point_light_lobes`; 0 in cast shadow."""
     light: IntArray
     """(J,): number of the flash."""
     slopes: FloatArray | None = None
     """(J, V, 4): how lobes change as the normal tilts, see `lobe_slopes`; None: normals are right."""
     normal_spread: FloatArray | None = None
     """(V,): root mean square angle, in radians, between a vertex's normal and those of its triangles."""
+    form_factors: sparse.csr_matrix | None = None
+    """(V, V): of light from the mesh onto itself; None: none does, as in renderings of direct light alone."""
 
     def __post_init__(self) -> None:
-        observed, sigma = np.asarray(self.observed_linear, np.float64), np.asarray(self.sigma, np.float64)
-        valid, lobes = np.asarray(self.valid), np.ascontiguousarray(self.lobes, np.float64)
-        light = np.asarray(self.light)
-        slopes = np.zeros(lobes.shape) if self.slopes is None else np.asarray(self.slopes, np.float64)
-        spread = np.zeros(lobes.shape[1]) if self.normal_spread is None else np.asarray(self.normal_spread)
-        if observed.ndim != 3 or observed.shape[2] != 3:
-            raise ReflectanceError(f"observed_linear is {observed.shape}, expected (J, V, 3)")
-        lobed = (*observed.shape[:2], 4)
-        for name, array, shape in (
-            ("sigma", sigma, observed.shape),
-            ("valid", valid, observed.shape),
-            ("lobes", lobes, lobed),
-            ("light", light, observed.shape[:1]),
-            ("slopes", slopes, lobed),
-            ("normal_spread", spread, observed.shape[1:2]),
+        shape = np.shape(self.observed_linear)
+        if len(shape) != 3 or shape[2] != 3:
+            raise ReflectanceError(f"observed_linear is {shape}, expected (J, V, 3)")
+        numbers, lobed = np.float64, (*shape[:2], 4)
+        for name, kind, expected in (
+            ("observed_linear", numbers, shape),
+            ("sigma", numbers, shape),
+            ("valid", None, shape),
+            ("lobes", numbers, lobed),
+            ("light", None, shape[:1]),
+            ("slopes", numbers, lobed),
+            ("normal_spread", numbers, shape[1:2]),
         ):
-            if array.shape != shape:
-                raise ReflectanceError(f"{name} is {array.shape}, expected {shape} as observed_linear says")
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), kind))
+                if getattr(self, name).shape != expected:
+                    found = getattr(self, name).shape
+                    raise ReflectanceError(f"{name} is {found}, expected {expected} as observed_linear says")
+        if self.form_factors is not None and self.form_factors.shape != 2 * shape[1:2]:
+            raise ReflectanceError(f"form_factors is {self.form_factors.shape}, expected {2 * shape[1:2]}")
+        observed, sigma, valid, light = self.observed_linear, self.sigma, self.valid, self.light
         if valid.dtype != np.bool_ or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
             raise ReflectanceError(
                 f"valid is {valid.dtype} and light {light.dtype}, expected bool, integers >= 0"
             )
         bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
-        bad |= valid & ~np.isfinite(lobes).all(-1, keepdims=True)
-        if not (np.isfinite(slopes).all() and np.isfinite(spread).all()):
+        bad |= valid & ~np.isfinite(self.lobes).all(-1, keepdims=True)
+        if not all(one is None or np.isfinite(one).all() for one in (self.slopes, self.normal_spread)):
             raise ReflectanceError("slopes and normal_spread must be finite; leave them out if unknown")
         if bad.any():
             pair, vertex, _ = np.argwhere(bad)[0]
@@ -172,12 +178,8 @@ class VertexSamples:
                 f"not finite or sigma is not above {_LEAST_SIGMA:g}: "
                 f"{observed[pair, vertex]}, {sigma[pair, vertex]}"
             )
-        arrays = np.where(valid, observed, 0.0), sigma, valid, lobes, light.astype(np.int64)
-        for name, array in zip(("observed_linear", "sigma", "valid", "lobes", "light"), arrays, strict=True):
-            object.__setattr__(self, name, array)
-        for name, array in (("slopes", slopes), ("normal_spread", spread)):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, np.ascontiguousarray(array, np.float64))
+        object.__setattr__(self, "observed_linear", np.where(valid, observed, 0.0))
+        object.__setattr__(self, "light", light.astype(np.int64))
 
     @property
     def pair_count(self) -> IntArray:
@@ -186,16 +188,24 @@ class VertexSamples:
 
     def of_pairs(self, pairs: ArrayLike) -> VertexSamples:
         """Return the samples of some pictures: indices, or a mask (J,)."""
-        keep = np.asarray(pairs)
-        return VertexSamples(
-            self.observed_linear[keep],
-            self.sigma[keep],
-            self.valid[keep],
-            self.lobes[keep],
-            self.light[keep],
-            None if self.slopes is None else self.slopes[keep],
-            self.normal_spread,
-        )
+        names = ("observed_linear", "sigma", "valid", "lobes", "light", "slopes")
+        given = {name: array for name in names if (array := getattr(self, name)) is not None}
+        return replace(self, **{name: array[np.asarray(pairs)] for name, array in given.items()})
+
+    def bounced_light(self, albedo: FloatArray) -> FloatArray:
+        """Return light (J, V, 3) between vertices of one `albedo` (3,), in units of the diffuse lobes D.
+
+        B = albedo F (D + B), F the form factors, D that of one picture a flash.
+        """
+        if self.form_factors is None or not albedo.any():
+            return np.zeros((*self.lobes.shape[:2], 3))
+        _, first, number = np.unique(self.light, return_index=True, return_inverse=True)
+        direct = self.lobes[first, :, 0].T
+        result = np.zeros((3, *direct.shape))
+        for _ in range(4):  # bounces; the fifth is below 1 % of the first even on pale skin in creases
+            for k in range(3):
+                result[k] = albedo[k] * (self.form_factors @ (direct + result[k]))
+        return np.ascontiguousarray(result.T[number])
 
     def turned_lobes(self, tilt: ArrayLike) -> FloatArray:
         """Return the lobes (J, V, 4) of normals tilted by `tilt` (V, 2), see `ReflectanceFit.tilt`."""
@@ -249,17 +259,14 @@ def sample_vertices(
     shape = (len(olat), len(xyz), 3)
     observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
     visibility = VertexVisibility(xyz, index, normal)
-    seen: dict[bytes, BoolArray] = {}
-    lit: dict[bytes, BoolArray] = {}
-    for j in range(len(olat)):
-        camera, light = rig.cameras[j], rig.light_positions[j]
-        key, light_key = camera.tobytes(), light.tobytes()
-        if key not in seen:
-            seen[key] = visibility.seen(camera, VIEW_COSINE)
-        if light_key not in lit:
-            lit[light_key] = visibility.lit(light) & (np.einsum("vc,vc->v", normal, light - xyz) > 0)
-        pixels, _ = project(camera, xyz)
-        usable = seen[key] & lit[light_key]
+    cameras, camera = np.unique(rig.cameras, axis=0, return_inverse=True)
+    flashes, flash = np.unique(rig.light_positions, axis=0, return_inverse=True)
+    seen = [visibility.seen(one, VIEW_COSINE) for one in cameras]
+    lit = [visibility.lit(one) for one in flashes]
+    lobes *= np.stack([visibility.reached(one) for one in flashes])[flash, :, None]
+    for j, (view, light) in enumerate(zip(camera, flash, strict=True)):
+        pixels, _ = project(cameras[view], xyz)
+        usable = seen[view] & lit[light] & (lobes[j, :, 0] > 0)
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
         spread = _POSITION_SIGMA_PX**2
         bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
@@ -272,5 +279,6 @@ def sample_vertices(
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
     normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(
-        observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread
+        *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread),
+        visibility.form_factors(),
     )

@@ -7,13 +7,15 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
+from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
+from scan2albedo.geometry.mesh import edges_with_faces, face_cross_products, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 from scan2albedo.reflectance.environment_shading import unit_vectors
 
 RAY_OFFSET_MM = 0.2
@@ -50,7 +52,7 @@ class VertexVisibility:
     """Rays between the V vertices of a face (mm) and its cameras and flashes; answers are kept."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray) -> None:
-        self._vertices, self._normals = vertices, normals
+        self._vertices, self._mesh, self._normals = vertices, (vertices, faces), normals
         # A shadow map takes lights by direction and distance from the origin, which must therefore be near.
         self._center = (vertices.min(0) + vertices.max(0)) / 2
         local = vertices - self._center
@@ -67,6 +69,29 @@ class VertexVisibility:
             distance = float(np.linalg.norm(toward))
             self._reached[key] = self._map.visible(toward / (distance or 1.0), distance or 1e-9) > 0
         return self._reached[key]
+
+    def form_factors(self) -> sparse.csr_matrix:
+        """Return (V, V): times the light on each vertex, what a surface of albedo 1 sends onto each.
+
+            F_uv = sum 4 / K max(0, n_u.d) b_v
+
+        over K rays from u, along d, that first meet the outer side of a triangle of v at barycentric
+        coordinates b: the integral of cosines of Goral et al. (SIGGRAPH 1984).
+        """
+        offset = shadow_offset_mm(self._caster.size, RAY_OFFSET_MM)
+        origins, across = self._map.position + offset * self._normals, face_cross_products(*self._mesh)
+        factors = sparse.csr_matrix((len(origins), len(origins)))
+        rays = distant_directions(128)  # with them bounced light on a face is found to 9 %
+        for direction in rays:
+            cosine = self._normals @ direction
+            rows = np.flatnonzero(cosine > 0)
+            hits = self._caster.first_hit(origins[rows], direction)
+            # Light leaves the outer side alone: a ray that meets the inner side passed a hole.
+            hit = (hits.face >= 0) & (across[hits.face] @ direction < 0)
+            weight = 4 / len(rays) * cosine[rows[hit], None] * hits.barycentric[hit]
+            places = np.repeat(rows[hit], 3), self._mesh[1][hits.face[hit]].ravel()
+            factors += sparse.csr_matrix((weight.ravel(), places), factors.shape)
+        return factors
 
     def lit(self, light: FloatArray) -> BoolArray:
         """Return (V,) vertices that the light at (3,) reaches, none of them beside a cast shadow."""

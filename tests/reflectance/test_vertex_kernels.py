@@ -113,6 +113,7 @@ def test_weights_are_the_slope_of_the_loss(power):
             observed,
             np.ones((4, 1, 3)),
             np.zeros((4, 1, 4)),
+            np.empty((0, 0, 3)),
             np.zeros((1, 6)),
             np.zeros(6),
             np.zeros(6),

@@ -37,6 +37,9 @@ _SIDE = 2
 """Rays along each side of a pixel."""
 _FIELD_MM = 260.0
 """What a picture shows at the head."""
+Skin = tuple[float, float, float]
+SKIN: Skin = (0.50, 0.34, 0.27)
+"""Mean albedo."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +74,10 @@ def head(name: str = "person1") -> tuple[FloatArray, IntArray, IntArray]:
         return xyz, data["faces"][:kept].astype(np.int64), data["landmarks68"].astype(np.int64)
 
 
-def drawn_reflectance(vertices: FloatArray, lips: FloatArray, seed: int) -> VertexReflectance:
-    """Return skin with blotches, grain, red lips and a gloss that varies; all albedos are below 0.9."""
+def drawn_reflectance(
+    vertices: FloatArray, lips: FloatArray, seed: int, mean: Skin = SKIN
+) -> VertexReflectance:
+    """Return skin with blotches, grain, red lips and a gloss that varies; all albedos are 0.9 at most."""
     rng = np.random.default_rng(seed)
 
     def cloud(size_mm: float) -> FloatArray:
@@ -80,7 +85,7 @@ def drawn_reflectance(vertices: FloatArray, lips: FloatArray, seed: int) -> Vert
         return map_coordinates(grid, (vertices / size_mm).T % 23, order=1, mode="wrap")
 
     blotch = 1 + 0.12 * cloud(35.0) + 0.08 * cloud(9.0) + 0.01 * rng.standard_normal(len(vertices))
-    skin = np.array([0.50, 0.34, 0.27]) * np.clip(blotch, 0.5, 1.6)[:, None]
+    skin = np.minimum(np.array(mean) * np.clip(blotch, 0.5, 1.6)[:, None], 0.9)
     near = np.exp(-((np.linalg.norm(vertices - lips, axis=1) / 18.0) ** 2))[:, None]
     skin *= 1 - near * np.array([0.1, 0.4, 0.3])
     weights = np.array([0.10, 0.12, 0.08]) * np.clip(1 + 0.4 * cloud(30.0), 0.1, 2.5)[:, None]
@@ -96,14 +101,16 @@ def mitsuba_capture(
     size: int = 256,
     seed: int = 0,
     bounces: bool = False,
+    skin: Skin = SKIN,
+    rays: int = 16,
 ) -> MitsubaCapture:
-    """Return pictures, 8 bits with noise, of every view lit by every flash."""
+    """Return pictures, 8 bits with noise, of every view lit by every flash; `rays` a pixel if it bounces."""
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")
     vertices, faces, landmarks = head(name)
     vertices = vertices - (vertices.min(0) + vertices.max(0)) / 2
-    truth = drawn_reflectance(vertices, vertices[landmarks[48:]].mean(0), seed)
+    truth = drawn_reflectance(vertices, vertices[landmarks[48:]].mean(0), seed, skin)
     cameras = np.concatenate([arc(np.linspace(-55, 55, views - 1)), arc(np.zeros(1), 25)])
     lights = np.concatenate([arc(np.linspace(-65, 65, flashes - 3), 8), arc(np.array([-30.0, 0, 30]), 42)])
     lights[: flashes - 3] += [40.0, 30.0, 0.0]  # beside the cameras, not in them
@@ -112,7 +119,7 @@ def mitsuba_capture(
     clean = []
     for position in cameras:
         for light in lights:
-            clean.append(body.radiance(position, light, size, bounces))
+            clean.append(body.radiance(position, light, size, rays if bounces else 0))
     view, number = np.repeat(np.arange(views), flashes), np.tile(np.arange(flashes), views)
     light = np.stack(clean)
     strength = 0.8 / float(np.percentile(light[light.max(-1) > 0.02], 99.0))
@@ -218,27 +225,40 @@ class _Scene:
         values.update()
         return mesh
 
-    def radiance(self, position: FloatArray, light: FloatArray, size: int, bounces: bool) -> FloatArray:
-        """Return (H, W, 3) what the camera sees of a flash whose irradiance is 1 at `DISTANCE_MM`."""
-        kind = {"type": "path", "max_depth": 5} if bounces else {"type": "direct"}
-        seen = self._rendered(self._skin, position, light, size, kind)
-        plain = self._rendered(self._skin, position, light, size, {"type": "direct"}) if bounces else seen
-        weights = self._rendered(self._gloss, position, light, size, {"type": "direct"})[..., 3:6]
+    def radiance(self, position: FloatArray, light: FloatArray, size: int, bounced: int) -> FloatArray:
+        """Return (H, W, 3) what the camera sees of a flash whose irradiance is 1 at `DISTANCE_MM`.
+
+        With bounces, light is traced by `bounced` rays a pixel.
+        """
+        direct = {"type": "direct"}
+        cells = size * _SIDE
+        plain = self._rendered(self._skin, position, light, cells, _with_places(direct))
+        weights = self._rendered(self._gloss, position, light, cells, _with_places(direct))[..., 3:6]
         lit = plain[..., :3].sum(-1) > 0
-        place, normal = seen[..., 6:9], seen[..., 9:12]
+        place, normal = plain[..., 6:9], plain[..., 9:12]
         toward, back = light - place, position - place
         half = unit(unit(toward) + unit(back))
         n_h = np.maximum((normal * half).sum(-1), 0)
         gloss = sum(weights[..., k] * (s + 2) / (8 * np.pi) * n_h**s for k, s in enumerate((1, 8, 64)))
         falloff = DISTANCE_MM**2 / (toward**2).sum(-1)
-        made = seen[..., :3] + np.where(lit, falloff * gloss, 0.0)[..., None]
-        return np.asarray(made.reshape(size, _SIDE, size, _SIDE, 3).mean((1, 3)))
+        made = np.where(lit, falloff * gloss, 0.0)[..., None] + plain[..., :3] * (not bounced)
+        made = made.reshape(size, _SIDE, size, _SIDE, 3).mean((1, 3))
+        if bounced:
+            every = {"type": "path", "max_depth": 7, "rr_depth": 100}
+            made += self._rendered(self._skin, position, light, size, every, bounced)
+        return np.asarray(made)
 
     def _rendered(
-        self, mesh: Any, position: FloatArray, light: FloatArray, size: int, kind: dict[str, Any]
+        self,
+        mesh: Any,
+        position: FloatArray,
+        light: FloatArray,
+        wide: int,
+        kind: dict[str, Any],
+        rays: int = 1,
     ) -> FloatArray:
-        """Return (S, S, 12): radiance, colour, position and shading normal, one ray a cell of the pixels."""
-        mi, wide = self._mi, size * _SIDE
+        """Return (wide, wide, 3): radiance; or 12: colour, position and shading normal, too."""
+        mi = self._mi
         transform = mi.ScalarTransform4f
         angle = 2 * np.degrees(np.arctan(_FIELD_MM / DISTANCE_MM / 2))
         scene = mi.load_dict(
@@ -261,14 +281,17 @@ class _Scene:
                         "rfilter": {"type": "box"},
                         "component_format": "float32",
                     },
-                    "sampler": {"type": "independent", "sample_count": 1},
+                    "sampler": {"type": "multijitter" if rays > 1 else "independent", "sample_count": rays},
                 },
-                "integrator": {
-                    "type": "aov",
-                    "aovs": "color:albedo,place:position,normal:sh_normal",
-                    "image": kind,
-                },
+                "integrator": kind,
             }
         )
         picture = np.array(mi.render(scene, seed=1), np.float64)
+        if picture.shape[-1] <= 4:
+            return picture[..., :3]
         return np.concatenate([picture[..., :3], picture[..., -9:]], axis=-1)
+
+
+def _with_places(kind: dict[str, Any]) -> dict[str, Any]:
+    """Return an integrator that also gives colour, position and shading normal."""
+    return {"type": "aov", "aovs": "color:albedo,place:position,normal:sh_normal", "image": kind}

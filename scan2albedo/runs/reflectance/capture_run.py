@@ -42,9 +42,8 @@ from scan2albedo.report.reflectance_views import (
 )
 from scan2albedo.runs.reflectance import naming, publishing, write_trace
 
-_DOUBTFUL_SIGMA_DEGREES, _DOUBTFUL_MISFIT, _DOUBTFUL_HELD_OUT = 2.0, 1.25, 1.5
-"""Medians of the normals' deviation and of the misfit above which a note says so, and then the held-out error
-over noise's part of it, which too few pictures raise as well."""
+_DOUBTFUL_SIGMA_DEGREES, _DOUBTFUL_MISFIT = 2.0, 1.25
+"""Medians of the normals' deviation and of the misfit above which a note says so."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +142,7 @@ def fit_capture(
         signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
     if misfit > _DOUBTFUL_MISFIT:
         signs.append(f"residuals are {misfit:.1f} times the noise")
-    if signs and error is not None and error.relative_rmse > _DOUBTFUL_HELD_OUT * error.noise_part:
+    if signs and error is not None:
         signs.append(
             f"pictures left out are predicted to {100 * error.relative_rmse:.0f} %, noise alone would be "
             f"{100 * error.noise_part:.0f} %"
@@ -177,6 +176,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         "converged": fit.converged,
         "iterations": fit.iterations,
         "light_gain": fit.light_gain,
+        "plan": [vars(step) for step in fit.plan],
     }
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:

@@ -1,0 +1,147 @@
+"""Light between parts of a face: form factors against closed forms, and fits that take it for what it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.reflectance import (
+    VertexSamples,
+    fit_reflectance,
+    lobe_slopes,
+    point_light_lobes,
+    relighting_error,
+)
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility
+
+ALBEDO = np.array([0.7, 0.5, 0.2])
+
+
+def factors_of(vertices, faces):
+    return VertexVisibility(vertices, faces, vertex_normals(vertices, faces)).form_factors()
+
+
+@pytest.fixture(scope="module")
+def ball():
+    return trimesh.creation.icosphere(3, 90.0)
+
+
+def test_inside_of_a_ball_sees_itself_all_around_and_outside_not_at_all(ball):
+    inside = factors_of(ball.vertices.view(np.ndarray), ball.faces[:, ::-1])
+    assert np.asarray(inside.sum(1)).ravel() == pytest.approx(1, abs=0.03)
+    assert factors_of(ball.vertices.view(np.ndarray), ball.faces).nnz == 0
+
+
+def groove(samples_seed=0, pairs=12):
+    """Return samples of a groove of 90 degrees, what it bounces by small areas, and vertices off edges."""
+    across, along = np.linspace(-50, 50, 23), np.linspace(-60, 60, 13)
+    x, y = np.meshgrid(across, along, indexing="ij")
+    vertices = np.stack([x.ravel(), y.ravel(), np.abs(x).ravel()], 1)
+    at = np.arange(len(vertices)).reshape(x.shape)
+    corners = [at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]]
+    a, b, c, d = (one.ravel() for one in corners)
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    normals = vertex_normals(vertices, faces)
+    rng = np.random.default_rng(samples_seed)
+    cameras = np.column_stack([rng.uniform(-250, 250, (pairs, 2)), np.full(pairs, 700.0)])
+    lights = np.column_stack([rng.uniform(-250, 250, (pairs, 2)), np.full(pairs, 800.0)])
+    lobes = point_light_lobes(vertices, normals, cameras, lights)
+    slopes = lobe_slopes(vertices, normals, cameras, lights)
+    # Small patches of each side send light to all vertices.
+    corners = vertices[faces]
+    wide = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area, center = np.linalg.norm(wide, axis=1) / 2, corners.mean(1)
+    flat = wide / (2 * area[:, None])
+
+    def kernel(points, outward):
+        way = center[None] - points[:, None]
+        far = np.maximum(np.linalg.norm(way, axis=2), 1e-9)
+        cosines = np.einsum("vfc,vc->vf", way, outward), -np.einsum("vfc,fc->vf", way, flat)
+        return np.maximum(cosines[0], 0) * np.maximum(cosines[1], 0) * area / (np.pi * far**4)
+
+    on_faces = point_light_lobes(center, flat, cameras, lights)[..., 0]
+    light, sent = lobes[..., :1] + np.zeros(3), np.zeros((*lobes.shape[:2], 3))
+    among, onto = kernel(center, flat), kernel(vertices, normals)
+    for k in range(3):
+        leaving = np.linalg.solve(np.eye(len(center)) - ALBEDO[k] * among, ALBEDO[k] * on_faces.T)
+        sent[..., k] = (onto @ leaving).T
+    gloss = 0.05 * lobes[..., 1:].sum(-1, keepdims=True)
+    sigma = np.full(light.shape, 0.002)
+    observed = ALBEDO * (light + sent) + gloss + sigma * rng.standard_normal(light.shape)
+    samples = VertexSamples(
+        *(observed, sigma, np.ones(light.shape, bool), lobes, np.arange(pairs), slopes),
+        form_factors=factors_of(vertices, faces),
+    )
+    inner = (np.abs(x) > 8).ravel() & (np.abs(x) < 48).ravel() & (np.abs(y) < 55).ravel()
+    return samples, sent, inner
+
+
+@pytest.fixture(scope="module")
+def dug():
+    return groove()
+
+
+def test_bounced_light_agrees_with_a_sum_over_areas(dug):
+    samples, sent, inner = dug
+    found = samples.bounced_light(ALBEDO)
+    assert found[:, inner] == pytest.approx(sent[:, inner], rel=0.25)
+    assert found[:, inner].sum((0, 1)) == pytest.approx(sent[:, inner].sum((0, 1)), rel=0.05)
+
+
+def test_light_of_the_other_side_is_not_taken_for_albedo(dug):
+    samples, _, inner = dug
+    plain, fit = fit_reflectance(replace(samples, form_factors=None)), fit_reflectance(samples)
+    off = [
+        np.median(np.abs(one.reflectance.diffuse_linear[inner] / ALBEDO - 1), axis=0) for one in (plain, fit)
+    ]
+    assert off[1][0] < 0.6 * off[0][0]
+    inside = (fit.low[:, :3] <= ALBEDO) & (fit.high[:, :3] >= ALBEDO)
+    assert inside[inner].mean(0).min() > 0.9
+    assert ((plain.low[:, :3] <= ALBEDO) & (plain.high[:, :3] >= ALBEDO))[inner].mean(0).min() < 0.7
+    assert fit.plan.ran("reflectance.bounce")
+    assert "red" in fit.plan[0].evidence
+    assert not plain.plan.ran("reflectance.bounce")
+    assert not plain.bounce_albedo.any()
+    held_out = np.arange(len(samples.light)) % 4 == 1
+    with_it, without = (
+        relighting_error(one, held_out) for one in (samples, replace(samples, form_factors=None))
+    )
+    assert with_it.relative_rmse < without.relative_rmse
+
+
+def test_captures_without_bounced_light_are_nearly_as_they_were(dug):
+    samples, sent, inner = dug
+    direct = replace(samples, observed_linear=samples.observed_linear - ALBEDO * sent)
+    plain, fit = fit_reflectance(replace(direct, form_factors=None)), fit_reflectance(direct)
+    assert fit.bounce_albedo.max() < 0.15 * ALBEDO.max()
+    moved = np.abs(fit.reflectance.diffuse_linear - plain.reflectance.diffuse_linear)[inner]
+    assert np.median(moved / ALBEDO) < 0.02
+
+
+def test_a_convex_mesh_costs_nothing(dug, ball):
+    samples = replace(dug[0], form_factors=dug[0].form_factors * 0)
+    samples.form_factors.eliminate_zeros()
+    plain, fit = fit_reflectance(replace(samples, form_factors=None)), fit_reflectance(samples)
+    assert np.array_equal(plain.low, fit.low, equal_nan=True)
+    assert "no part" in fit.plan[0].reason
+
+
+def test_other_shapes_are_refused(dug):
+    with pytest.raises(ReflectanceError, match="form_factors is"):
+        replace(dug[0], form_factors=dug[0].form_factors[:-1])
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_on_a_pale_head_that_lights_itself():
+    pytest.importorskip("mitsuba")
+    from benchmarks.reflectance_bounce import SKINS, bounce_fits, interval_figures
+    from benchmarks.reflectance_mitsuba import mitsuba_capture
+
+    capture = mitsuba_capture("person2", views=4, flashes=7, size=128, bounces=True, skin=SKINS["pale"])
+    before, after = (interval_figures(capture, fit) for fit in bounce_fits(capture, 24))
+    assert before[0, 0] < 0.9
+    assert after[:, 0].min() >= 0.9
+    assert after[0, 3] < 0.9 * before[0, 3]
