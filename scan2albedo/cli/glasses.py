@@ -31,6 +31,10 @@ UnitOption = Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.
 KeyPointsOption = Annotated[
     Path | None, typer.Option(help="Of the frame; otherwise <mesh stem>.keypoints.json beside it.")
 ]
+FrameWidthOption = Annotated[
+    float | None,
+    typer.Option(help="Width of the (first) frame's front in mm, as measured: sets the scale of all.", min=1),
+]
 
 
 @contextmanager
@@ -102,6 +106,7 @@ def canonicalize(
     widths: Annotated[
         str, typer.Option(help="Least and greatest width of a front in mm; other frames are refused.")
     ] = "110,170",
+    frame_width: FrameWidthOption = None,
     unit: UnitOption = "auto",
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
@@ -124,7 +129,7 @@ def canonicalize(
         canonicalize_frames,
         write_canonical_files,
     )
-    from scan2albedo.runs.eyeglasses.inputs import numbers, read_frame
+    from scan2albedo.runs.eyeglasses.inputs import GlassesFrame, numbers, read_frame
 
     if mode == "unbend" and handles != "turned":
         raise typer.BadParameter("--handles translated is for --mode mean")
@@ -140,11 +145,18 @@ def canonicalize(
     RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
     figures: dict[str, dict[str, Any]] = {}
     with ProgressLines("glasses") as progress:
-        frames, failures = [], []
+        frames: list[GlassesFrame] = []
+        failures: list[FailedFrameRecord] = []
         for number, mesh in enumerate(meshes):
             try:
                 marks = None if keypoints is None else keypoints[number]
-                frame = read_frame(mesh, marks, unit, (low, high))
+                if frame_width is None or number == 0:
+                    scale = {"frame_width_mm": frame_width}
+                elif not frames:
+                    raise EyeglassesError("its scale is that of the first frame, which failed")
+                else:
+                    scale = {"mm_per_unit": frames[0].mm_per_unit}
+                frame = read_frame(mesh, marks, unit, (low, high), **scale)
             except Scan2AlbedoError as error:
                 failures.append(FailedFrameRecord(file=str(mesh), reason=str(error)))
                 continue
@@ -209,6 +221,7 @@ def register(
     start: Annotated[
         Path | None, typer.Option(help="A pose, or an earlier registered.npz, where labels fix none.")
     ] = None,
+    frame_width: FrameWidthOption = None,
     unit: UnitOption = "auto",
     rigid: Annotated[bool, typer.Option("--rigid", help="Move the frame without bending it.")] = False,
     budget: BudgetOption = None,
@@ -226,7 +239,8 @@ def register(
     from scan2albedo.runs.eyeglasses.register_run import FILES, register_frame, write_registration_files
 
     spend = checked_budget(budget, unit)
-    if mesh.suffix.lower() == CANONICAL and (keypoints is not None or unit not in ("auto", "mm")):
+    own = keypoints is not None or unit not in ("auto", "mm") or frame_width is not None
+    if mesh.suffix.lower() == CANONICAL and own:
         raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
     stop_cleanly_on_interrupt(out)
     check_writable(out)
@@ -234,7 +248,7 @@ def register(
     with _one_frame(mesh, "glasses", json_summary) as progress:
         progress.say(f"glasses: reading {mesh}")
         more = {"masks": masks, "head": head, "keypoints": keypoints, "start": start}
-        given = read_registration(mesh, cameras, labels, **more, unit=unit)
+        given = read_registration(mesh, cameras, labels, **more, unit=unit, frame_width_mm=frame_width)
         done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
         figures = write_registration_files(done, out)
         for note in done.notes:

@@ -33,7 +33,12 @@ from scan2albedo.eyeglasses.mean_keypoints import (
     unit_factors,
 )
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
-from scan2albedo.eyeglasses.unbending import front_halves, symmetric_key_points, unbent_transforms
+from scan2albedo.eyeglasses.unbending import (
+    common_lean,
+    front_halves,
+    symmetric_key_points,
+    unbent_transforms,
+)
 from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.rigid import transform_points
 
@@ -343,7 +348,7 @@ def _moved(
 ) -> CanonicalEyeglasses:
     """Return a frame with its key points at `place` (20, 3), or unbent with its plane of symmetry there."""
     assert frame.weights is not None
-    points = scale * frame.points
+    points, stays = scale * frame.points, ""
     if options.mode == "mean":
         rigid = align_key_points(points, place)
         aligned = transform_points(rigid, points)
@@ -367,7 +372,10 @@ def _moved(
             reason = f"own shape kept, halves compared by {'their surfaces' if surfaces else 'key points'}"
             evidence = f"halves turned against each other by {halves.bend_deg:.2f} degrees"
             evidence += f"; rims then {halves.apart:.3g} apart, rms" if surfaces else ""
+            stays = common_lean(straight * (10.0**frame.unit_exponent / scale), halves.reflection)
         step = PlanStep("eyeglasses.unbend", halves is not None, reason, evidence)
+    reason = "a bend common to both temples stays, as it cannot be told from their design"
+    rows = [step, PlanStep("eyeglasses.temples", False, reason, stays)] if stays else [step]
     rigid = align_key_points(points, targets)
     transforms = carriers @ np.diag([scale, scale, scale, 1.0])
     off = transform_points(rigid, points) - targets
@@ -382,5 +390,5 @@ def _moved(
         residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
         unbent=options.mode == "unbend",
         converged=frame.converged,
-        plan=frame.plan + Plan((step,)),
+        plan=frame.plan + rows,
     )

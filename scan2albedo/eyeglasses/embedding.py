@@ -93,7 +93,31 @@ def embed(
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
         # Places two spacings apart along one axis lie in cells with another cell between them.
         closest = float(apart[a, b]) / 2
-        used, cells, step = _automatic(vertices, faces, low, size, closest, max_nodes, finest)
+        # The thickness that a tenth of the surface's area stays below, across faces on the side where the
+        # mesh is met first; infinite where nothing is met.
+        thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
+        if area[-1] > 0:
+            chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
+            caster = RayCaster(vertices, faces)
+            center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
+            skin = _SKIN * caster.size
+            sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
+            thin = float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
+        wanted = float(np.clip(thin, finest * size, _COARSEST * size))
+        reason = f"the mesh's thin parts measure {thin:.4g}"
+        if closest < wanted:
+            wanted, reason = max(closest, finest * size), "two key points are close together"
+        count = math.ceil(size / wanted * (1 - 1e-9))
+        while (touched := _cells(vertices, faces, low, size / count, max_nodes)) is None:
+            if count <= 2:
+                raise EyeglassesError(
+                    f"no lattice of {max_nodes} nodes holds the mesh: it is far larger than the box of its "
+                    f"key points ({size:.4g}); remove what lies far away, or raise max_nodes"
+                )
+            # About a twelfth coarser each time.
+            count, reason = max(23 * count // 25, 2), f"finer ones have more than {max_nodes} nodes"
+        used = size / count
+        step = PlanStep("eyeglasses.weights.spacing", True, reason, f"{used:.6g}")
     else:
         used = float(spacing)
         if not (used > 0 and np.isfinite(used)):
@@ -105,10 +129,10 @@ def embed(
                 f"a spacing of {used:.4g} makes more than {limit} lattice nodes; give a larger one, or raise "
                 "max_nodes"
             )
-        cells, step = touched, PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
+        step = PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
     origin = _origin(low, used)
     owners, handle, merged = _shared_handles((handles - origin) / used, called)
-    cells = join_parts(unique_cells(np.concatenate([cells, owners])), _REACH * size / used + 2)
+    cells = join_parts(unique_cells(np.concatenate([touched, owners])), _REACH * size / used + 2)
     whole = Lattice.of_cells(cells)
     parts = whole.cell_components
     lattice = Lattice.of_cells(cells[np.isin(parts, parts[whole.find(owners)])])
@@ -149,42 +173,6 @@ def _origin(low: FloatArray, spacing: float) -> FloatArray:
     """Return the corner (3,) of the lattice around what begins at `low` (3,)."""
     # 2 - golden ratio cells lie between: on the lattice's planes rounding would decide about flat sides.
     return low - (3 - np.sqrt(5)) / 2 * spacing
-
-
-def _automatic(
-    vertices: FloatArray,
-    faces: IntArray,
-    low: FloatArray,
-    size: float,
-    closest: float,
-    max_nodes: int,
-    finest: float,
-) -> tuple[float, IntArray, PlanStep]:
-    """Return a spacing as fine as thin parts and key points ask for, its cells (C, 3), the plan's step."""
-    # The thickness that a tenth of the surface's area stays below, measured across faces on the side where
-    # the mesh is met first; infinite where nothing is met.
-    thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
-    if area[-1] > 0:
-        chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
-        caster = RayCaster(vertices, faces)
-        center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
-        skin = _SKIN * caster.size
-        sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
-        thin = float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
-    spacing = float(np.clip(thin, finest * size, _COARSEST * size))
-    reason = f"the mesh's thin parts measure {thin:.4g}"
-    if closest < spacing:
-        spacing, reason = max(closest, finest * size), "two key points are close together"
-    parts = math.ceil(size / spacing * (1 - 1e-9))
-    while (cells := _cells(vertices, faces, low, size / parts, max_nodes)) is None:
-        if parts <= 2:
-            raise EyeglassesError(
-                f"no lattice of {max_nodes} nodes holds the mesh: it is far larger than the box of its key "
-                f"points ({size:.4g}); remove what lies far away, or raise max_nodes"
-            )
-        # About a twelfth coarser each time.
-        parts, reason = max(23 * parts // 25, 2), f"finer ones have more than {max_nodes} nodes"
-    return size / parts, cells, PlanStep("eyeglasses.weights.spacing", True, reason, f"{size / parts:.6g}")
 
 
 def _cells(

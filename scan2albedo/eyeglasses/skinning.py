@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import overload
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
@@ -17,22 +15,8 @@ PRIOR = 0.1
 straight bone shows in no key point."""
 
 
-@overload
-def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> FloatArray: ...
-
-
-@overload
-def skin(
-    vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike, normals: ArrayLike
-) -> tuple[FloatArray, FloatArray]: ...
-
-
-def skin(
-    vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike, normals: ArrayLike | None = None
-) -> FloatArray | tuple[FloatArray, FloatArray]:
+def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> FloatArray:
     """Return vertices moved by the weighted mean of affine transforms, v' = sum over k of w_k T_k v.
-
-    With `normals`, vertices and unit normals are returned: n' is parallel to B^-T n, B = sum of w_k A_k.
 
     Parameters
     ----------
@@ -41,7 +25,6 @@ def skin(
         Rows sum to 1.
     transforms : (K, 4, 4) or (K, 3, 4) array_like of float
         `deformed_from_rest` of each handle, acting on column vectors.
-    normals : (V, 3) array_like of float, optional
 
     Raises
     ------
@@ -71,17 +54,7 @@ def skin(
             bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))
             raise ValueError(f"{name}[{bad[0]}] is not finite ({len(bad)} of {len(array)} are not)")
     blended = (shares @ maps[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-    moved = np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3]
-    if normals is None:
-        return moved
-    across = np.asarray(normals, np.float64)
-    if across.shape != xyz.shape:
-        raise ValueError(f"normals must have shape {xyz.shape} like vertices, got {across.shape}")
-    # Parallel to B^-T n by the cofactors of B, which exist where B is singular too.
-    a, b, c = blended[:, :, 0], blended[:, :, 1], blended[:, :, 2]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], 2)
-    mirrored = np.where(np.einsum("vi,vi->v", a, cofactors[:, :, 0]) < 0, -1.0, 1.0)
-    return moved, normalized(mirrored[:, None] * np.einsum("vij,vj->vi", cofactors, across))
+    return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3])
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:

@@ -38,12 +38,13 @@ _OWN = 0.9
 """Share of a rim's key points in a vertex's weights from which it moves with the rim."""
 _SAMPLES = 1000
 """Vertices of a rim that are laid on the other one, at most."""
-_FEWEST = 50
-"""Vertices and faces of a rim below which only its key points are compared."""
 _LABEL_SHARE = 1e-3
 """Weight of a rim's key points beside its surface: they hold what a surface leaves free."""
 _FARTHEST = 0.15
 """Part of the rim's size by which surfaces may move its key points: more fits by chance."""
+
+_LEAN_DEG = (-5.0, 10.0)
+"""Of temples outward from hinge to tip by design: let back to 90 to 95 degrees, as much more for curves."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,8 @@ def front_halves(
     own, other = (weights[:, rim_points].sum(1) for rim_points in _RIMS)
     surface = faces[(own[faces] >= 0.5).all(1)]
     moving = transform_points(reflection, vertices[other >= _OWN])
-    if len(surface) < _FEWEST or len(moving) < _FEWEST:
+    # With fewer vertices or faces than key points, these alone are compared.
+    if min(len(surface), len(moving)) < len(points):
         return FrontHalves(reflection, start, np.nan)
     moving = moving[:: -(-len(moving) // _SAMPLES)]
     query, normals = ClosestPointQuery(vertices, surface), face_normals(vertices, surface)
@@ -159,6 +161,28 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
     result[~np.isfinite(points).all(1)] = rigid
     return result
+
+
+def common_lean(points_mm: FloatArray, reflection: FloatArray) -> str:
+    """Return how far both temples of key points (20, 3) lean outward alike, "" where not both are known.
+
+    As turned at their hinges: how much of it is a bend is known up to the spread of designs (`_LEAN_DEG`).
+    """
+    known = np.isfinite(points_mm + points_mm[_MIRROR]).all(1)
+    left, right = (points_mm[temple[known[temple]]] for temple in _TEMPLES)
+    if len(left) < 2:
+        return ""
+    across = np.linalg.svd(np.eye(3) - reflection[:3, :3])[0][:, 0]
+    ends, hinges = (left[[-1, 0]] - right[[-1, 0]]) @ across
+    out = float(np.sign(hinges) * (ends - hinges) / 2)
+    length = float(np.linalg.norm([left[-1] - left[0], right[-1] - right[0]], axis=1).mean())
+    usual, deviation = np.mean(_LEAN_DEG), np.ptp(_LEAN_DEG) / np.sqrt(12)
+    bend = out - length * np.sin(np.deg2rad(usual))
+    return (
+        f"they lean {np.rad2deg(np.arcsin(out / length)):.1f} degrees outward, {out:.1f} mm at their ends; "
+        f"of designs {usual:.1f} +- {deviation:.1f} degrees, so the bend is {bend:+.1f} +- "
+        f"{length * np.deg2rad(deviation):.1f} mm"
+    )
 
 
 def _nearest_rotation(matrix: FloatArray) -> FloatArray:

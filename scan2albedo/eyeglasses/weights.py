@@ -44,8 +44,6 @@ class BoundedBiharmonicWeights:
     residual: FloatArray
     """(K,) scaled residuals of the optimality conditions after Newton `iterations` (K,) on the finest
     lattice; they have `converged` where each is at most the tolerance."""
-    energy: FloatArray
-    """(K,) x^T A x / 2 of the weights before they are normalised, in units of the spacing."""
     spacing: float
     node_count: int
     """Of the lattice; its `spacing` is in the mesh's unit."""
@@ -147,23 +145,21 @@ def solve_weights(
         xyz, index, checked_points("handles", handles), spacing, max_nodes=max_nodes, names=names
     )
     solution = solve_lattice(embedding.lattice, embedding.handle_cells, tolerance=tolerance, meter=meter)
-    raw, total = solution.x, solution.x.sum(1)
+    total = solution.x.sum(1)
     # Dividing by less would amplify rounding.
     if not total.min() > TOLERANCE:
         raise EyeglassesError(
             f"no key point holds {int((total <= TOLERANCE).sum())} of {len(total)} lattice nodes"
         )
-    weights = np.clip(embedding.interpolation @ (raw / total[:, None]), 0.0, 1.0)
+    weights = np.clip(embedding.interpolation @ (solution.x / total[:, None]), 0.0, 1.0)
     weights = embedding.shares * weights[:, embedding.handle]
     weights /= weights.sum(1, keepdims=True)
     weights[embedding.follower] = weights[embedding.leader]
-    energy = 0.5 * np.einsum("nk,nk->k", raw, biharmonic_energy(embedding.lattice) @ raw)
     return BoundedBiharmonicWeights(
         weights=weights,
         converged=bool((solution.residual <= tolerance).all()),
         iterations=solution.steps[embedding.handle],
         residual=solution.residual[embedding.handle],
-        energy=energy[embedding.handle],
         spacing=embedding.spacing,
         node_count=len(embedding.lattice.nodes),
         plan=embedding.plan,

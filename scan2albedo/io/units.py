@@ -95,7 +95,8 @@ def glasses_millimetres_per_unit(
         raise ScanError(
             f"{name}: the glasses are {extent:.4g} {unit} long, but glasses measure {low:.3g} to "
             f"{high:.3g} mm; correct the unit (that of the key-point file, or unit='mm', 'cm' or 'm', "
-            "in the shell --unit); `scan2albedo glasses canonicalize` admits other sizes with --widths"
+            "in the shell --unit); `scan2albedo glasses canonicalize` takes the front's --frame-width in mm, "
+            "and admits other sizes with --widths"
         )
     return _decided(extent, unit, name, "glasses", "pair of glasses", sizes_mm)
 
@@ -107,7 +108,7 @@ def _decided(
     low, high = plausible_mm
     fitting = [u for u, factor in MM_PER_UNIT.items() if low <= extent * factor < high]
     if unit == "auto":
-        more = " (--unit), or admit other --widths in `scan2albedo glasses canonicalize`"
+        more = " (--unit), or `glasses canonicalize` the front's --frame-width in mm or other --widths"
         verb, more = ("are", more) if thing == "glasses" else ("is", "")
         if not fitting:
             raise UnitError(

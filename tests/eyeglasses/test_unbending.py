@@ -1,5 +1,7 @@
 """Frames without their bends: shapes and sizes stay, halves come to mirror each other."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -99,6 +101,18 @@ def test_what_both_sides_are_bent_to_alike_stays():
     frame = canonicalize([mesh], [glasses.keypoints], weights=[weights]).frames[0]
     assert frame.residual < 1e-6
     assert laid_on(frame.vertices, glasses.vertices).max() < 1e-6
+    said = {}
+    for spread in (-8.0, 0.0, 8.0):
+        bent = eyeglasses(0, bend=GlassesBend(temple_spread_mm=spread))
+        found = canonicalize([(bent.vertices / 10, bent.faces)], [bent.keypoints / 10], weights=[weights])
+        (step,) = found.plan.of_stage("eyeglasses.temples")
+        assert not step.ran
+        said[spread] = [float(n) for n in re.findall(r"[-+]?\d+\.\d+", step.evidence)]
+    # Degrees, length of the lean, the design's degrees and deviation, length and deviation of the bend: mm.
+    assert said[8.0][1] - said[0.0][1] == pytest.approx(8, abs=0.5)
+    assert said[0.0][1] - said[-8.0][1] == pytest.approx(8, abs=0.5)
+    assert said[8.0][4] - said[0.0][4] == pytest.approx(8, abs=0.5)
+    assert said[8.0][2:4] == [2.5, 4.3]
 
 
 def test_one_half_alone_is_only_posed():

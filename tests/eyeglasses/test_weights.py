@@ -29,8 +29,7 @@ def test_the_solver_says_how_it_ended(solved, glasses):
     assert solved.converged
     assert solved.residual.max() <= 1e-7
     assert solved.spacing == 2.5
-    assert solved.iterations.shape == solved.energy.shape == (len(glasses.handles),)
-    assert (solved.energy > 0).all()
+    assert solved.iterations.shape == (len(glasses.handles),)
     assert len(solved.trace) >= solved.iterations.sum()
     assert solved.trace.rows[-1].error <= 1e-7
     assert {row.stage for row in solved.trace} == {"eyeglasses.weights"}

@@ -84,6 +84,7 @@ def bench_modes(data: Path, pictures: Path | None) -> None:
     ]
     print(f"way back to the bent frames, all modes: {max(back):.0e} mm")
     bench_wires()
+    bench_alike(frames)
     bench_sizes(meshes, marks, weights)
     if pictures is not None:
         _draw(frames, bent, [found[mode].frames for mode in MODES], pictures)
@@ -129,6 +130,16 @@ def bench_wires() -> None:
                 f"to its key points at rest {rms_and_max(known.vertices, frame.vertices)}; "
                 f"{handles.evidence or 'no shared handles'}"
             )
+
+
+def bench_alike(frames: list[WholeFrame]) -> None:
+    """Print what is said of temples that are bent alike on both sides, of frames without a unit (cm)."""
+    for frame in frames:
+        for spread in (-8.0, 0.0, 8.0):
+            bent = bend_frame(frame, OwnBend(left_spread_mm=spread, right_spread_mm=spread)) / 10
+            found = canonicalize([(bent, frame.faces)], [frame.key_points(bent)], spacing=0.3)
+            said = found.plan.of_stage("eyeglasses.temples")
+            print(f"{frame.name}, both tips {spread:+g} mm: {said[0].evidence if said else 'no temples'}")
 
 
 def bench_sizes(

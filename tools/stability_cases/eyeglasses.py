@@ -187,8 +187,8 @@ def _turned() -> str:
     weights = np.stack([np.linspace(0, 1, 11), np.linspace(1, 0, 11)], 1)
     turn = compose(rotation_from_vector([0, 0, math.pi]), np.zeros(3))
     points = np.tile([10.0, 0, 0], (11, 1))
-    moved, normals = skin(points, weights, [np.eye(4), turn], np.tile([0.0, 1, 0], (11, 1)))
-    assert_finite(moved, normals)
+    moved = skin(points, weights, [np.eye(4), turn])
+    assert_finite(moved)
     assert abs(moved[5]).max() < 1e-12
     return "linear blending collapses half way (the candy wrapper), finite"
 

@@ -302,6 +302,6 @@ def _cross(
         own.origins[rays] = position
         own.directions[rays] = refract(lens.optics, before - height, position - height).directions
         paths.bent[rays] = True
-        hits = scene.caster.first_hit(position, own.directions[rays])
+        hits = scene.first_hit(position, own.directions[rays])
         own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
         own.hits.distance[rays] = hits.distance

@@ -36,7 +36,7 @@ class Surface:
 
     vertices: ArrayLike
     faces: ArrayLike
-    """(F, 3) of any winding, over `vertices` (V, 3); both sides are seen."""
+    """(F, 3) over `vertices` (V, 3), of any winding where both sides are seen."""
     albedo_linear: ArrayLike = (0.5, 0.5, 0.5)
     """(3,) or (V, 3); ignored where there is a texture."""
     uv: ArrayLike | None = None
@@ -47,6 +47,8 @@ class Surface:
     specular: float = 0.0
     shininess: float = 32.0
     """`specular` and `shininess` are strength and exponent of Phong's highlight, as in `lighting.kernels`."""
+    one_sided: bool = False
+    """Whether rays see only the side to which the faces run counterclockwise; both cast shadows."""
 
     def __post_init__(self) -> None:
         xyz, index = checked_mesh(self.vertices, self.faces, "a surface")
@@ -111,13 +113,23 @@ class LensScene:
         self.surface_of_face = np.repeat(np.arange(len(meshes)), counts)
         self.caster = RayCaster(self.vertices, self.faces)
         self._normals = vertex_normals(self.vertices, self.faces)
+        self._one_sided = np.repeat([surface.one_sided for surface in self.surfaces], counts)
 
     def rays(
         self, origins: FloatArray, directions: FloatArray, pixels: FloatArray | None = None
     ) -> SceneRays:
         """Return rays from origins, (3,) or (N, 3), along unit directions (N, 3)."""
         start = np.broadcast_to(origins, directions.shape)
-        return SceneRays(start, directions, self.caster.first_hit(start, directions), pixels)
+        return SceneRays(start, directions, self.first_hit(start, directions), pixels)
+
+    def first_hit(self, origins: FloatArray, directions: FloatArray) -> RayHits:
+        """Return where rays (N, 3) end; the back of a one-sided surface ends none, nor what is behind it."""
+        hits = self.caster.first_hit(origins, directions)
+        at = np.flatnonzero((hits.face >= 0) & self._one_sided[hits.face])
+        front = face_cross_products(self.vertices, self.faces[hits.face[at]])
+        back = at[np.einsum("nc,nc->n", front, directions[at]) > 0]
+        hits.face[back], hits.distance[back] = -1, np.inf
+        return hits
 
     def normals(self, rays: SceneRays) -> FloatArray:
         """Return (N, 3) unit normals, smooth, on the side of the viewer, where rays that all hit end."""

@@ -134,7 +134,26 @@ def checked_inputs(
     shapes: Sequence[tuple[int, int]] | None = None,
 ) -> RegistrationInputs:
     """Return the inputs of `register_on_face`, checked; see there for what is raised."""
-    vertices, faces, keypoints, weights = _glasses(glasses)
+    if hasattr(glasses, "vertices"):
+        parts = [glasses.vertices, glasses.faces, glasses.keypoints, getattr(glasses, "weights", None)]
+    elif isinstance(glasses, tuple | list) and len(glasses) in (3, 4):
+        parts = [*glasses, None][:4]
+    else:
+        raise ValueError(
+            "glasses must have vertices, faces and keypoints, or be a tuple of them and maybe weights, got "
+            f"{type(glasses).__name__}"
+        )
+    vertices, faces = checked_mesh(parts[0], parts[1], "the glasses")
+    keypoints = checked_keypoints("the glasses' keypoints", parts[2])
+    keypoints[~np.isfinite(keypoints).all(1)] = np.nan
+    require_posable(keypoints, "the glasses")
+    weights = None
+    if parts[3] is not None:
+        weights = checked_weights("the glasses' weights", parts[3], len(vertices))
+        if not np.isfinite(weights).all() or np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
+            raise EyeglassesError("the glasses' weights must be finite, each row of sum 1; solve them again")
+        if weights[:, ~np.isfinite(keypoints).all(1)].any():
+            raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
     labels, matrices = np.asarray(keypoints_2d, np.float64), normalized_cameras(cameras)
     count = len(matrices)
     if labels.shape != (count, KEY_POINT_COUNT, 2) or count == 0:
@@ -194,27 +213,3 @@ def checked_inputs(
         pose[:3, 3] /= unit
     frame = vertices / unit, faces, keypoints / unit, weights
     return RegistrationInputs(*frame, tuple(views), tuple(checked), skull, pose, unit, tuple(plan))
-
-
-def _glasses(glasses: Any) -> tuple[FloatArray, IntArray, FloatArray, FloatArray | None]:
-    if hasattr(glasses, "vertices"):
-        parts = [glasses.vertices, glasses.faces, glasses.keypoints, getattr(glasses, "weights", None)]
-    elif isinstance(glasses, tuple | list) and len(glasses) in (3, 4):
-        parts = [*glasses, None][:4]
-    else:
-        raise ValueError(
-            "glasses must have vertices, faces and keypoints, or be a tuple of them and maybe weights, got "
-            f"{type(glasses).__name__}"
-        )
-    vertices, faces = checked_mesh(parts[0], parts[1], "the glasses")
-    keypoints = checked_keypoints("the glasses' keypoints", parts[2])
-    keypoints[~np.isfinite(keypoints).all(1)] = np.nan
-    require_posable(keypoints, "the glasses")
-    if parts[3] is None:
-        return vertices, faces, keypoints, None
-    weights = checked_weights("the glasses' weights", parts[3], len(vertices))
-    if not np.isfinite(weights).all() or np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
-        raise EyeglassesError("the glasses' weights must be finite, each row of sum 1; solve them again")
-    if weights[:, ~np.isfinite(keypoints).all(1)].any():
-        raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
-    return vertices, faces, keypoints, weights

@@ -71,7 +71,7 @@ class CanonicalSetRecord(RunRecord):
     options: Figures = Field(description="What the run was called with.")
     frames: tuple[str, ...] = Field(description="Folders of the frames that were done.")
     failures: tuple[FailedFrameRecord, ...] = ()
-    notes: tuple[str, ...] = Field((), description="The plan's doubts, such as frames unlike the others.")
+    notes: tuple[str, ...] = Field((), description="The plan's doubts, and bends that stay.")
     converged: bool
     iterations: int = Field(ge=0, description="Rounds of the mean; 0 when it was given.")
     seconds: Number = Field(ge=0)
@@ -104,8 +104,9 @@ class CanonicalFiles:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a person should check."""
-        return tuple(step.text for step in self.result.plan.doubts())
+        """What a person should check, and the bends that stay."""
+        plan = self.result.plan
+        return tuple(s.text for s in (*plan.doubts(), *plan.of_stage("eyeglasses.temples")))
 
 
 def canonicalize_frames(

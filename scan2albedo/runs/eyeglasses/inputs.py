@@ -100,56 +100,75 @@ def keypoints_beside(mesh: Path) -> Path:
 
 
 def read_frame(
-    mesh: Path, keypoints: Path | None = None, unit: str = "auto", widths_mm: tuple[float, float] = WIDTHS_MM
+    mesh: Path,
+    keypoints: Path | None = None,
+    unit: str = "auto",
+    widths_mm: tuple[float, float] | None = None,
+    *,
+    frame_width_mm: float | None = None,
+    mm_per_unit: float | None = None,
 ) -> GlassesFrame:
     """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
 
-    The mesh's unit "auto" is the one in which the key points lie on it, when their file states their own;
-    otherwise the front's width decides, and where it fits no unit, or several, the size of the glasses, in
-    proportion to `widths_mm`. Raises EyeglassesError or ScanError, naming the file, when one cannot be read
-    or has another size; ValueError for an unknown unit.
+    The front's true width, or the scale of another frame's file, goes before all units. The mesh's unit
+    "auto" is the one in which the key points lie on it, when their file states their own; otherwise the
+    front's width decides, and where it fits no unit, or several, the size of the glasses. A front outside
+    `widths_mm` is refused when they are given. Raises EyeglassesError or ScanError, naming the file, when one
+    cannot be read or has another size; ValueError for an unknown unit.
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
     marks, marks_unit = read_keypoints_with_unit(marks_file)
-    low, high = (np.array(PLAUSIBLE_GLASSES_MM) * widths_mm / WIDTHS_MM).tolist()
-    mm_per_unit = 0.0
+    usual = WIDTHS_MM if widths_mm is None else widths_mm
+    low, high = (np.array(PLAUSIBLE_GLASSES_MM) * usual / WIDTHS_MM).tolist()
+    marks_mm, scale, ratio = MM_PER_UNIT.get(marks_unit, 0.0), 0.0, 1.0
 
     def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
-        nonlocal mm_per_unit
-        if marks_unit == "unknown":
-            width = front_width(marks, parsed.vertices)
-            wide = [u for u, mm in MM_PER_UNIT.items() if widths_mm[0] <= width * mm <= widths_mm[1]]
-            if unit == "auto" and len(wide) == 1:
-                mm_per_unit = MM_PER_UNIT[wide[0]]
-                note = f"unit: {wide[0]} (front {width * mm_per_unit:.4g} mm wide), decided from it"
-                return mm_per_unit, note
-            mm_per_unit, note = glasses_millimetres_per_unit(marks, unit, mesh.name, (low, high))
-            return mm_per_unit, note
-        _, size = glasses_millimetres_per_unit(marks, marks_unit, marks_file.name, (low, high))
-        if unit != "auto":
-            mm_per_unit = MM_PER_UNIT[unit]
-            return mm_per_unit, f"unit: {unit}, as given; of the key points: {size.removeprefix('unit: ')}"
-        # The unit in which the key points lie on the mesh: units are factors of ten apart.
-        known = marks[np.isfinite(marks).all(1)] * MM_PER_UNIT[marks_unit]
-        surface = ClosestPointQuery(parsed.vertices, parsed.faces)
-        off = {u: mm * float(np.median(surface.query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
-        found = min(off, key=lambda u: off[u])
-        # Farther off than a tenth of their size, key points are those of another mesh.
-        if not 10 * off[found] <= float(np.ptp(known, axis=0).max()):
+        nonlocal scale, ratio
+        scale, how = MM_PER_UNIT.get(unit, 0.0), f"{unit}, as given"
+        if marks_mm and not scale:
+            # The unit in which the key points lie on the mesh: units are factors of ten apart.
+            known = marks[np.isfinite(marks).all(1)] * marks_mm
+            query = ClosestPointQuery(parsed.vertices, parsed.faces).query
+            away = {u: mm * float(np.median(query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
+            found = min(away, key=lambda u: away[u])
+            # Farther off than a tenth of their size, key points are those of another mesh.
+            if not 10 * away[found] <= float(np.ptp(known, axis=0).max()):
+                raise EyeglassesError(
+                    f"{mesh.name}: in no unit do the key points lie on the mesh: at best, in {found}, they "
+                    f"are {away[found]:.3g} mm off; check that they are this mesh's, and their file's unit"
+                )
+            scale, how = MM_PER_UNIT[found], f"{found}, decided from the key points on it, in {marks_unit}"
+        ratio = marks_mm / scale if marks_mm else 1.0
+        width = front_width(ratio * marks, parsed.vertices)
+        if mm_per_unit is not None or frame_width_mm is not None:
+            scale = mm_per_unit or (frame_width_mm or 0.0) / width
+            how = f"{scale:.4g} mm, {'as in the first file' if mm_per_unit else 'from --frame-width'}"
+            if not scale > 0:
+                raise EyeglassesError(f"{mesh.name}: place both hinges or both rim_outer for --frame-width")
+        elif scale:
+            owner = (marks_unit, marks_file.name) if marks_mm else (unit, mesh.name)
+            glasses_millimetres_per_unit(marks, *owner, (low, high))
+        else:
+            fits = [u for u, mm in MM_PER_UNIT.items() if usual[0] <= width * mm <= usual[1]]
+            if len(fits) == 1:
+                scale, how = MM_PER_UNIT[fits[0]], f"{fits[0]}, decided from its front's width"
+            elif fits or widths_mm is None or not width > 0:
+                scale, how = glasses_millimetres_per_unit(marks, unit, mesh.name, (low, high))
+                how = how.removeprefix("unit: ")
+            how += " (assumed: `canonicalize` and `register` take the true one, such as --frame-width 140)"
+        size = f"front {width:.4g} units wide" + f", {width * scale:.4g} mm" * (scale > 0)
+        if widths_mm is not None and width > 0 and not usual[0] <= width * scale <= usual[1]:
             raise EyeglassesError(
-                f"{mesh.name}: in no unit do the key points lie on the mesh: at best, in {found}, they are "
-                f"{off[found]:.3g} mm off; check that they belong to this mesh and that their file says "
-                "their unit"
+                f"{mesh.name}: {size}{f' (unit: {how})' if scale else ' in the file'}, but spectacles are "
+                f"{usual[0]:g} to {usual[1]:g} mm wide: give what the front measures by --frame-width, "
+                "or admit other --widths"
             )
-        evidence = f"median distance {off[found]:.2g} mm of the key points, which are in {marks_unit}"
-        mm_per_unit = MM_PER_UNIT[found]
-        return mm_per_unit, f"unit: {found}, decided from where the key points lie ({evidence})"
+        return scale, f"unit: {how}; {size}" if width > 0 else f"unit: {how}"
 
     scan = load_scan_with(mesh, decide)
-    factor = mm_per_unit if marks_unit == "unknown" else MM_PER_UNIT[marks_unit]
     files = {"mesh": _hashed(mesh, mesh=True), "keypoints": _hashed(marks_file)}
-    return GlassesFrame(scan.name, scan, marks * factor, mm_per_unit, files)
+    return GlassesFrame(scan.name, scan, marks * ratio * scale, scale, files)
 
 
 def read_registration(
@@ -162,6 +181,7 @@ def read_registration(
     keypoints: Path | None = None,
     start: Path | None = None,
     unit: str = "auto",
+    frame_width_mm: float | None = None,
 ) -> GlassesInput:
     """Read the files of a registration.
 
@@ -215,7 +235,7 @@ def read_registration(
         name = folder if mesh.name == "canonical.npz" and folder else mesh.stem
         frame = GlassesFrame(name, RawScan(made.vertices, made.faces), made.keypoints, 1.0, own, made.weights)
     else:
-        frame = read_frame(mesh, keypoints, unit)
+        frame = read_frame(mesh, keypoints, unit, frame_width_mm=frame_width_mm)
         read.append((mesh.name, frame.scan))
     skull = None
     if head is not None:

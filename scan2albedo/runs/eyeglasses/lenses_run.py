@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -28,6 +28,7 @@ from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass, 
 from scan2albedo.eyeglasses.lenses.lens_picture import Lenses, checked_image
 from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import GlbPart, write_parts_glb
 from scan2albedo.io.images import write_exr, write_png
@@ -183,12 +184,19 @@ def render_lenses(
     known = marks[np.isfinite(marks).all(1)]
     if len(known):
         query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
-        apart = float(np.median(query.query(known).distance))
+        hits = query.query(known)
+        apart = float(np.median(hits.distance))
         if apart > _WORN_MM:
             raise EyeglassesError(
                 f"the frame lies {apart:.0f} mm away from the head; give both in the same world, and their "
                 "units"
             )
+        # As in relit pictures, the inside of an open face is not drawn: if it is wound alike, and outward.
+        corners = np.asarray(head.faces)
+        edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        out = ((known - hits.points) * face_normals(np.asarray(head.vertices), corners)[hits.face]).sum(1)
+        alike = pictures_linear is None and len(np.unique(edges, axis=0)) == len(edges)
+        head = replace(head, one_sided=bool(alike and np.median(out) > 0))
     kind: Literal["given", "built-in", "none"] = "none" if environment_linear is None else "given"
     exposure = 1.0
     if pictures_linear is None:

@@ -1,5 +1,7 @@
 """Surfaces under distant lights: closed forms, shadows where the geometry says, colours of meshes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from brdf_reference import oren_nayar, phong
@@ -11,6 +13,7 @@ from scan2albedo.eyeglasses.lenses.scene_colors import LitScene
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface, radiance_at
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.lighting.environment import DistantLights, distant_directions
+from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.synthetic import eyeglasses
 
 
@@ -24,6 +27,21 @@ def look_down(scene, xy, z=100.0):
     origins = np.column_stack([xy, np.full(len(xy), z)])
     directions = np.tile([0.0, 0, -1], (len(xy), 1))
     return scene.rays(origins, directions)
+
+
+def test_the_back_of_a_one_sided_surface_is_not_seen_but_casts_shadows():
+    scene = LensScene(square(10, -50), [replace(square(60, 0), one_sided=True)])
+    turn = np.array([1.0, 1, -1])
+    xy = np.random.default_rng(0).uniform(-50, 50, (200, 2))
+    origins, down = np.column_stack([xy, np.full(200, 100.0)]), np.tile([0.0, 0, -1], (200, 1))
+    from_front, from_behind = scene.rays(origins, down), scene.rays(origins * turn, down * turn)
+    assert (scene.surface_of_face[from_front.hits.face] == 1).all()
+    small = (np.abs(xy) < 10).all(1)
+    assert (from_behind.hits.face[~small] < 0).all()
+    assert np.isinf(from_behind.hits.distance[~small]).all()
+    assert (scene.surface_of_face[from_behind.hits.face[small]] == 0).all()
+    below = np.column_stack([xy, np.full(200, -20.0)])
+    assert ShadowMap(scene.caster, below, -down).visible([0, 0, 1]).sum() == 0
 
 
 def lit(scene, lights, environment=None):

@@ -23,6 +23,7 @@ from scan2albedo.eyeglasses import (
     write_keypoints,
 )
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.mean_keypoints import front_width
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.io import load_scan
 from scan2albedo.io.input_hash import input_sha256
@@ -156,7 +157,7 @@ def test_frames_are_unbent_by_default_and_small_ones_refused(tmp_path, monkeypat
     assert answer.exit_code == 1, answer.output
     assert "frame: without key points right_temple_tip" in answer.stderr
     assert "rms off the unbent frame's" in answer.stderr
-    assert "small.ply: its front is 8" in answer.stderr
+    assert re.search(r"small\.ply: front 8\S* units wide, 8\S* mm \(unit: mm, .*give what", answer.stderr)
     record = json.loads((tmp_path / "out" / "frame" / "result.json").read_text())
     assert record["mode"] == "unbend"
     assert any(step["stage"] == "eyeglasses.unbend" and step["ran"] for step in record["plan"])
@@ -224,7 +225,9 @@ def test_a_front_without_temples_has_a_size_too(tmp_path):
     frame = read_frame(path)
     assert frame.mm_per_unit == 10.0
     done = canonicalize_frames([frame, read_frame(save(tmp_path, "whole")[0])], budget=0.1)
-    assert done.notes == ("frame: without temples, left and right cannot be checked reliably",)
+    assert done.notes[0] == "frame: without temples, left and right cannot be checked reliably"
+    (lean,) = done.notes[1:]
+    assert re.match(r"frame 1: a bend common to both temples stays, .* \+- \d+\.\d mm\)", lean)
 
 
 @pytest.mark.parametrize("unit", MM)
@@ -237,7 +240,8 @@ def test_the_width_of_a_front_decides_before_its_length(tmp_path, unit):
     write_keypoints(keypoints_beside(path), marks, unit="unknown")
     frame = read_frame(path)
     assert frame.mm_per_unit == MM[unit]
-    assert re.match(rf"unit: {unit} \(front 1\d\d.* mm wide\), decided from it", frame.scan.notes[0])
+    (note,) = (n for n in frame.scan.notes if n.startswith("unit: "))
+    assert re.match(rf"unit: {unit}, decided from its front's width .* front [\d.]+ units wide, 1\d\d", note)
 
 
 def test_sizes_of_no_glasses_are_told(tmp_path):
@@ -267,13 +271,43 @@ def test_other_widths_admit_small_frames(tmp_path):
     marks = read_keypoints(keypoints_beside(path)) / 5
     for unit in ("mm", "unknown"):
         write_keypoints(keypoints_beside(path), marks, unit=unit)
-        with pytest.raises(ScanError, match=r"glasses canonicalize` admits other sizes with --widths"):
+        with pytest.raises(ScanError, match=r"takes the front's --frame-width in mm, .* with --widths"):
             read_frame(path, unit="mm")
         frame = read_frame(path, unit="mm", widths_mm=(25, 60))
         np.testing.assert_allclose(frame.keypoints, marks)
     assert read_frame(path, widths_mm=(25, 60)).mm_per_unit == 1.0
-    with pytest.raises(ScanError, match=r"may be in mm or cm; .*--unit\), or admit other --widths"):
+    with pytest.raises(ScanError, match=r"may be in mm or cm; .* --frame-width in mm or other --widths"):
         read_frame(path, widths_mm=(25, 400))
+
+
+@pytest.mark.parametrize("marks", ["mm", "unknown"])
+def test_a_measured_front_sets_the_scale_of_its_set(tmp_path, monkeypatch, marks):
+    """Without it the front, 4.67 units wide, was called one of 46.7 units, and in cm, in one log."""
+    paths = [save(tmp_path, name, marks=marks, seed=k)[0] for k, name in enumerate("ab")]
+    widths = []
+    for path in paths:
+        mesh, beside = trimesh.load(path, process=False), keypoints_beside(path)
+        widths.append(front_width(read_frame(path).keypoints, read_frame(path).scan.vertices))
+        trimesh.Trimesh(mesh.vertices / 30, mesh.faces, process=False).export(path)
+        write_keypoints(beside, read_keypoints(beside) / (30 if marks == "unknown" else 3), unit=marks)
+    refused = run(monkeypatch, *paths, "-o", tmp_path / "none")
+    assert refused.exit_code == 2
+    assert len(re.findall(r"front 4\.\d* units wide", refused.stderr)) == 2
+    assert "--frame-width" in refused.stderr
+    assert not re.search(r"4\d\.\d* units|unit: c?m,.*\n.*in the file", refused.stderr)
+    options = ("--frame-width", widths[0], "--budget", 0.2)
+    answer = run(monkeypatch, *paths, "-o", tmp_path / "out", *options)
+    assert answer.exit_code == 0, answer.output
+    assert re.search(r"a: unit: 30 mm, from --frame-width; front 4\.\d* units wide, 1\d\d", answer.stderr)
+    assert re.search(r"b: unit: 30 mm, as in the first file; front 4\.\d* units wide, 1\d\d", answer.stderr)
+    for name, width in zip("ab", widths, strict=True):
+        found = read_canonical(tmp_path / "out" / name / "canonical.npz")
+        assert found.scale == 1
+        assert front_width(found.keypoints, found.vertices) == pytest.approx(width, rel=0.02)
+    bare = np.where(np.arange(20)[:, None] < 11, read_keypoints(keypoints_beside(paths[0])), np.nan)
+    write_keypoints(keypoints_beside(paths[0]), bare, unit="unknown")
+    with pytest.raises(EyeglassesError, match=r"a\.ply: place both hinges"):
+        read_frame(paths[0], frame_width_mm=140)
 
 
 def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):

@@ -106,6 +106,28 @@ def test_the_input_has_the_hashes_of_what_was_read(files, tmp_path):
     assert {what: (file.file, file.sha256) for what, file in source.files.items()} == expected
 
 
+def test_the_inside_of_an_open_face_is_not_drawn():
+    """From behind, where a relit picture shows none of it either; a face wound inward stays."""
+    ball = head()
+    front = ball.faces[ball.triangles_center[:, 2] > -110]
+    frame, light = Surface(BENT.vertices, BENT.faces), np.full((8, 16, 3), 0.5)
+    behind = [view("behind", [0, 0, -600])]
+    shown = {}
+    for name, faces in (("outward", front), ("inward", front[:, ::-1])):
+        drawn = render_lenses(
+            frame,
+            BENT.keypoints,
+            LensMaterial(),
+            head=Surface(ball.vertices, faces, (0.0, 0.0, 0.0)),
+            cameras=behind,
+            environment_linear=light,
+            options=LensPictureOptions(supersampling=1, light_count=4),
+        )
+        shown[name] = (drawn.views[0].picture.without_lenses_linear.max(2) < 1e-6).mean()
+    # Temples in the shade of the face are dark too.
+    assert shown["outward"] < 0.01 < 0.9 < shown["inward"]
+
+
 def test_drawn_views_and_their_files(files, tmp_path, monkeypatch):
     out = tmp_path / "out"
     answer = run(monkeypatch, files, "-o", out, "--dioptres", "-4,-2.5", "--fresnel", "--json")

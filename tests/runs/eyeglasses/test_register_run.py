@@ -33,6 +33,7 @@ from scan2albedo.eyeglasses import (
     write_labels,
     write_start,
 )
+from scan2albedo.eyeglasses.mean_keypoints import front_width
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.report.overview import Panel
@@ -108,6 +109,16 @@ def done(inputs, tmp_path_factory):
     out = tmp_path_factory.mktemp("registered")
     with pytest.MonkeyPatch.context() as patch:
         return out, run(patch, inputs / "frame.obj", out, inputs, "--json")
+
+
+def test_a_measured_front_sets_the_scale_of_a_frame(inputs):
+    files = (inputs / "frame.obj", inputs / "cameras.json", inputs / "labels.json")
+    usual = read_registration(*files).frame
+    width = front_width(usual.keypoints, usual.scan.vertices)
+    larger = read_registration(*files, frame_width_mm=1.1 * width).frame
+    np.testing.assert_allclose(larger.keypoints, 1.1 * usual.keypoints, rtol=1e-12)
+    np.testing.assert_allclose(larger.scan.vertices, 1.1 * usual.scan.vertices, rtol=1e-6)
+    assert larger.mm_per_unit == pytest.approx(1.1 * usual.mm_per_unit)
 
 
 def test_a_frame_lands_where_the_pictures_show_it(done, person):
