@@ -79,7 +79,7 @@ def open_features(face: ProcessedFace, model: AnnotatedSurface | None = None) ->
     mouth = named_texels(face, FEATURES["mouth"][1:], model)
     if mouth.any():
         area = np.linalg.norm(np.cross(*np.gradient(face.image.position, axis=(0, 1))), axis=-1)
-        between = named_texels(face, ["between_lips"], model)
+        between = grown(named_texels(face, ["between_lips"], model), 0)
         found["mouth"] = bool(area[between].sum() > _OPEN * area[mouth].sum())
     return found
 
