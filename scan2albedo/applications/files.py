@@ -22,7 +22,7 @@ from scan2albedo.io.geometry_image_files import (
     write_geometry_image,
 )
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.records import plain_json, read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
@@ -84,7 +84,7 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     if estimate is None:
         found = _without_albedo(image, need_albedo, name)
     else:
-        taken = ("albedo_linear", "reflectance", "lights", "casts_shadows")
+        taken = ("albedo_linear", "reflectance", "lights", "casts_shadows", "expected_error")
         seen = ("view_direction", "shadow_offset_mm", "environment")
         found = {field: getattr(estimate, field) for field in (*taken, *seen)}
     return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **found)
@@ -134,6 +134,8 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
                 f"{file}: its parameters describe no reflectance ({error}); process the scan again"
             ) from error
         found |= {"albedo_linear": albedo, "reflectance": skin}
+        if (stored := folder / "expected_error.exr").is_file():
+            found["expected_error"] = read_image_linear(stored)[..., 0]
     else:
         image = read_geometry_image(_present(folder, "geometry_image.npz"))
         found |= _without_albedo(image, need_albedo, folder)
@@ -219,9 +221,8 @@ def write_face(
             factor = auto_exposure(face.albedo_linear[face.mask])
             filled = filled_from_nearest(face.albedo_linear, face.mask)
             preview = encode_srgb_bytes(np.clip(factor * filled, 0, 1))
-            on_white = np.where(face.mask[..., None], preview, np.uint8(255))
             alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
-            write_png(staging.folder / "albedo.png", np.dstack([on_white, alpha]))
+            write_png(staging.folder / "albedo.png", np.dstack([preview, alpha]))
             parameters = {
                 "brdf": skin.brdf,
                 "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
@@ -243,5 +244,6 @@ def write_face(
             reflectance=parameters,
             lights=face.lights,
             environment=face.environment,
+            notes=face.notes,
         )
     return target

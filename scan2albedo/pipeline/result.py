@@ -48,6 +48,7 @@ FILES = OwnFiles(
         "geometry_image.exr",
         "albedo.exr",
         "albedo.png",
+        "expected_error.exr",
         "shading.exr",
         "specular.exr",
         "shadow.png",
@@ -69,7 +70,8 @@ FILES = OwnFiles(
 
 _PICTURES = frozenset({"overview.png", "error_vs_time.png"})
 _LEFT_OUT = _PICTURES | {
-    *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png")
+    *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
+    "expected_error.exr",
 }
 """What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
 
@@ -195,6 +197,8 @@ def write_result(
     left_out = _LEFT_OUT if files == "minimal" else frozenset() if pictures else _PICTURES
     preview = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
     deep = np.uint16 if scan.texture_linear is not None and is_deep(scan.texture_linear) else np.uint8
+    # Colours go on beyond the mask: viewers that filter a texture mix in no white.
+    shown = None if preview is None else filled_from_nearest(preview, image.mask).astype(np.uint8)
     folder = RunFolder(out / scan.name, FILES, recorded)
     with folder.publishing() as staging:
 
@@ -209,15 +213,16 @@ def write_result(
             write("skin.png", write_png, _gray_bytes(np.where(image.mask, image.skin, 0)))
         if image.labels is not None:
             write("labels.png", write_indexed_png, image.labels)
-        if estimate is not None and preview is not None:
+        if estimate is not None and shown is not None:
             seen = np.where(image.seen, np.uint8(255), np.uint8(0))
             write("albedo.exr", write_exr, estimate.albedo_linear)
-            write("albedo.png", write_png, np.dstack([preview, seen]))
+            write("albedo.png", write_png, np.dstack([shown, seen]))
+            if estimate.expected_error is not None:
+                write("expected_error.exr", write_exr, estimate.expected_error)
             write("shading.exr", write_exr, estimate.shading)
             write("specular.exr", write_exr, estimate.specular)
             write("shadow.png", write_png, _gray_bytes(estimate.shadow))
         if fitted is not None:
-            shown = None if preview is None else filled_from_nearest(preview, image.mask).astype(np.uint8)
             write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, shown)
             vertices, faces = fitted.template_vertices, fitted.model.template_faces
             if result.template is not None:
