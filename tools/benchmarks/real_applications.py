@@ -50,10 +50,7 @@ PAIRS = (
     ("fran", "d_dome"),
     ("d_two_colours", "d_window_lamp"),
     ("james", "d_two_colours"),
-    ("shut_james", "fran"),
-    ("d_emily_pods", "shut_james"),
 )
-"""`shut_james` is james with shut eyes painted on, which is processed by hand."""
 FEATURES = {
     "left eye": ("left_eye",),
     "right eye": ("right_eye",),
