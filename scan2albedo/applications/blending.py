@@ -68,15 +68,10 @@ def blend_faces(
     )
     skins = []
     for face, other, part, gain in ((a, b, weight, gains[0]), (b, a, 1 - weight, gains[1])):
-        own, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
-        skins.append(
-            gain
-            * (
-                own
-                if share == 0
-                else _between(own, continued_skin(face, other, model, other is nearer), share)
-            )
-        )
+        skin, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
+        if share > 0:
+            skin = _between(skin, continued_skin(face, other, model, other is nearer), share)
+        skins.append(gain * skin)
     if weight in (0, 1):
         albedo = skins[round(weight)]
     else:
@@ -87,9 +82,8 @@ def blend_faces(
     # The reflectance is the nearer one's where the models do not blend.
     ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
     levels = [float(np.exp(np.log(gain).mean())) for gain in gains]
-    strength = (1 - weight) * levels[0] * ours.specular_strength + weight * levels[
-        1
-    ] * theirs.specular_strength
+    strengths = levels[0] * ours.specular_strength, levels[1] * theirs.specular_strength
+    strength = (1 - weight) * strengths[0] + weight * strengths[1]
     if (ours.brdf == "minnaert") == (theirs.brdf == "minnaert"):
         exponent = float(ours.exponent ** (1 - weight) * theirs.exponent**weight)
         if 0 < weight < 1 and 0 in (ours.specular_strength, theirs.specular_strength):

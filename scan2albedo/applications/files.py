@@ -21,8 +21,9 @@ from scan2albedo.io.geometry_image_files import (
     read_image_and_albedo,
     write_geometry_image,
 )
-from scan2albedo.io.glb import write_glb
+from scan2albedo.io.glb import METRES_PER_MM, write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
+from scan2albedo.io.limits import DAMAGE
 from scan2albedo.io.records import plain_json, read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
@@ -156,9 +157,6 @@ def _present(folder: Path, name: str) -> Path:
 def _fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
     """Return the fitted surface: triangles and chart of the GLB, vertices of the image where it has them."""
     import trimesh
-
-    from scan2albedo.io.glb import METRES_PER_MM
-    from scan2albedo.io.limits import DAMAGE
 
     file = _present(folder, "fitted.glb")
     try:

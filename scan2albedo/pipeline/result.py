@@ -40,40 +40,25 @@ UNLIT_FILES = (*(f"unlit{end}" for end in _MESH), "unlit_confidence.png", "unlit
 """With several pictures each has a number, in the order of the scan's materials."""
 TEMPLATE_FILES = (*(f"template{end}" for end in _MESH), "template_normal.png", "template_normal.*.png")
 """With several tiles each has pictures with its UDIM number."""
-FILES = OwnFiles(
-    RESULT_FILE,
-    ResultRecord,
-    (
-        "geometry_image.npz",
-        "geometry_image.exr",
-        "albedo.exr",
-        "albedo.png",
-        "expected_error.exr",
-        "shading.exr",
-        "specular.exr",
-        "shadow.png",
-        "skin.png",
-        "labels.png",
-        "fitted.glb",
-        *TEMPLATE_FILES,
-        *UNLIT_FILES,
-        "registration.json",
-        "landmarks.json",
-        "landmarks.csv",
-        "trace.csv",
-        "error_vs_time.png",
-        "overview.png",
-    ),
-    whole_folder=True,
-)
-"""Every file a result may have."""
-
 _PICTURES = frozenset({"overview.png", "error_vs_time.png"})
 _LEFT_OUT = _PICTURES | {
     *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
     "expected_error.exr",
 }
 """What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
+FILES = OwnFiles(
+    RESULT_FILE,
+    ResultRecord,
+    (
+        *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
+        *("landmarks.json", "landmarks.csv", "trace.csv"),
+        *sorted(_LEFT_OUT),
+        *TEMPLATE_FILES,
+        *UNLIT_FILES,
+    ),
+    whole_folder=True,
+)
+"""Every file a result may have."""
 
 SURE = 0.5
 """Confidence of a registration below which there is a doubt: whole faces have more."""

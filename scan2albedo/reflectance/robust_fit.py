@@ -146,7 +146,7 @@ class RobustFit:
             normal[:] = self._equations(part)
             kernels.solve_free(normal, data.mean, data.prior, self.center[block], deviation)
             if self.tilting:
-                equations, prior = self._tilt_equations(part), self._tilt_prior()
+                equations, prior = self._tilt_equations(part)
                 variance = self.tilt_variance[block]
                 tilt_kernels.deviations_with_tilts(
                     normal, equations, data.prior, prior, part, deviation, variance
@@ -168,7 +168,7 @@ class RobustFit:
             kernels.solve_free(normal, data.mean, data.prior, center, deviation[block])
             self.estimate[part] = found
             if self.tilting:
-                equations, prior = self._tilt_equations(part), self._tilt_prior()
+                equations, prior = self._tilt_equations(part)
                 tilt_kernels.deviations_with_tilts(
                     normal, equations, data.prior, prior, part, deviation[block], np.empty(len(part))
                 )
@@ -199,18 +199,14 @@ class RobustFit:
         kernels.add_normal_equations(*seen, part, normal)
         return normal
 
-    def _tilt_prior(self) -> FloatArray:
-        """Return (V,) the precisions of the Gaussian that touches the tilts' prior."""
-        assert self.data.tilt_sigma is not None
-        square = (self.tilt**2).sum(1)
-        return np.asarray((TILT_FREEDOM + 2) / (TILT_FREEDOM * self.data.tilt_sigma**2 + square))
-
-    def _tilt_equations(self, part: IntArray) -> FloatArray:
-        equations = np.empty((len(part), 17))
-        data = self.data
+    def _tilt_equations(self, part: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return equations (N, 17), and (V,) precisions of the Gaussian that touches the tilts' prior."""
+        equations, data = np.empty((len(part), 17)), self.data
+        assert data.tilt_sigma is not None
         seen = self.lobes, data.bounce, data.slopes, self.weight, self.estimate, self.tilt
         tilt_kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
-        return equations
+        square = (self.tilt**2).sum(1)
+        return equations, (TILT_FREEDOM + 2) / (TILT_FREEDOM * data.tilt_sigma**2 + square)
 
     def _reweigh(self, rows: IntArray) -> None:
         """Update weights, losses and misfits of `rows` (N,)."""

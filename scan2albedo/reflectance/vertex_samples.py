@@ -263,6 +263,7 @@ def sample_vertices(
     flashes, flash = np.unique(rig.light_positions, axis=0, return_inverse=True)
     seen = [visibility.seen(one, VIEW_COSINE) for one in cameras]
     lit = [visibility.lit(one) for one in flashes]
+    camera, flash = camera.ravel(), flash.ravel()  # NumPy 2.0 gives them the axes of the rig
     lobes *= np.stack([visibility.reached(one) for one in flashes])[flash, :, None]
     for j, (view, light) in enumerate(zip(camera, flash, strict=True)):
         pixels, _ = project(cameras[view], xyz)

@@ -146,9 +146,7 @@ def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray)
     """Return the normal away from the temples' key points, where there are any."""
     behind = keypoints[[i for i, n in enumerate(KEY_POINT_NAMES) if n.endswith(_BEHIND)]]
     behind = behind[np.isfinite(behind).all(1)]
-    if len(behind) == 0:
-        return normal
-    return -normal if (behind.mean(0) - center) @ normal > 0 else normal
+    return -normal if len(behind) and (behind.mean(0) - center) @ normal > 0 else normal
 
 
 def lens_mesh(

@@ -227,7 +227,7 @@ def read_registration(
         files["start"] = _hashed(start)
     read: list[tuple[str, RawScan]] = []
     if mesh.suffix.lower() == CANONICAL:
-        if keypoints is not None or unit not in ("auto", "mm"):
+        if keypoints is not None or unit not in ("auto", "mm") or frame_width_mm is not None:
             raise ValueError(f"{mesh.name} brings its own key points, and is in mm")
         made, own = read_canonical(mesh), {"mesh": _hashed(mesh)}
         # All canonical frames' files are called alike, their folders are not.
