@@ -167,15 +167,13 @@ def _fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
         raise ApplicationError(
             f"{file}: cannot be read as a textured GLB ({error}); process the scan again"
         ) from error
-    exact = None if image.occluder is None else image.occluder[0]
-    if exact is not None and (
-        exact.shape != vertices.shape or np.abs(exact - vertices).max() > SAME_PLACE_MM
-    ):
+    exact = vertices if image.occluder is None else image.occluder[0]
+    if exact.shape != vertices.shape or np.abs(exact - vertices).max(initial=0.0) > SAME_PLACE_MM:
         raise ApplicationError(
             f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "
             "process the scan again"
         )
-    return FaceMesh(vertices if exact is None else exact, faces, uv)
+    return FaceMesh(exact, faces, uv)
 
 
 def check_face_folder(folder: Path) -> None:

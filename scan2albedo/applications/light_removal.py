@@ -105,8 +105,8 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     # The light of black texels is that of the estimate, not the quotient of two colours.
     black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
     light = (image.texture_linear + black * estimate.shading) / (albedo + black)
-    log_light = filled_from_nearest(np.log(np.maximum(light, DARKEST * usual)), mask)
-    log_light = _without_dark_spots(log_light)
+    log_light = np.log(np.maximum(light, DARKEST * usual))
+    log_light = _without_dark_spots(filled_from_nearest(log_light, mask))
     log_beyond, steps = np.full((len(scan.vertices), 3), math.log(usual)), np.zeros((len(scan.vertices), 2))
     if reach == "all":
         # Light of the estimate's lamps and environment on the scan's own shape, and its outlines.

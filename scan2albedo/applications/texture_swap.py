@@ -74,13 +74,11 @@ def swap_texture(
         require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
     require_type(options, SwapOptions, "swap_texture: options", "make them with SwapOptions()")
     shape, skin = on_common_chart(a, b)
-    levels = skin.level(), shape.level()
-    if not options.match_level:
-        gains = np.ones(3)
-    elif options.match_color:
+    levels, gains = (skin.level(), shape.level()), np.ones(3)
+    if options.match_level and options.match_color:
         gains = skin_gains(skin, shape)
-    else:
-        gains = np.full(3, levels[1] / levels[0] if min(levels) > 0 else 1.0)
+    elif options.match_level and min(levels) > 0:
+        gains *= levels[1] / levels[0]
     albedo, unlike = gains * continued_skin(skin, shape, model), unlike_features(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     image = replace(

@@ -74,8 +74,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     a and b the bones' unit directions before and after, by sweeps from R = 1. Bones of key points (K, 3) with
     NaN ends do not count.
     """
-    bones = known_bones(source + target)
-    k, j = bones.T
+    k, j = known_bones(source + target).T
     before, after = (normalized(points[j] - points[k]) for points in (source, target))
     turns = np.zeros((len(source), 3, 3))
     np.add.at(turns, k, after[:, :, None] * before[:, None, :])

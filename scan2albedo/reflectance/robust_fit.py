@@ -146,11 +146,8 @@ class RobustFit:
             normal[:] = self._equations(part)
             kernels.solve_free(normal, data.mean, data.prior, self.center[block], deviation)
             if self.tilting:
-                equations, prior = self._tilt_equations(part)
-                variance = self.tilt_variance[block]
-                tilt_kernels.deviations_with_tilts(
-                    normal, equations, data.prior, prior, part, deviation, variance
-                )
+                tilts, variance = self._tilt_equations(part), self.tilt_variance[block]
+                tilt_kernels.deviations_with_tilts(normal, *tilts, part, deviation, variance)
 
         each_block(posterior, blocks(size, BLOCK))
         return self
@@ -168,13 +165,9 @@ class RobustFit:
             kernels.solve_free(normal, data.mean, data.prior, center, deviation[block])
             self.estimate[part] = found
             if self.tilting:
-                equations, prior = self._tilt_equations(part)
-                tilt_kernels.deviations_with_tilts(
-                    normal, equations, data.prior, prior, part, deviation[block], np.empty(len(part))
-                )
-                tilt_kernels.step_tilts(
-                    normal, equations, data.prior, prior, self.damping, part, self.estimate, self.tilt
-                )
+                tilts, unused = self._tilt_equations(part), np.empty(len(part))
+                tilt_kernels.deviations_with_tilts(normal, *tilts, part, deviation[block], unused)
+                tilt_kernels.step_tilts(normal, *tilts, self.damping, part, self.estimate, self.tilt)
                 turn_lobes(data.lobes, data.slopes, self.tilt, part, self.lobes)
 
         each_block(work, blocks(len(rows), BLOCK))
@@ -199,14 +192,14 @@ class RobustFit:
         kernels.add_normal_equations(*seen, part, normal)
         return normal
 
-    def _tilt_equations(self, part: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return equations (N, 17), and (V,) precisions of the Gaussian that touches the tilts' prior."""
+    def _tilt_equations(self, part: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return equations (N, 17), the prior (6,), and that of tilts (V,): the Gaussian that touches it."""
         equations, data = np.empty((len(part), 17)), self.data
         assert data.tilt_sigma is not None
         seen = self.lobes, data.bounce, data.slopes, self.weight, self.estimate, self.tilt
         tilt_kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
         square = (self.tilt**2).sum(1)
-        return equations, (TILT_FREEDOM + 2) / (TILT_FREEDOM * data.tilt_sigma**2 + square)
+        return equations, data.prior, (TILT_FREEDOM + 2) / (TILT_FREEDOM * data.tilt_sigma**2 + square)
 
     def _reweigh(self, rows: IntArray) -> None:
         """Update weights, losses and misfits of `rows` (N,)."""

@@ -231,9 +231,9 @@ def sample_vertices(
     Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
     pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
     vertices and cast shadows are found by rays against the mesh. Vertices nearer than 1.5 pixels to an edge
-    of the surface are left out. Raises `ValueError` when shapes
-    disagree, or the reference distance is not above 0 and finite; `ReflectanceError` when there are not as
-    many cameras as pictures, or vertices or normals are not finite or not unit.
+    of the surface are left out. Raises `ValueError` when shapes disagree, or the reference distance is not
+    above 0 and finite; `ReflectanceError` when there are not as many cameras as pictures, or vertices or
+    normals are not finite or not unit.
 
     Parameters
     ----------

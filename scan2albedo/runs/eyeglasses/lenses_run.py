@@ -185,8 +185,7 @@ def render_lenses(
     if len(known):
         query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
         hits = query.query(known)
-        apart = float(np.median(hits.distance))
-        if apart > _WORN_MM:
+        if (apart := float(np.median(hits.distance))) > _WORN_MM:
             raise EyeglassesError(
                 f"the frame lies {apart:.0f} mm away from the head; give both in the same world, and their "
                 "units"

@@ -31,7 +31,6 @@ from scan2albedo.reflectance import (
     write_reflectance,
 )
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
-from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import (
     albedo_colors,
@@ -217,11 +216,9 @@ def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | Non
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return a flash's light (H, W, 3), that of the tested fit, and where it is known (H, W)."""
     assert done.error is not None
-    capture = done.capture
-    fit, rig = done.error.fit, capture.rig
+    capture, fit, rig = done.capture, done.error.fit, done.capture.rig
     normals = tilted_normals(vertex_normals(capture.vertices, capture.faces), fit.tilt)
-    one = fit.reflectance
-    shown = VertexReflectance(one.diffuse_linear, one.weights, fit.drawn)
+    shown = replace(fit.reflectance, known=fit.drawn)
     linear = done.olat.linear[pair].astype(np.float64)
     made, known = relit_picture(
         capture.vertices,
