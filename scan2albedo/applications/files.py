@@ -110,12 +110,10 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
-        found: dict[str, Any] = {
-            "model_name": str(scan.options.get("model", NO_MODEL)),
-            "casts_shadows": all(step.ran for step in scan.plan if step.stage == "albedo.shadows"),
-        }
+        found: dict[str, Any] = {name: getattr(scan, name) for name in ("name", "lights", "environment")}
+        found["model_name"] = str(scan.options.get("model", NO_MODEL))
+        found["casts_shadows"] = all(step.ran for step in scan.plan if step.stage == "albedo.shadows")
         parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL
-        found |= {"name": scan.name, "lights": scan.lights, "environment": scan.environment}
     else:
         file = folder / APPLICATION_FILE
         made = read_record(file, ApplicationRecord)

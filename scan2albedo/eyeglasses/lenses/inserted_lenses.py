@@ -25,7 +25,7 @@ from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
 
 SIDES = ("left", "right")
-_BEHIND = ("hinge", "temple_middle", "ear_bend", "temple_tip")
+_BEHIND = np.array([n.split("_")[1] in ("hinge", "temple", "ear") for n in KEY_POINT_NAMES])
 _RADII_MM = (5.0, 100.0)
 """Mean radii of lenses, a reader's slit to a diving mask: others are not millimetres."""
 _GLANCING = 1e-3
@@ -144,8 +144,7 @@ def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
 
 def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray) -> FloatArray:
     """Return the normal away from the temples' key points, where there are any."""
-    behind = keypoints[[i for i, n in enumerate(KEY_POINT_NAMES) if n.endswith(_BEHIND)]]
-    behind = behind[np.isfinite(behind).all(1)]
+    behind = keypoints[_BEHIND & np.isfinite(keypoints).all(1)]
     return -normal if len(behind) and (behind.mean(0) - center) @ normal > 0 else normal
 
 
