@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.applications.face_features import UNLIKE, unlike_features
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.skin_match import displacement, skin_gains, warped
 from scan2albedo.applications.texture_swap import continued_skin
@@ -28,7 +29,8 @@ def blend_faces(
     Positions are blended linearly on the chart that both share; normals follow the new surface. The skins are
     scaled to one colour, the geometric mean of theirs by weight, and then blended linearly: level and tint of
     an albedo depend on the scan's light. Features that lie on texels a little apart are moved onto one
-    another first (`skin_match.displacement`). What was not seen is continued as in `swap_texture`. Raises
+    another first (`skin_match.displacement`). What was not seen is continued as in `swap_texture`; eyes and
+    mouths that are open in one face alone are the nearer one's, with a note. Raises
     `ApplicationError` when the faces do not share a chart, or for a weight outside [0, 1].
 
     Parameters
@@ -66,8 +68,10 @@ def blend_faces(
     )
     skins = []
     for face, other, part, gain in ((a, b, weight, gains[0]), (b, a, 1 - weight, gains[1])):
-        own, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
-        skins.append(gain * (own if share == 0 else _between(own, continued_skin(face, other, model), share)))
+        skin, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
+        if share > 0:
+            skin = _between(skin, continued_skin(face, other, model, other is nearer), share)
+        skins.append(gain * skin)
     if weight in (0, 1):
         albedo = skins[round(weight)]
     else:
@@ -78,8 +82,8 @@ def blend_faces(
     # The reflectance is the nearer one's where the models do not blend.
     ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
     levels = [float(np.exp(np.log(gain).mean())) for gain in gains]
-    strength = (1 - weight) * levels[0] * ours.specular_strength
-    strength += weight * levels[1] * theirs.specular_strength
+    strengths = levels[0] * ours.specular_strength, levels[1] * theirs.specular_strength
+    strength = (1 - weight) * strengths[0] + weight * strengths[1]
     if (ours.brdf == "minnaert") == (theirs.brdf == "minnaert"):
         exponent = float(ours.exponent ** (1 - weight) * theirs.exponent**weight)
         if 0 < weight < 1 and 0 in (ours.specular_strength, theirs.specular_strength):
@@ -95,6 +99,8 @@ def blend_faces(
         albedo_linear=albedo.astype(np.float32),
         reflectance=replace(reflectance, specular_strength=strength),
         casts_shadows=a.casts_shadows or b.casts_shadows,
+        expected_error=None,
+        notes=tuple(UNLIKE.format(name, nearer.name) for name in unlike_features(a, b, model)),
     )
 
 

@@ -22,10 +22,13 @@ FEATURES = {
     "mouth": ("lip", "upper_lip", "lower_lip", "between_lips"),
 }
 """Labels and regions that are of one person or of another, never half and half: both eyes have one colour."""
+UNLIKE = "{} open in one face and shut in the other: those of {} as a whole"
 SIDES = ("left_temple", "right_temple", "left_cheek", "right_cheek")
 JAWS = ("left_jaw", "right_jaw")
 _WHOLE = 0.05
 """A feature of which less is missing is whole."""
+_OPEN = 0.25
+"""From this share on an eye or mouth is open: half way between none and that of open ones."""
 AROUND = 0.012
 """Part of the image's side by which a feature, or hair, reaches beyond its texels."""
 _BRIGHTEST = 1.5
@@ -56,22 +59,61 @@ def named_texels(
     return np.asarray(face.mask & found)
 
 
+def open_features(face: ProcessedFace, model: AnnotatedSurface | None = None) -> dict[str, bool]:
+    """Return whether the eyes, and the mouth, are open; without a name that the annotation does not know.
+
+    Eyes are where more of their region is likelier of any colour than of the face's own skin around it (both
+    Gaussian in log albedo), a mouth where more of its surface lies between the lips, than `_OPEN`.
+    """
+    found: dict[str, bool] = {}
+    eyes = named_texels(face, FEATURES["eyes"][1:], model)
+    inside, around = eyes & face.image.seen, grown(eyes, 2 * AROUND) & ~grown(eyes, 0) & face.bare
+    if inside.any() and around.sum() > len(CLASSES):
+        floor = FLOOR * face.level()
+        lids, shown = (np.log(np.maximum(face.albedo_linear[t], floor)) for t in (around, inside))
+        odds, own = np.zeros(len(shown)), np.cov(lids.T) + FLOOR * np.eye(3)
+        for sign, spread in ((1, own + np.eye(3) / 2), (-1, own)):
+            away = np.linalg.solve(np.linalg.cholesky(spread), (shown - np.median(lids, axis=0)).T)
+            odds -= sign * ((away**2).sum(0) + np.linalg.slogdet(spread)[1])
+        found["eyes"] = bool(np.mean(odds > 0) > _OPEN)
+    mouth = named_texels(face, FEATURES["mouth"][1:], model)
+    if mouth.any():
+        area = np.linalg.norm(np.cross(*np.gradient(face.image.position, axis=(0, 1))), axis=-1)
+        between = grown(named_texels(face, ["between_lips"], model), 0)
+        found["mouth"] = bool(area[between].sum() > _OPEN * area[mouth].sum())
+    return found
+
+
+def unlike_features(a: ProcessedFace, b: ProcessedFace, model: AnnotatedSurface | None = None) -> list[str]:
+    """Return which of eyes and mouth are open in one of two faces and shut in the other."""
+    states = [open_features(face, model) for face in (a, b)]
+    return [name for name in states[0] if states[0][name] != states[1].get(name, states[0][name])]
+
+
 def taken_features(
-    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None
+    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None, wins: bool = True
 ) -> tuple[BoolArray, BoolArray]:
     """Return (H, W) texels of the features that `other` gives as a whole, and those that stay.
 
-    It gives those of which part was not seen in `face`, and at most half as much in `other`, with what is
-    close to them. Other eyes and mouths stay as they are; brows and nostrils are continued like skin.
+    It gives those of which part was seen in `face` neither there nor on the other side, and at most half as
+    much in `other`, with what is close to them; of `unlike_features` all where it `wins`, else none. Other
+    eyes and mouths stay as they are; brows and nostrils are continued.
     """
     taken, kept = np.zeros((2, *face.mask.shape), bool)
+    unlike, theirs = unlike_features(face, other, model), feature_texels(other, model)
+    shown = [f.image.seen | (f.image.seen[:, ::-1] & mirrored(f)) for f in (face, other)]
     for name, texels in feature_texels(face, model).items():
-        missing, others = (float(np.mean(~given.image.seen[texels])) for given in (face, other))
-        if missing > _WHOLE and others < missing / 2:
-            taken |= texels
+        missing, others = (float(np.mean(~seen[texels])) for seen in shown)
+        if wins if name in unlike else missing > _WHOLE and others < missing / 2:
+            taken |= texels | theirs.get(name, texels)
         elif name in ("eyes", "mouth"):
             kept |= texels
     return face.mask & grown(taken, AROUND) & ~kept, kept
+
+
+def mirrored(face: ProcessedFace) -> bool:
+    """Return whether the left half of the chart is the mirrored right one, as the default model's is."""
+    return face.image.region is not None and np.array_equal(face.mask, face.mask[:, ::-1])
 
 
 def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = None) -> FloatArray:

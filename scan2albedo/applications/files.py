@@ -21,8 +21,9 @@ from scan2albedo.io.geometry_image_files import (
     read_image_and_albedo,
     write_geometry_image,
 )
-from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import write_exr, write_png
+from scan2albedo.io.glb import METRES_PER_MM, write_glb
+from scan2albedo.io.images import read_image_linear, write_exr, write_png
+from scan2albedo.io.limits import DAMAGE
 from scan2albedo.io.records import plain_json, read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
@@ -42,8 +43,6 @@ FACE_FILES = OwnFiles(
     command="scan2albedo swap, blend or transfer-expression",
 )
 """Of a face that an application made."""
-_AS_IN_FACE = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
-"""Fields that an application's record has as the face has them."""
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
 
@@ -86,7 +85,7 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     if estimate is None:
         found = _without_albedo(image, need_albedo, name)
     else:
-        taken = ("albedo_linear", "reflectance", "lights", "casts_shadows")
+        taken = ("albedo_linear", "reflectance", "lights", "casts_shadows", "expected_error")
         seen = ("view_direction", "shadow_offset_mm", "environment")
         found = {field: getattr(estimate, field) for field in (*taken, *seen)}
     return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **found)
@@ -111,16 +110,15 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
-        found: dict[str, Any] = {
-            "model_name": str(scan.options.get("model", NO_MODEL)),
-            "casts_shadows": all(step.ran for step in scan.plan if step.stage == "albedo.shadows"),
-        }
+        found: dict[str, Any] = {name: getattr(scan, name) for name in ("name", "lights", "environment")}
+        found["model_name"] = str(scan.options.get("model", NO_MODEL))
+        found["casts_shadows"] = all(step.ran for step in scan.plan if step.stage == "albedo.shadows")
         parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL
-        found |= {"name": scan.name, "lights": scan.lights, "environment": scan.environment}
     else:
         file = folder / APPLICATION_FILE
         made = read_record(file, ApplicationRecord)
-        found = {name: getattr(made, name) for name in _AS_IN_FACE} | {"model_name": made.model}
+        names = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
+        found = {name: getattr(made, name) for name in names} | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
     if parameters:
         image, albedo = read_image_and_albedo(folder)
@@ -135,6 +133,8 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
                 f"{file}: its parameters describe no reflectance ({error}); process the scan again"
             ) from error
         found |= {"albedo_linear": albedo, "reflectance": skin}
+        if (stored := folder / "expected_error.exr").is_file():
+            found["expected_error"] = read_image_linear(stored)[..., 0]
     else:
         image = read_geometry_image(_present(folder, "geometry_image.npz"))
         found |= _without_albedo(image, need_albedo, folder)
@@ -156,9 +156,6 @@ def _fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
     """Return the fitted surface: triangles and chart of the GLB, vertices of the image where it has them."""
     import trimesh
 
-    from scan2albedo.io.glb import METRES_PER_MM
-    from scan2albedo.io.limits import DAMAGE
-
     file = _present(folder, "fitted.glb")
     try:
         mesh: Any = trimesh.load(file, process=False, force="mesh")
@@ -168,15 +165,13 @@ def _fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
         raise ApplicationError(
             f"{file}: cannot be read as a textured GLB ({error}); process the scan again"
         ) from error
-    exact = None if image.occluder is None else image.occluder[0]
-    if exact is not None and (
-        exact.shape != vertices.shape or np.abs(exact - vertices).max() > SAME_PLACE_MM
-    ):
+    exact = vertices if image.occluder is None else image.occluder[0]
+    if exact.shape != vertices.shape or np.abs(exact - vertices).max(initial=0.0) > SAME_PLACE_MM:
         raise ApplicationError(
             f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "
             "process the scan again"
         )
-    return FaceMesh(vertices if exact is None else exact, faces, uv)
+    return FaceMesh(exact, faces, uv)
 
 
 def check_face_folder(folder: Path) -> None:
@@ -220,21 +215,29 @@ def write_face(
             factor = auto_exposure(face.albedo_linear[face.mask])
             filled = filled_from_nearest(face.albedo_linear, face.mask)
             preview = encode_srgb_bytes(np.clip(factor * filled, 0, 1))
-            on_white = np.where(face.mask[..., None], preview, np.uint8(255))
             alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
-            write_png(staging.folder / "albedo.png", np.dstack([on_white, alpha]))
-            rough = "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad"
-            highlight = {"specular_strength": skin.specular_strength, "specular_exponent": skin.exponent}
-            parameters = {"brdf": skin.brdf, rough: skin.roughness, **highlight}
+            write_png(staging.folder / "albedo.png", np.dstack([preview, alpha]))
+            parameters = {
+                "brdf": skin.brdf,
+                "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
+                "specular_strength": skin.specular_strength,
+                "specular_exponent": skin.exponent,
+            }
         write_glb(staging.folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
         write_png(staging.folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
         staging.write_record(
-            **{name: getattr(face, name) for name in _AS_IN_FACE},
+            name=face.name,
             application=application,
             inputs=tuple(given.name for given in inputs),
             options=plain_json(options or {}),
             model=face.model_name,
             chart_mesh=mesh.from_chart,
+            casts_shadows=face.casts_shadows,
+            view_direction=face.view_direction,
+            shadow_offset_mm=face.shadow_offset_mm,
             reflectance=parameters,
+            lights=face.lights,
+            environment=face.environment,
+            notes=face.notes,
         )
     return target

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import distance_transform_edt, maximum_filter
 from skimage.filters.rank import median
 
 from scan2albedo.albedo import AlbedoEstimate
@@ -105,8 +105,8 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     # The light of black texels is that of the estimate, not the quotient of two colours.
     black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
     light = (image.texture_linear + black * estimate.shading) / (albedo + black)
-    log_light = filled_from_nearest(np.log(np.maximum(light, DARKEST * usual)), mask)
-    log_light = _without_dark_spots(log_light)
+    log_light = np.log(np.maximum(light, DARKEST * usual))
+    log_light = _without_dark_spots(filled_from_nearest(log_light, mask))
     log_beyond, steps = np.full((len(scan.vertices), 3), math.log(usual)), np.zeros((len(scan.vertices), 2))
     if reach == "all":
         # Light of the estimate's lamps and environment on the scan's own shape, and its outlines.
@@ -268,13 +268,9 @@ def _unlit_texture(
             if near[..., 0].any():
                 albedo[box] = without_lines(albedo[box], near[box], there[box], light.texels_per_mm)
             usual = filtered.noise
-        # Beside the scan's charts, where viewers interpolate across the rim, the light goes on.
-        side = 2 * _GUTTER + 1
-        count_there = uniform_filter(there.astype(np.float32), side, mode="mirror")[..., None]
-        lit = (divisor * there[..., None]).astype(np.float32)
-        total = uniform_filter(lit, (side, side, 1), mode="mirror")
-        spread = np.where(count_there > 1e-6, total / np.maximum(count_there, 1e-6), light.usual)
-        unlit = np.where(there[..., None], albedo, tile / spread) * light.usual
+        # Beside the scan's charts, where viewers interpolate across the rim, its colours go on.
+        beside = maximum_filter(there, 2 * _GUTTER + 1)[..., None]
+        unlit = np.where(beside, filled_from_nearest(albedo, there), tile / light.usual) * light.usual
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
         result[top : top + _TILE, left : left + _TILE] = unlit[own]
         confidence[top : top + _TILE, left : left + _TILE] = known[own]

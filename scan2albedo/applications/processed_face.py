@@ -91,6 +91,10 @@ class ProcessedFace:
     """The soft light of the scan; None is a white ambient light of 1."""
     has_albedo: bool = True
     """False for a shape alone: the albedo is then an even grey."""
+    expected_error: NDArray[np.float32] | None = None
+    """(H, W): relative error of the albedo, see `AlbedoEstimate`; None where it is not known."""
+    notes: tuple[str, ...] = ()
+    """What was decided in making it, one sentence each."""
 
     def __post_init__(self) -> None:
         albedo = np.asarray(self.albedo_linear, np.float32)
@@ -98,6 +102,12 @@ class ProcessedFace:
             raise ApplicationError(
                 f"{self.name}: the albedo is {albedo.shape}, expected {(*self.image.shape, 3)} like the "
                 "geometry image; process the scan again"
+            )
+        error = self.expected_error
+        if error is not None and (error.shape != self.image.shape or not np.isfinite(error).all()):
+            raise ApplicationError(
+                f"{self.name}: expected_error is {error.shape} or not finite, expected finite numbers "
+                f"{self.image.shape} like the geometry image; process the scan again"
             )
         if not np.isfinite(albedo[self.image.mask]).all():
             raise ApplicationError(f"{self.name}: the albedo holds NaN or infinite values inside the mask")
@@ -139,6 +149,11 @@ class ProcessedFace:
     def mask(self) -> BoolArray:
         """(H, W) texels of the surface."""
         return self.image.mask
+
+    @property
+    def bare(self) -> BoolArray:
+        """(H, W) texels that were seen and are skin, as far as that is known."""
+        return self.image.seen if self.image.skin is None else self.image.seen & (self.image.skin > 0.5)
 
     def level(self) -> float:
         """Return the albedo's level: the geometric mean of V over the texels whose texture was seen."""

@@ -12,7 +12,7 @@ from scan2albedo.errors import needs_extra
 
 _LEAST_TEXELS = 100
 """Of skin that both faces must have."""
-_LOCAL = 0.04
+LOCAL = 0.04
 """Part of the image's side over which the albedo's mean is taken away before features are matched; the
 displacement is averaged over half as much."""
 _FARTHEST = 0.03
@@ -28,10 +28,7 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
     The colour of a scan's light is left in its albedo, so two scans' skins differ by it. Texels count that
     are skin in both faces; seen ones where skin is not known. The factors are 1 for black albedos.
     """
-    both = source.image.seen & target.image.seen
-    skin = [face.image.skin > 0.5 for face in (source, target) if face.image.skin is not None]
-    bare = np.logical_and.reduce([both, *skin])
-    for texels in (bare, both):
+    for texels in (source.bare & target.bare, source.image.seen & target.image.seen):
         if texels.sum() >= _LEAST_TEXELS:
             ours, theirs = (
                 np.median(face.albedo_linear[texels], axis=0).astype(np.float64) for face in (source, target)
@@ -39,6 +36,26 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
             if min(*ours, *theirs) > 0:
                 return np.asarray(theirs / ours)
     return np.ones(3)
+
+
+def without_light_left(albedo: FloatArray, face: ProcessedFace, other: ProcessedFace) -> FloatArray:
+    """Return a face's albedo (H, W, 3) with the posterior mean of its smooth part, given the other's.
+
+    Light that was left is smooth. With d the local mean of what the other's log albedo has more, s_1 and s_2
+    the expected errors and t^2 = mean d^2 - s_1^2 - s_2^2, by which people differ, the mean moves by
+    d s_1^2 / (s_1^2 + s_2^2 + t^2). Nothing moves where errors are not known.
+    """
+    errors = [given.expected_error for given in (face, other) if given.expected_error is not None]
+    both = face.bare & other.bare & (albedo.min(-1) > 0) & (other.albedo_linear.min(-1) > 0)
+    if len(errors) < 2 or both.sum() < _LEAST_TEXELS:
+        return albedo
+    more, sigma = np.zeros(albedo.shape), LOCAL * max(both.shape)
+    more[both] = np.log(skin_gains(other, face) * other.albedo_linear[both] / albedo[both])
+    d = np.dstack([blurred_inside(channel, both, sigma) for channel in np.moveaxis(more, -1, 0)])
+    ours, others = (blurred_inside(error.astype(np.float64) ** 2, both, sigma) for error in errors)
+    people = max(np.mean(d[both] ** 2) - np.mean((ours + others)[both]), 0.0)
+    share = np.divide(ours, ours + others + people, out=np.zeros_like(ours), where=ours > 0)
+    return np.asarray(albedo * np.exp(d * share[..., None]))
 
 
 def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
@@ -64,9 +81,12 @@ def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
     near = np.linalg.norm(there, axis=-1) < _FARTHEST * side
     shown = np.minimum(np.abs(contrasts[0]), np.abs(warped(contrasts[1], there)))
     weight = mask * agrees * near * np.clip(shown / _LEAST_CONTRAST - 1, 0, 1)
-    sigma = (_LOCAL / 2 * side, _LOCAL / 2 * side, 0)
-    total = gaussian_filter(np.dstack([weight[..., None] * there, weight]), sigma, mode="mirror")
-    return np.asarray(total[..., :2] / np.maximum(total[..., 2:], 0.1), np.float64)
+    sigma = (LOCAL / 2 * side, LOCAL / 2 * side, 0)
+    total, share = (
+        gaussian_filter(field, sigma, mode="mirror")
+        for field in (weight[..., None] * there, weight[..., None])
+    )
+    return np.asarray(total / np.maximum(share, 0.1), np.float64)
 
 
 def warped(field: FloatArray, flow: FloatArray) -> FloatArray:
@@ -80,7 +100,7 @@ def warped(field: FloatArray, flow: FloatArray) -> FloatArray:
 def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W) log V less its local mean, in its robust deviation; 0 outside the mask."""
     value = np.log(np.maximum(albedo.max(-1), 1e-4 * max(float(albedo.max()), 1e-12)))
-    rest = np.where(mask, value - blurred_inside(value, mask, _LOCAL * max(mask.shape)), 0.0)
+    rest = np.where(mask, value - blurred_inside(value, mask, LOCAL * max(mask.shape)), 0.0)
     return np.asarray(rest / max(float(np.std(rest[mask])), 1e-6))
 
 

@@ -7,18 +7,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 
-from scan2albedo.applications.face_features import FLOOR, dark_sides, taken_features, without_catchlights
+from scan2albedo.applications.face_features import (
+    AROUND,
+    FLOOR,
+    UNLIKE,
+    dark_sides,
+    feature_texels,
+    grown,
+    mirrored,
+    taken_features,
+    unlike_features,
+    without_catchlights,
+)
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.skin_match import skin_gains
+from scan2albedo.applications.skin_match import LOCAL, skin_gains, without_light_left
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.optimization.poisson import forward_differences, integrate_gradients
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either, and over which a feature at the border fades."""
-_REACH = 0.05
-"""Part of the image's side over which the faces' difference is averaged."""
 _UNLIKE = 0.25
 """Departure (of a logarithm) from which on a texel is a feature of one face only."""
 
@@ -47,7 +56,9 @@ def swap_texture(
     Where B's texture was not seen, A's detail is continued in B's colours: its gradients of log albedo are
     integrated from the border of B's seen texels, so that no seam is left (Perez, Gangnet, Blake, "Poisson
     image editing", SIGGRAPH 2003). Where A's was not seen either the colour is continued smoothly. Eyes,
-    brows, nostrils and mouth are whole: A's where B's scan lacks part of them and A's has it, else B's.
+    brows, nostrils and mouth are whole: A's where B's scan lacks part of them on both sides and A's has it,
+    or where eyes or mouth are open in one face alone, which `notes` then say; else B's. Light left in B's
+    albedo is taken off as far as the expected errors of both allow.
     Raises `ApplicationError` when the faces do not share a chart; `TypeError` for other objects than
     processed faces, such as their folders.
 
@@ -63,14 +74,12 @@ def swap_texture(
         require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
     require_type(options, SwapOptions, "swap_texture: options", "make them with SwapOptions()")
     shape, skin = on_common_chart(a, b)
-    levels = skin.level(), shape.level()
-    if not options.match_level:
-        gains = np.ones(3)
-    elif options.match_color:
+    levels, gains = (skin.level(), shape.level()), np.ones(3)
+    if options.match_level and options.match_color:
         gains = skin_gains(skin, shape)
-    else:
-        gains = np.full(3, levels[1] / levels[0] if min(levels) > 0 else 1.0)
-    albedo = gains * continued_skin(skin, shape, model)
+    elif options.match_level and min(levels) > 0:
+        gains *= levels[1] / levels[0]
+    albedo, unlike = gains * continued_skin(skin, shape, model), unlike_features(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     image = replace(
         shape.image,
@@ -85,19 +94,31 @@ def swap_texture(
         image=image,
         albedo_linear=albedo.astype(np.float32),
         reflectance=replace(skin.reflectance, specular_strength=strength),
+        expected_error=skin.expected_error,
+        notes=tuple(UNLIKE.format(name, shape.name) for name in unlike),
     )
 
 
 def continued_skin(
-    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None
+    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None, wins: bool = True
 ) -> FloatArray:
-    """Return (H, W, 3) the albedo of a face without catchlights; `continued`, and with whole features of the
-    other face, where it was not seen."""
-    taken, kept = taken_features(face, other, model)
-    known = (trusted(face, model) | kept) & ~taken
-    guide = taken | trusted(other, model)
-    detail = replace(other, albedo_linear=without_catchlights(other, model).astype(np.float32))
-    return continued(without_catchlights(face, model), known, detail, guide)
+    """Return (H, W, 3) the albedo of a face without catchlights and `without_light_left`; `continued` where
+    it was not seen, features from its own other side, or as a whole the other face's, see `taken_features`.
+    """
+    taken, kept = taken_features(face, other, model, wins)
+    own, detail = (without_catchlights(f, model) for f in (face, other))
+    if np.allclose(own, detail, rtol=1e-6, atol=0):
+        return own
+    own = without_light_left(own, face, other)
+    sure, theirs = trusted(face, model), trusted(other, model)
+    # Where either has a feature, the other one's gradients are of another place.
+    both = [texels for f in (face, other) for texels in feature_texels(f, model).values()]
+    featured = grown(np.logical_or.reduce([*both, np.zeros_like(kept)]), AROUND) & ~taken
+    beside = featured & sure[:, ::-1] & mirrored(face)
+    source = np.where(taken | (theirs & ~featured), 1, 0) + 2 * beside
+    detail = np.where(beside[..., None], own[:, ::-1], detail)
+    known = (sure | (kept & ~(beside & ~face.image.seen))) & ~taken
+    return continued(own, known, replace(other, albedo_linear=detail.astype(np.float32)), source, taken)
 
 
 def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
@@ -107,25 +128,28 @@ def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolA
     return np.asarray(face.mask & ~near & ~dark_sides(face, model))
 
 
-def continued(albedo: FloatArray, known: BoolArray, other: ProcessedFace, guide: BoolArray) -> FloatArray:
+def continued(
+    albedo: FloatArray, known: BoolArray, other: ProcessedFace, source: IntArray, whole: BoolArray
+) -> FloatArray:
     """Return (H, W, 3) `albedo` with the texels not `known` (H, W) continued by the other face's gradients.
 
-    Gradients of log albedo are integrated from the border of the known texels; they are 0 outside `guide`
-    (H, W), where the other's albedo is known. A feature of one face alone at the border, such as the end of a
-    brow, would continue as a stain: its difference from its surroundings fades out within a few texels.
+    Gradients of log albedo are integrated from the border of the known texels; they are 0 where `source`
+    (H, W) is 0, not known, or changes. A feature of one face alone at the border, such as a wrinkle's end,
+    would continue as a stain: its difference from its surroundings fades out within a few texels, but for
+    that of `whole` (H, W) features.
     """
     missing = other.mask & ~known
-    if not missing.any() or not known.any() or np.allclose(albedo, other.albedo_linear, rtol=1e-6, atol=0):
+    if not missing.any() or not known.any():
         return albedo
     floor = FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))
     log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
     across, down = forward_differences(log_other)
-    across[~(guide[:, 1:] & guide[:, :-1])] = 0
-    down[~(guide[1:] & guide[:-1])] = 0
+    across[(source[:, 1:] != source[:, :-1]) | (source[:, 1:] == 0)] = 0
+    down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0
     # The faces' difference less its local mean, that of a box taken twice, reweighted by Geman and McClure's
     # 1 / (1 + (r / s)^2)^2.
-    both, side = known & guide, 2 * round(_REACH * max(known.shape)) + 1
+    both, side = known & (source == 1) & ~grown(whole, AROUND), 2 * round(LOCAL * max(known.shape)) + 1
     values = np.where(both[..., None], field - log_other, 0.0)
     weight, feature = both.astype(np.float64), np.zeros_like(values)
     for _ in range(5):

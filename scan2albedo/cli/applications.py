@@ -164,7 +164,8 @@ def _write_face(
 
     stop_cleanly_on_interrupt(out)
     write_face(face, out, application=application, inputs=inputs, options=options)
-    say(f"{face.name}: {application}; files in {out}")
+    for text in (*face.notes, f"{application}; files in {out}"):
+        say(f"{face.name}: {text}")
     if json_summary:
         names = [given.name for given in inputs]
         echo_json({"face": face.name, "status": "done", "out": str(out), "inputs": names, "options": options})

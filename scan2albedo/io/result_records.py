@@ -187,6 +187,7 @@ class ApplicationRecord(Record):
     )
     lights: tuple[Light, ...] = ()
     environment: Environment | None = Field(None, description="As in result.json.")
+    notes: tuple[str, ...] = Field((), description="What was decided in making it, one sentence each.")
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 

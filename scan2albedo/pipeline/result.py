@@ -40,27 +40,25 @@ UNLIT_FILES = (*(f"unlit{end}" for end in _MESH), "unlit_confidence.png", "unlit
 """With several pictures each has a number, in the order of the scan's materials."""
 TEMPLATE_FILES = (*(f"template{end}" for end in _MESH), "template_normal.png", "template_normal.*.png")
 """With several tiles each has pictures with its UDIM number."""
+_PICTURES = frozenset({"overview.png", "error_vs_time.png"})
+_LEFT_OUT = _PICTURES | {
+    *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
+    "expected_error.exr",
+}
+"""What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
 FILES = OwnFiles(
     RESULT_FILE,
     ResultRecord,
     (
-        *("geometry_image.npz", "geometry_image.exr"),
-        *("albedo.exr", "albedo.png", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
-        "fitted.glb",
+        *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
+        *("landmarks.json", "landmarks.csv", "trace.csv"),
+        *sorted(_LEFT_OUT),
         *TEMPLATE_FILES,
         *UNLIT_FILES,
-        *("registration.json", "landmarks.json", "landmarks.csv"),
-        *("trace.csv", "error_vs_time.png", "overview.png"),
     ),
     whole_folder=True,
 )
 """Every file a result may have."""
-
-_PICTURES = frozenset({"overview.png", "error_vs_time.png"})
-_LEFT_OUT = _PICTURES | {
-    *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png")
-}
-"""What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
 
 SURE = 0.5
 """Confidence of a registration below which there is a doubt: whole faces have more."""
@@ -184,6 +182,8 @@ def write_result(
     left_out = _LEFT_OUT if files == "minimal" else frozenset() if pictures else _PICTURES
     preview = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
     deep = np.uint16 if scan.texture_linear is not None and is_deep(scan.texture_linear) else np.uint8
+    # Colours go on beyond the mask: viewers that filter a texture mix in no white.
+    shown = None if preview is None else filled_from_nearest(preview, image.mask).astype(np.uint8)
     folder = RunFolder(out / scan.name, FILES, recorded)
     with folder.publishing() as staging:
 
@@ -198,15 +198,16 @@ def write_result(
             write("skin.png", write_png, _gray_bytes(np.where(image.mask, image.skin, 0)))
         if image.labels is not None:
             write("labels.png", write_indexed_png, image.labels)
-        if estimate is not None and preview is not None:
+        if estimate is not None and shown is not None:
             seen = np.where(image.seen, np.uint8(255), np.uint8(0))
             write("albedo.exr", write_exr, estimate.albedo_linear)
-            write("albedo.png", write_png, np.dstack([preview, seen]))
+            write("albedo.png", write_png, np.dstack([shown, seen]))
+            if estimate.expected_error is not None:
+                write("expected_error.exr", write_exr, estimate.expected_error)
             write("shading.exr", write_exr, estimate.shading)
             write("specular.exr", write_exr, estimate.specular)
             write("shadow.png", write_png, _gray_bytes(estimate.shadow))
         if fitted is not None:
-            shown = None if preview is None else filled_from_nearest(preview, image.mask).astype(np.uint8)
             write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, shown)
             vertices, faces = fitted.template_vertices, fitted.model.template_faces
             if result.template is not None:
@@ -263,24 +264,31 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
     if uv is None or texture is None:
         mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
     else:
+        confidence = np.round(255 * np.clip(unlit.confidence, 0, 1)).astype(np.uint8)
         own_uv, pictures, whole = uv.copy(), list[MeshPicture](), texture.shape[:2]
-        parts: list[tuple[str, Any, Any]] = [("", np.s_[:, :], np.ones(len(scan.faces), bool))]
-        if len(scan.texture_tiles) > 1:
-            parts = []
-            for number, tile in enumerate(scan.texture_tiles):
-                chosen = tile.holds(uv, whole)
-                own_uv[chosen] = tile.own_uv(uv[chosen], whole)
-                place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
-                parts.append((f".{number}", place, chosen))
-        for end, place, chosen in parts:
-            write_png(folder / f"unlit_confidence{end}.png", _gray_bytes(unlit.confidence[place]))
-            if exr:
-                write_exr(folder / f"unlit{end}.exr", texture[place])
-            picture = encode_image(texture[place], ".png", samples)
-            pictures.append(MeshPicture(f"unlit{end}.png", picture, chosen))
+        tiles = scan.texture_tiles if len(scan.texture_tiles) > 1 else ()
+        for number, tile in enumerate(tiles):
+            chosen = tile.holds(uv, whole)
+            own_uv[chosen] = tile.own_uv(uv[chosen], whole)
+            place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
+            write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
+            picture = _encoded(folder / f"unlit.{number}.exr", texture[place], samples, exr)
+            pictures.append(MeshPicture(f"unlit.{number}.png", picture, chosen))
+        if not pictures:
+            write_png(folder / "unlit_confidence.png", confidence)
+            every = np.ones(len(scan.faces), bool)
+            picture = _encoded(folder / "unlit.exr", texture, samples, exr)
+            pictures.append(MeshPicture("unlit.png", picture, every))
         mesh = TexturedMesh(scan.vertices, scan.faces, own_uv, tuple(pictures))
     write_textured_obj(folder / "unlit.obj", mesh, mm_per_unit=scan.mm_per_unit)
     write_textured_glb(folder / "unlit.glb", mesh)
+
+
+def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bool) -> bytes:
+    """Return a picture's PNG with such samples; with `exr` write it in linear colour, too."""
+    if exr:
+        write_exr(exr_file, linear)
+    return encode_image(linear, ".png", samples)
 
 
 def write_template(

@@ -100,7 +100,7 @@ def test_an_unseen_texture_takes_the_other_ones(person):
 def test_what_neither_saw_is_skin_in_a_blend_and_its_own_at_the_ends(person):
     """Hair over both temples: dark texels that neither face saw."""
     hair = np.zeros(person(0).mask.shape, bool)
-    hair[8:32, :14] = True
+    hair[8:32, :14] = hair[8:32, -14:] = True
     hair &= ~grown(feature_texels(person(0))["eyes"], 0.05)
     a, b = (
         replace(

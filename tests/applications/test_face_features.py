@@ -5,15 +5,22 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.applications import SwapOptions, blend_faces, swap_texture
-from scan2albedo.applications.face_features import feature_texels, taken_features, without_catchlights
+from scan2albedo.applications.face_features import (
+    feature_texels,
+    grown,
+    named_texels,
+    open_features,
+    taken_features,
+    without_catchlights,
+)
 from scan2albedo.face_model.appearance import CLASSES
 
 
 def with_half_of(face, feature):
-    """Return a face of which one half of a feature was not seen, and black."""
+    """Return a face of which the outer half of a feature was seen on neither side, and is black."""
     texels = feature_texels(face)[feature]
-    unseen = texels.copy()
-    unseen[:, : int(np.median(np.nonzero(texels)[1]))] = False
+    outward = np.broadcast_to(np.abs(np.arange(texels.shape[1]) - (texels.shape[1] - 1) / 2), texels.shape)
+    unseen = texels & (outward > np.median(outward[texels]))
     albedo = np.where(unseen[..., None], 0.001, face.albedo_linear)
     return replace(
         face, albedo_linear=albedo, image=replace(face.image, texture_valid=face.mask & ~unseen)
@@ -84,3 +91,55 @@ def test_catchlights_go_and_bright_skin_stays(person):
     assert made[20, 64].max() == 3.0
     calm = albedo.max(-1) < face.level()
     np.testing.assert_allclose(made[calm], albedo[calm], rtol=1e-6)
+
+
+def test_a_hole_in_a_brow_is_filled_from_the_other_side_of_the_same_face(person):
+    a, b = person(0, size=128), person(1, size=128)
+    brow = named_texels(b, ["left_brow"])
+    hole = brow & (np.arange(128) % 128 > np.median(np.nonzero(brow)[1]))
+    spoilt = np.where(hole[..., None], 0.001, b.albedo_linear)
+    torn = replace(b, albedo_linear=spoilt, image=replace(b.image, texture_valid=b.mask & ~hole))
+    brow_of_a = feature_texels(a)["brows"]
+    painted = np.where(brow_of_a[..., None], 0.2 * a.albedo_linear, a.albedo_linear)
+    made = [swap_texture(face, torn) for face in (a, replace(a, albedo_linear=painted))]
+    levels = [face.albedo_linear / face.level() for face in made]
+    # Whatever the other face has there changes nothing, and the other side is what comes.
+    np.testing.assert_allclose(levels[1][hole], levels[0][hole], rtol=0.05)
+    assert gradient_correlation(made[0], replace(b, albedo_linear=b.albedo_linear[:, ::-1]), hole) > 0.9
+
+
+def with_shut_eyes(face):
+    """Return a face whose eyes are painted over with the skin around, as shut lids are."""
+    eyes = named_texels(face, ["left_eye", "right_eye"])
+    skin = np.median(face.albedo_linear[grown(eyes, 0.02) & ~eyes], axis=0)
+    return replace(face, albedo_linear=np.where(grown(eyes, 0)[..., None], skin, face.albedo_linear))
+
+
+def test_open_eyes_stay_whole_beside_shut_ones_and_the_face_says_so(person):
+    a, b = person(0, size=128), with_shut_eyes(person(1, size=128))
+    assert open_features(a)["eyes"]
+    assert not open_features(b)["eyes"]
+    eyes = named_texels(a, ["left_eye", "right_eye"])
+    assert gradient_correlation(swap_texture(a, b), a, eyes) > 0.99
+    for weight, nearer in ((0.4, a), (0.6, b)):
+        made = blend_faces(a, b, weight)
+        assert made.notes == (
+            f"eyes open in one face and shut in the other: those of {nearer.name} as a whole",
+        )
+        if nearer is a:
+            assert gradient_correlation(made, a, eyes) > 0.95
+        else:
+            inner, plain = (f.albedo_linear[eyes].max(-1) / f.level() for f in (made, a))
+            assert np.std(inner) < 0.3 * np.std(plain)
+    assert blend_faces(a, person(1, size=128)).notes == ()
+
+
+def test_a_wide_open_mouth_is_open(person):
+    face = person(0, size=256)
+    between = named_texels(face, ["between_lips"])
+    assert not open_features(face)["mouth"]
+    stretched = face.image.position.copy()
+    rows = np.cumsum(between, axis=0)
+    down = 24.0 * rows / np.maximum(rows[-1], 1)
+    stretched[..., 1] = np.where(face.mask, stretched[..., 1] - down, 0)
+    assert open_features(replace(face, image=replace(face.image, position=stretched)))["mouth"]

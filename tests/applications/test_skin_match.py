@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from scan2albedo.applications import SwapOptions, swap_texture
-from scan2albedo.applications.skin_match import displacement, skin_gains, warped
+from scan2albedo.applications.skin_match import displacement, skin_gains, warped, without_light_left
+from scan2albedo.errors import ApplicationError
 
 
 def test_the_tint_of_the_light_is_matched_on_skin_alone(person):
@@ -62,3 +63,29 @@ def test_features_that_lie_apart_are_brought_together():
 
 def test_one_face_is_nowhere_beside_itself():
     assert np.abs(displacement(spots(0), spots(0), np.ones((256, 256), bool))).max() < 0.05
+
+
+def test_light_left_in_an_unsure_albedo_goes_and_a_sure_one_stays(person):
+    """A smooth shade over one half of a face; what people differ by is known from the rest."""
+    a, b = person(0), person(1)
+    ramp = np.linspace(-0.5, 0.5, a.mask.shape[1])[None, :, None]
+    shaded = replace(b, albedo_linear=(b.albedo_linear * np.exp(ramp)).astype(np.float32))
+
+    def left(own, others):
+        """Return the part of the shade that is left."""
+        faces = (
+            replace(face, expected_error=np.full(face.mask.shape, error, np.float32))
+            for face, error in ((shaded, own), (a, others))
+        )
+        made = without_light_left(shaded.albedo_linear.astype(float), *faces)
+        shade = np.log(made[b.mask] / b.albedo_linear[b.mask]).mean(-1)
+        return np.polyfit(np.broadcast_to(ramp[..., 0], b.mask.shape)[b.mask], shade, 1)[0]
+
+    assert left(0.3, 0.05) < 0.5
+    assert left(0.02, 0.3) > 0.97
+    np.testing.assert_array_equal(without_light_left(b.albedo_linear, b, a), b.albedo_linear)
+
+
+def test_expected_errors_of_another_size_are_refused(person):
+    with pytest.raises(ApplicationError, match="expected_error is"):
+        replace(person(0), expected_error=np.zeros((3, 3), np.float32))

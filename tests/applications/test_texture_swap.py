@@ -76,8 +76,8 @@ def test_the_detail_of_the_filling_is_as(person):
 
 
 def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
-    """A dark line of A crosses the border of the hole; on B there is none."""
-    a, b = person(0), person(1)
+    """A dark line of A crosses the border of the hole, which is no known feature; on B there is none."""
+    a, b = (replace(person(seed), model_name="of mine") for seed in (0, 1))
     line = np.zeros(a.mask.shape, bool)
     line[34:40, 20:31] = True
     marked = replace(a, albedo_linear=np.where(line[..., None], 0.1 * a.albedo_linear, a.albedo_linear))

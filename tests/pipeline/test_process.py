@@ -40,6 +40,7 @@ FILES = {
     "geometry_image.exr",
     "albedo.exr",
     "albedo.png",
+    "expected_error.exr",
     "shading.exr",
     "specular.exr",
     "shadow.png",

@@ -38,8 +38,19 @@ SCANS = {
     "p105_front": "traced/p105_front.obj",
     "p106_gloss": "traced/p106_gloss.obj",
     "p108_smile_m": "traced/p108_smile_m.obj",
+    **{
+        name: f"real_skin/{name}.obj" for name in ("d_emily_pods", "d_dome", "d_two_colours", "d_window_lamp")
+    },
 }
-PAIRS = (("james", "fran"), ("james", "p105_front"), ("p106_gloss", "p108_smile_m"))
+PAIRS = (
+    ("james", "fran"),
+    ("james", "p105_front"),
+    ("p106_gloss", "p108_smile_m"),
+    ("james", "d_emily_pods"),
+    ("fran", "d_dome"),
+    ("d_two_colours", "d_window_lamp"),
+    ("james", "d_two_colours"),
+)
 FEATURES = {
     "left eye": ("left_eye",),
     "right eye": ("right_eye",),
