@@ -49,8 +49,8 @@ class FacePhotographFile(_Part):
     )
     mesh: str | None = Field(
         None,
-        description="The face in the camera's frame: OBJ, PLY, GLB, STL or OFF, or the folder of a processed "
-        "scan, whose fitted.glb counts; null when landmarks give the shape. Relative to this file.",
+        description="The face in the camera's frame: OBJ, PLY, GLB (metres), STL or OFF, or the folder of a "
+        "processed scan (fitted.glb); null when landmarks give the shape. Relative to this file.",
     )
     landmarks: tuple[_Pixel | None, ...] | None = Field(
         None, description="68 pixels (column, row), iBUG-68 order; null for what is hidden."
@@ -107,14 +107,14 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     vertices, faces = None, None
     if content.mesh is not None:
         place = _beside(file, content.mesh)
-        mesh = read_mesh_file(place / "fitted.glb" if place.is_dir() else place)
-        vertices, faces = np.asarray(mesh.vertices, np.float64) * scale, mesh.faces
+        place = place / "fitted.glb" if place.is_dir() else place
+        mesh, metres = read_mesh_file(place), place.suffix.lower() in (".glb", ".gltf")  # by specification
+        vertices, faces = np.asarray(mesh.vertices, np.float64) * (1000 if metres else scale), mesh.faces
     landmarks = None
     if content.landmarks is not None:
         landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], np.float64)
-    mask = None
-    if content.mask is not None:
-        mask = read_skin_mask(_beside(file, content.mask), image.shape[:2], f"photograph {file}")
+    shape, whose = image.shape[:2], f"photograph {file}"
+    mask = None if content.mask is None else read_skin_mask(_beside(file, content.mask), shape, whose)
     return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
 
 
