@@ -1,10 +1,12 @@
 """Fine-tuning of reflectance models: does it help, and does it ever harm?
 
-    python tools/bench_reflectance_finetune.py [table] [guards] [smoothing] [resolution] [--seeds 0 1 2 3 4]
+    python tools/bench_reflectance_finetune.py [people] [table] [guards] [smoothing] [resolution] [--seeds 0]
 
 Each run has a model, 12 pictures to tune with, 6 held out that decide what is accepted, and a third set of
 10 that neither step sees. Its errors are printed: photometric, of the fitted colours against pictures
 without noise, and of the albedo after the best single scale, both relative RMSE, means over pictures.
+`people` prints them for each picture of the third set, beside those of the mean face, with the error of the
+face relit by four lights that no picture has, after the best single scale.
 Faces are painted by `scan2albedo.synthetic`, light is generated, without shadows. Times are CPU seconds.
 """
 
@@ -41,6 +43,9 @@ TUNING, HELD_OUT, THIRD = 12, 6, 10
 REPORTED = (0, 1, 2, 3, 4)
 OTHERS = (10, 11, 12)
 """Seeds that settings were chosen on."""
+NEW = (20,)
+"""Seeds that nothing was chosen on, and that no other part reports."""
+RELIGHTS = 4
 Settings = dict[str, Any]
 """Constants of `reflectance.finetune`, by name."""
 
@@ -175,6 +180,50 @@ def print_row(name: str, seed: int, settings: Settings, levels: int) -> None:
     )
 
 
+def reconstruction_errors(one: Shot, model: MorphableReflectanceModel, levels: int) -> np.ndarray:
+    """Return (3,) relative RMSE of a model's fit to a picture: of the albedo, relit, photometric."""
+    s, fit = surface(levels), fit_image(one.observation, model)
+    found = fit.face.reflectance
+    relit = []
+    for k in range(RELIGHTS):
+        light = project_environment(generated_environment(900_000 + k))
+        ours, truth = (
+            shade_environment(face, s.normals, s.view, light).radiance_linear[s.seen]
+            for face in (found, one.face)
+        )
+        scale = np.sum(ours * truth) / np.sum(ours * ours)
+        relit.append(np.linalg.norm(scale * ours - truth) / np.linalg.norm(truth))
+    used = np.isfinite(fit.radiance_linear).all(1)
+    off = np.linalg.norm((fit.radiance_linear - one.clean_linear)[used])
+    photometric = off / np.linalg.norm(one.clean_linear[used])
+    albedo = albedo_error(found.diffuse_linear, one.face, levels)
+    return np.array([albedo, np.mean(relit), photometric])
+
+
+def print_people(seeds: list[int]) -> None:
+    """Print reconstructions of people with and without fine-tuning, each beside the mean face."""
+    print(f"{'relative RMSE, %':<14}{'albedo':<33}{'relit':<33}photometric")
+    print(f"{'person':<14}{3 * ''.join(f'{kind:>11}' for kind in ('mean face', 'not tuned', 'tuned'))}")
+    for label, (name, scenario) in zip(("off", "noisy", "few", "right"), SCENARIOS.items(), strict=True):
+        rows, steps = [], []
+        for seed in seeds:
+            model = scenario.learn(seed, 0)
+            result, _, _ = tuned(name, seed, {"ROUNDS": 4}, 0)
+            steps.append(len(result.accepted_steps))
+            models = (model.mean_only(), model, result.model)
+            for one in shots(seed, 300, THIRD, scenario, 0):
+                rows.append(100 * np.stack([reconstruction_errors(one, m, 0) for m in models], 1))
+                figures = "".join(f"{value:11.1f}" for value in rows[-1].ravel())
+                print(f"{f'{label}_{len(rows)}':<14}{figures}", flush=True)
+        found = np.array(rows)
+        print(f"{f'mean_{label}':<14}{''.join(f'{value:11.1f}' for value in found.mean(0).ravel())}")
+        better, worse = (
+            ", ".join(str(int(count)) for count in (sign * (found[..., 2] - found[..., 1]) < 0).sum(0))
+            for sign in (1, -1)
+        )
+        print(f"  {name}: {steps} steps accepted; better in {better}, worse in {worse} of {len(rows)}")
+
+
 def print_table(seeds: list[int]) -> None:
     """Print all scenarios for each seed."""
     print(f"{'scenario':36}seed  photometric        albedo             held-out objective    CPU  steps")
@@ -233,6 +282,7 @@ def print_resolution(seeds: list[int]) -> None:
 
 
 PARTS = {
+    "people": (print_people, NEW),
     "table": (print_table, REPORTED),
     "guards": (print_guards, REPORTED[:2]),
     "smoothing": (print_smoothing, OTHERS),

@@ -195,6 +195,31 @@ SOURCES = {
             )
         },
     ),
+    "finetune": Source(
+        "python tools/bench_reflectance_finetune.py people",
+        "none of these people and lights, while fine-tuning was made",
+        tables={
+            "table": Table(
+                r"(off_\d+|mean_\w+) ",
+                {
+                    "person": "{0}",
+                    "albedo: mean face": "{1} %",
+                    "not tuned -> tuned": "{2} -> {3} %",
+                    "relit: mean face": "{4} %",
+                    "not tuned -> tuned (relit)": "{5} -> {6} %",
+                    "photometric: mean face": "{7} %",
+                    "not tuned -> tuned (photometric)": "{8} -> {9} %",
+                },
+                {f"off_{number}": f"{number}" for number in range(1, 11)}
+                | {
+                    "mean_off": "mean of the ten",
+                    "mean_noisy": "mean, pictures with 3 % noise and 3 % outliers",
+                    "mean_few": "mean, model of four people alike",
+                    "mean_right": "mean, model of sixty people, already right",
+                },
+            )
+        },
+    ),
     "registration": Source(
         "python tools/bench_registration.py --poses 300 --real-poses 50",
         "all shapes and both real scans, while thresholds were chosen",
