@@ -34,7 +34,7 @@ from scan2albedo.eyeglasses.mean_keypoints import (
 )
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
 from scan2albedo.eyeglasses.unbending import (
-    common_lean,
+    common_bend,
     front_halves,
     symmetric_key_points,
     unbent_transforms,
@@ -187,21 +187,11 @@ def canonicalize(
     meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
     if len(meshes) == 0:
         raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
-    for name, values in (("keypoints", keypoints), ("weights", weights)):
-        if values is not None and len(values) != len(meshes):
-            raise ValueError(
-                f"{name} must have one entry for each of {len(meshes)} meshes, got {len(values)}"
-            )
-    given = []
-    for i, mesh in enumerate(meshes):
-        vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-        xyz = np.asarray(vertices, np.float64)
-        shares = None if weights is None else checked_weights(f"weights {i}", weights[i], len(xyz))
-        for name, array in (("vertices", xyz), ("weights", shares)):
-            if array is not None and not np.isfinite(array).all():
-                raise ValueError(f"frame {i}: {name} hold NaN or infinity; repair the frame or leave it out")
-        index, marks = np.asarray(faces, np.int64), checked_keypoints(f"keypoints {i}", keypoints[i])
-        given.append(_Frame(i, getattr(mesh, "name", None), xyz, index, marks, shares))
+    for name, each in (("keypoints", keypoints), ("weights", weights)):
+        if each is not None and len(each) != len(meshes):
+            raise ValueError(f"{name} must have one entry for each of {len(meshes)} meshes, got {len(each)}")
+    shares = [None] * len(meshes) if weights is None else weights
+    given = [_Frame.checked(i, *one) for i, one in enumerate(zip(meshes, keypoints, shares, strict=True))]
     reference, common = None, None
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
@@ -223,39 +213,15 @@ def canonicalize(
     if options.mode == "unbend":
         place = symmetric_key_points(place)
         place = in_own_axes(place) if reference is None else place
-    done = [_moved(f, place, float(s), options) for f, s in zip(frames, scales, strict=True)]
+    done = [f.moved(place, float(s), options) for f, s in zip(frames, scales, strict=True)]
 
-    # The plan: steps of each frame, then what was decided on the set.
     steps = {f.number: frame.plan for f, frame in zip(frames, done, strict=True)}
     steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
     rows = [replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part]
-    wide = "fronts " + ", ".join(f"{width:.4g}" for width in widths) + " wide"
-    differ = bool((scales != 1).any())
-    if differ:
-        wide = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
-    reason = "widths are those of different units" if differ else "widths agree: one unit"
-    rows.append(PlanStep("eyeglasses.units", differ, reason, wide))
-    unusual = {frames[i].number: reason for i, reason in outliers(points, widths).items()}
-    names = {f.number: f.name or f"frame {f.number}" for f in frames}
-    count = f"{len(done)} frame{'s' if len(done) > 1 else ''}"
-    if not unusual:
-        rows.append(PlanStep("eyeglasses.outliers", False, f"none among {count}"))
-    for i, why in unusual.items():
-        rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
-    single = single_bridges(points, widths, reference) if options.mode == "mean" else ()
-    if single:
-        reason = (
-            f"{', '.join(names[frames[i].number] for i in single)}: one bridge, while other frames or the "
-            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
-            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
-            "the two kinds to means of their own"
-        )
-        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
-    if bare := [names[f.number] for f in frames if np.isnan(f.points[BEHIND]).any(1).all()]:
-        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
-        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
+    unusual = outliers(points, widths)
+    rows += _set_steps(frames, points, scales, unusual, reference, options.mode)
     evidence = f"{'' if settled else 'not '}settled after {rounds} round{'s' if rounds != 1 else ''}"
-    found = PlanStep("eyeglasses.mean", True, f"mean of {count}", evidence)
+    found = PlanStep("eyeglasses.mean", True, f"mean of {len(done)} frame{'s' * (len(done) > 1)}", evidence)
     rows.append(found if reference is None else PlanStep("eyeglasses.mean", False, "given"))
     return CanonicalSet(
         frames=tuple(done),
@@ -264,7 +230,7 @@ def canonicalize(
         iterations=rounds,
         numbers=tuple(f.number for f in frames),
         failures=failures,
-        outliers=unusual,
+        outliers={frames[i].number: why for i, why in unusual.items()},
         plan=Plan(tuple(rows)),
         trace=meter.trace,
     )
@@ -285,6 +251,90 @@ class _Frame:
     unit_exponent: int = 0
     width: float = np.nan
 
+    @classmethod
+    def checked(cls, number: int, mesh: Any, keypoints: ArrayLike, weights: ArrayLike | None) -> _Frame:
+        """Return what a caller gave as one frame; raises ValueError for shapes and numbers not finite."""
+        vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
+        xyz = np.asarray(vertices, np.float64)
+        shares = None if weights is None else checked_weights(f"weights {number}", weights, len(xyz))
+        for name, array in (("vertices", xyz), ("weights", shares)):
+            if array is not None and not np.isfinite(array).all():
+                raise ValueError(
+                    f"frame {number}: {name} hold NaN or infinity; repair the frame or leave it out"
+                )
+        marks = checked_keypoints(f"keypoints {number}", keypoints)
+        return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, np.int64), marks, shares)
+
+    def weighted(self, spacing: str | float, left: int, meter: Meter) -> _Frame:
+        """Return it with weights, solved, unless given, in an even share of the budget for `left` frames."""
+        if self.weights is not None:
+            return self
+        seen = np.flatnonzero(np.isfinite(self.points).all(1))
+        own = meter.sub_meter(f"eyeglasses.weights.{self.number}", "scaled KKT residual")
+        seconds, evaluations = own.budget.seconds, own.budget.evaluations
+        own.budget = Budget(seconds and seconds / left, evaluations and max(evaluations // left, 1))
+        names, mesh = [KEY_POINT_NAMES[k] for k in seen], (self.vertices, self.faces)
+        try:
+            found = solve_weights(*mesh, self.points[seen], spacing, names=names, meter=own)
+        finally:
+            meter.merge(own)
+        weights = np.zeros((len(self.vertices), KEY_POINT_COUNT))
+        weights[:, seen] = found.weights
+        ended = "cut short by the budget" if own.exhausted else "did not settle"
+        how = "solved" if found.converged else ended
+        got = f"residual {found.residual.max():.1e} after {own.evaluations} steps on {found.node_count} nodes"
+        plan = Plan((PlanStep("eyeglasses.weights", True, how, got),)) + found.plan
+        return replace(self, weights=weights, converged=found.converged, plan=plan)
+
+    def moved(self, place: FloatArray, scale: float, options: CanonicalizationOptions) -> CanonicalEyeglasses:
+        """Return it with its key points at `place` (20, 3), or unbent with its plane of symmetry there."""
+        assert self.weights is not None
+        points, stays = scale * self.points, ""
+        if options.mode == "mean":
+            rigid = align_key_points(points, place)
+            aligned = transform_points(rigid, points)
+            seen = np.isfinite((aligned + place).sum(1))
+            carriers = (turned_translations if options.handles == "turned" else translations)(aligned, place)
+            # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
+            carriers[~seen] = np.eye(4)
+            carriers, targets = carriers @ rigid, np.where(seen[:, None], place, np.nan)
+            step = PlanStep("eyeglasses.to_mean", True, "all key points on the mean's")
+        else:
+            halves = front_halves(scale * self.vertices, self.faces, self.weights, points)
+            carriers = unbent_transforms(points, halves)
+            straight = np.einsum("kij,kj->ki", carriers[:, :3, :3], points) + carriers[:, :3, 3]
+            even = straight if halves is None else symmetric_key_points(straight, halves.reflection)
+            pose = align_key_points(even, place)
+            carriers, targets = pose @ carriers, transform_points(pose, straight)
+            reason = "too few key points are known on both sides to compare them: only the pose is taken away"
+            evidence = ""
+            if halves is not None:
+                reason = "own shape kept, halves compared by key points"
+                evidence = f"halves turned against each other by {halves.bend_deg:.2f} degrees"
+                if not np.isnan(halves.apart):
+                    reason = "own shape kept, halves compared by their surfaces"
+                    evidence += f"; rims then {halves.apart:.3g} apart, rms"
+                stays = common_bend(straight * (10.0**self.unit_exponent / scale), halves.reflection)
+            step = PlanStep("eyeglasses.unbend", halves is not None, reason, evidence)
+        reason = "a bend common to both sides stays, as it cannot be told from the design"
+        rows = [step, PlanStep("eyeglasses.common_bend", False, reason, stays)] if stays else [step]
+        rigid = align_key_points(points, targets)
+        transforms = carriers @ np.diag([scale, scale, scale, 1.0])
+        off = transform_points(rigid, points) - targets
+        return CanonicalEyeglasses(
+            vertices=skin(self.vertices, self.weights, transforms),
+            faces=self.faces,
+            weights=self.weights,
+            keypoints=targets,
+            canonical_from_frame=rigid,
+            scale=scale,
+            handle_transforms=transforms,
+            residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
+            unbent=options.mode == "unbend",
+            converged=self.converged,
+            plan=self.plan + rows,
+        )
+
 
 def _weighted(
     frames: list[_Frame],
@@ -297,98 +347,56 @@ def _weighted(
     anchor = fullest([frame.points for frame in frames]) if reference is None else reference
     done: list[_Frame] = []
     failures: dict[int, str] = {}
-    named: list[str] = []
+    called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in frames]
     for i, frame in enumerate(frames):
-        called = f"frame {frame.number}{f', {frame.name}' if frame.name else ''}"
+        # Key points that the reference lacks do not count.
+        shared = np.where(np.isfinite(anchor), frame.points, np.nan)
         try:
-            # Key points that the reference lacks do not count.
-            shared = np.where(np.isfinite(anchor), frame.points, np.nan)
             require_posable(shared)
             width = front_width(frame.points, frame.vertices)
             exponent = unit_exponent(frame.points, options.widths_mm, width)
             used = frame if reference is None else replace(frame, points=shared)
-            if used.weights is None:
-                seen = np.flatnonzero(np.isfinite(used.points).all(1))
-                own = meter.sub_meter(f"eyeglasses.weights.{frame.number}", "scaled KKT residual")
-                seconds, evaluations, left = own.budget.seconds, own.budget.evaluations, len(frames) - i
-                own.budget = Budget(
-                    None if seconds is None else seconds / left,
-                    None if evaluations is None else max(evaluations // left, 1),
-                )
-                names, mesh = [KEY_POINT_NAMES[k] for k in seen], (used.vertices, used.faces)
-                try:
-                    found = solve_weights(*mesh, used.points[seen], spacing, names=names, meter=own)
-                finally:
-                    meter.merge(own)
-                weights = np.zeros((len(used.vertices), KEY_POINT_COUNT))
-                weights[:, seen] = found.weights
-                how = "cut short by the budget" if own.exhausted else "did not settle"
-                step = PlanStep(
-                    "eyeglasses.weights",
-                    True,
-                    "solved" if found.converged else how,
-                    f"residual {found.residual.max():.1e} after {own.evaluations} steps on "
-                    f"{found.node_count} nodes",
-                )
-                plan = Plan((step,)) + found.plan
-                used = replace(used, weights=weights, converged=found.converged, plan=plan)
-            done.append(replace(used, unit_exponent=exponent, width=width))
+            used = replace(used, unit_exponent=exponent, width=width)
+            done.append(used.weighted(spacing, len(frames) - i, meter))
         except EyeglassesError as error:
             if not options.skip_failed:
-                raise EyeglassesError(f"{called}: {error}") from error
+                raise EyeglassesError(f"{called[i]}: {error}") from error
             failures[frame.number] = str(error)
-            named.append(f"{called}: {error}")
     if not done:
-        raise EyeglassesError("; ".join(named))
+        raise EyeglassesError("; ".join(map(": ".join, zip(called, failures.values(), strict=True))))
     return done, failures
 
 
-def _moved(
-    frame: _Frame, place: FloatArray, scale: float, options: CanonicalizationOptions
-) -> CanonicalEyeglasses:
-    """Return a frame with its key points at `place` (20, 3), or unbent with its plane of symmetry there."""
-    assert frame.weights is not None
-    points, stays = scale * frame.points, ""
-    if options.mode == "mean":
-        rigid = align_key_points(points, place)
-        aligned = transform_points(rigid, points)
-        seen = np.isfinite((aligned + place).sum(1))
-        carriers = (turned_translations if options.handles == "turned" else translations)(aligned, place)
-        # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
-        carriers[~seen] = np.eye(4)
-        carriers, targets = carriers @ rigid, np.where(seen[:, None], place, np.nan)
-        step = PlanStep("eyeglasses.to_mean", True, "all key points on the mean's")
-    else:
-        halves = front_halves(scale * frame.vertices, frame.faces, frame.weights, points)
-        carriers = unbent_transforms(points, halves)
-        straight = np.einsum("kij,kj->ki", carriers[:, :3, :3], points) + carriers[:, :3, 3]
-        even = straight if halves is None else symmetric_key_points(straight, halves.reflection)
-        pose = align_key_points(even, place)
-        carriers, targets = pose @ carriers, transform_points(pose, straight)
-        reason = "too few key points are known on both sides to compare them: only the pose is taken away"
-        evidence = ""
-        if halves is not None:
-            surfaces = not np.isnan(halves.apart)
-            reason = f"own shape kept, halves compared by {'their surfaces' if surfaces else 'key points'}"
-            evidence = f"halves turned against each other by {halves.bend_deg:.2f} degrees"
-            evidence += f"; rims then {halves.apart:.3g} apart, rms" if surfaces else ""
-            stays = common_lean(straight * (10.0**frame.unit_exponent / scale), halves.reflection)
-        step = PlanStep("eyeglasses.unbend", halves is not None, reason, evidence)
-    reason = "a bend common to both temples stays, as it cannot be told from their design"
-    rows = [step, PlanStep("eyeglasses.temples", False, reason, stays)] if stays else [step]
-    rigid = align_key_points(points, targets)
-    transforms = carriers @ np.diag([scale, scale, scale, 1.0])
-    off = transform_points(rigid, points) - targets
-    return CanonicalEyeglasses(
-        vertices=skin(frame.vertices, frame.weights, transforms),
-        faces=frame.faces,
-        weights=frame.weights,
-        keypoints=targets,
-        canonical_from_frame=rigid,
-        scale=scale,
-        handle_transforms=transforms,
-        residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
-        unbent=options.mode == "unbend",
-        converged=frame.converged,
-        plan=frame.plan + rows,
-    )
+def _set_steps(
+    frames: list[_Frame],
+    points: list[FloatArray],
+    scales: FloatArray,
+    unusual: Mapping[int, str],
+    reference: FloatArray | None,
+    mode: CanonicalMode,
+) -> list[PlanStep]:
+    """Return what was decided on a set of frames whose key points (20, 3), scaled to one unit, are given."""
+    widths, names = scales * [f.width for f in frames], [f.name or f"frame {f.number}" for f in frames]
+    wide = f"fronts {', '.join(f'{width:.4g}' for width in widths)} wide"
+    rows = [PlanStep("eyeglasses.units", False, "widths agree: one unit", wide)]
+    if (scales != 1).any():
+        factors = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
+        rows = [PlanStep("eyeglasses.units", True, "widths are those of different units", factors)]
+    if not unusual:
+        rows.append(
+            PlanStep("eyeglasses.outliers", False, f"none among {len(frames)} frame{'s' * (len(frames) > 1)}")
+        )
+    for i, why in unusual.items():
+        rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
+    if single := single_bridges(points, widths, reference) if mode == "mean" else ():
+        reason = (
+            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the "
+            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
+            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
+            "the two kinds to means of their own"
+        )
+        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
+    if bare := [name for name, p in zip(names, points, strict=True) if np.isnan(p[BEHIND]).any(1).all()]:
+        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
+        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
+    return rows

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import difflib
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 
 from scan2albedo.core import Plan
 from scan2albedo.core.arrays import FloatArray
@@ -33,6 +33,8 @@ from scan2albedo.io.units import MM_PER_UNIT
 
 LengthUnit = Literal["mm", "cm", "m"]
 LengthUnitIfKnown = Literal["mm", "cm", "m", "unknown"]
+Value = TypeVar("Value")
+KeyPointName = Annotated[str, WithJsonSchema({"type": "string", "enum": list(KEY_POINT_NAMES)})]
 _Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 """Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
 _FRAME_LAYOUT: _Layout = {
@@ -69,7 +71,7 @@ _REGISTERED_LAYOUT: _Layout = {
     "converged": (bool,),
     "iterations": (int,),
 }
-_KINDS: dict[type[Any], tuple[str, _Layout]] = {
+_KINDS: dict[Callable[..., Any], tuple[str, _Layout]] = {
     CanonicalEyeglasses: ("canonical", _CANONICAL_LAYOUT),
     RegisteredEyeglasses: ("registered", _REGISTERED_LAYOUT),
 }
@@ -94,6 +96,17 @@ def read_json(
     return read_record(path, kind, what=what, advice=advice, error=EyeglassesError)
 
 
+def named_key_points(entries: dict[str, Value]) -> dict[str, Value]:
+    """Return entries by name, or raise ValueError, with names probably meant, unless all are key points."""
+    strange = sorted(set(entries) - set(KEY_POINT_NAMES))
+    if not strange:
+        return entries
+    guesses = {name: difflib.get_close_matches(name, KEY_POINT_NAMES, n=1) for name in strange}
+    said = [f"{name!r} (probably {found[0]!r})" if found else repr(name) for name, found in guesses.items()]
+    verb = "is not a key point" if len(said) == 1 else "are not key points"
+    raise ValueError(f"{', '.join(said)} {verb}; names are {', '.join(KEY_POINT_NAMES)}")
+
+
 class KeyPointsFile(Record):
     """The content of a key-point file."""
 
@@ -101,26 +114,9 @@ class KeyPointsFile(Record):
     format_version: Literal[1] = 1
     unit: LengthUnitIfKnown = "unknown"
     """Of the coordinates."""
-    key_points: dict[str, tuple[float, float, float] | None] = Field(
-        description="Coordinates by name; null, or no entry, where a key point was not found.",
-        json_schema_extra={"propertyNames": {"enum": list(KEY_POINT_NAMES)}},
-    )
-
-    @model_validator(mode="after")
-    def _names_are_known(self) -> KeyPointsFile:
-        require_known_names(self.key_points)
-        return self
-
-
-def require_known_names(names: Iterable[str]) -> None:
-    """Raise ValueError, with the names that were probably meant, unless all are names of key points."""
-    strange = sorted(set(names) - set(KEY_POINT_NAMES))
-    if not strange:
-        return
-    guesses = {name: difflib.get_close_matches(name, KEY_POINT_NAMES, n=1) for name in strange}
-    said = [f"{name!r} (probably {found[0]!r})" if found else repr(name) for name, found in guesses.items()]
-    verb = "is not a key point" if len(said) == 1 else "are not key points"
-    raise ValueError(f"{', '.join(said)} {verb}; names are {', '.join(KEY_POINT_NAMES)}")
+    key_points: Annotated[
+        dict[KeyPointName, tuple[float, float, float] | None], AfterValidator(named_key_points)
+    ] = Field(description="Coordinates by name; null, or no entry, where a key point was not found.")
 
 
 def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
@@ -220,7 +216,7 @@ def _write(path: str | Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) 
     write_npz(path, arrays, what=f"{what} frame", compression=6)
 
 
-def _read(path: str | Path, kind: type[Any]) -> Any:
+def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
     usual, layout = _KINDS[kind]
     what = f"{usual} frame"
     arrays = read_npz(path, layout, what=what, advice=f"give a {usual}.npz", error=EyeglassesError)
@@ -259,8 +255,7 @@ def read_canonical(path: str | Path) -> CanonicalEyeglasses:
 
     Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
     """
-    found: CanonicalEyeglasses = _read(path, CanonicalEyeglasses)
-    return found
+    return _read(path, CanonicalEyeglasses)
 
 
 def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
@@ -273,8 +268,7 @@ def read_registered(path: str | Path) -> RegisteredEyeglasses:
 
     Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
     """
-    found: RegisteredEyeglasses = _read(path, RegisteredEyeglasses)
-    return found
+    return _read(path, RegisteredEyeglasses)
 
 
 def write_frame_glb(path: Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> SkinWritten:

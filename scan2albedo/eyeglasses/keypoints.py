@@ -66,13 +66,12 @@ _TEMPLE = ("hinge", "temple_middle", "ear_bend", "temple_tip")
 
 
 def _bones() -> tuple[tuple[int, int], ...]:
-    number = {name: index for index, name in enumerate(KEY_POINT_NAMES)}
     pairs = [("bridge_top", "bridge_bottom")]
     for side in ("left", "right"):
         for chain in (_RING, _TEMPLE):
             pairs += [(f"{side}_{a}", f"{side}_{b}") for a, b in itertools.pairwise(chain)]
         pairs += [(f"bridge_{end}", f"{side}_rim_bridge") for end in ("top", "bottom")]
-    return tuple((number[a], number[b]) for a, b in pairs)
+    return tuple((KEY_POINT_NAMES.index(a), KEY_POINT_NAMES.index(b)) for a, b in pairs)
 
 
 SKELETON: tuple[tuple[int, int], ...] = _bones()

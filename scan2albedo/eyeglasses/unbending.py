@@ -6,9 +6,10 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
+from scan2albedo.eyeglasses.keypoints import MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
@@ -24,16 +25,8 @@ from scan2albedo.geometry.rigid import (
 )
 
 _MIRROR = np.array(MIRROR)
-_RIMS, _TEMPLES = (
-    tuple(
-        np.array(
-            [k for k, n in enumerate(KEY_POINT_NAMES) if n.startswith(side) and n.split("_")[1] in words]
-        )
-        for side in ("left", "right")
-    )
-    for words in (("rim",), ("hinge", "temple", "ear"))
-)
-"""Numbers of each side's key points; of a temple from the hinge to the tip."""
+_RIMS, _TEMPLES = ((part, _MIRROR[part]) for part in (np.arange(2, 7), np.arange(7, 11)))
+"""Numbers of the key points of the left and the right side; of a temple from the hinge to the tip."""
 _OWN = 0.9
 """Share of a rim's key points in a vertex's weights from which it moves with the rim."""
 _SAMPLES = 1000
@@ -43,8 +36,9 @@ _LABEL_SHARE = 1e-3
 _FARTHEST = 0.15
 """Part of the rim's size by which surfaces may move its key points: more fits by chance."""
 
-_LEAN_DEG = (-5.0, 10.0)
-"""Of temples outward from hinge to tip by design: let back to 90 to 95 degrees, as much more for curves."""
+_DESIGNS_DEG = np.array([[0.0, 20.0], [-5.0, 10.0]])
+"""Least and greatest angle of designs: of rims turned back around the face, from flat fronts to wraparounds;
+of temples outward from hinge to tip: let back to 90 to 95 degrees, as much more for curves."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +58,7 @@ class FrontHalves:
     def sides(self) -> tuple[FloatArray, FloatArray]:
         """(4, 4) rigid transforms of the left and the right half after which they mirror each other."""
         # The rigid H with H H = left_from_mirrored, which turns by less than half a turn.
-        turn = _nearest_rotation(np.eye(3) + self.left_from_mirrored[:3, :3])
+        turn = (Rotation.from_matrix(self.left_from_mirrored[:3, :3]) ** 0.5).as_matrix()
         half = compose(turn, np.linalg.solve(np.eye(3) + turn, self.left_from_mirrored[:3, 3]))
         return invert_rigid(half), self.reflection @ half @ np.linalg.inv(self.reflection)
 
@@ -153,7 +147,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
             targets[b] = targets[a] + bone
     rigid = align_key_points(points, targets)
     result = turned_translations(transform_points(rigid, points), targets) @ rigid
-    turn = _nearest_rotation(sides[0][:3, :3] + sides[1][:3, :3])
+    turn = Rotation.from_matrix([side[:3, :3] for side in sides]).mean().as_matrix()
     for k in (0, 1):
         result[k] = compose(turn, targets[k] - turn @ points[k])
     for side, rim, temple in zip(sides, _RIMS, _TEMPLES, strict=True):
@@ -163,31 +157,37 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     return result
 
 
-def common_lean(points_mm: FloatArray, reflection: FloatArray) -> str:
-    """Return how far both temples of key points (20, 3) lean outward alike, "" where not both are known.
+def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
+    """Return what both sides of key points (20, 3) may be bent to alike, "" where not both are known.
 
-    As turned at their hinges: how much of it is a bend is known up to the spread of designs (`_LEAN_DEG`).
+    Rims turn back at the bridge, temples outward at the hinge and in a bow behind it. No symmetry tells these
+    from the design: how much is a bend is known up to the spread of designs (`_DESIGNS_DEG`).
     """
-    known = np.isfinite(points_mm + points_mm[_MIRROR]).all(1)
-    left, right = (points_mm[temple[known[temple]]] for temple in _TEMPLES)
-    if len(left) < 2:
-        return ""
+    usual, deviation = _DESIGNS_DEG.mean(1), np.ptp(_DESIGNS_DEG, axis=1) / np.sqrt(12)
     across = np.linalg.svd(np.eye(3) - reflection[:3, :3])[0][:, 0]
-    ends, hinges = (left[[-1, 0]] - right[[-1, 0]]) @ across
-    out = float(np.sign(hinges) * (ends - hinges) / 2)
-    length = float(np.linalg.norm([left[-1] - left[0], right[-1] - right[0]], axis=1).mean())
-    usual, deviation = np.mean(_LEAN_DEG), np.ptp(_LEAN_DEG) / np.sqrt(12)
-    bend = out - length * np.sin(np.deg2rad(usual))
-    return (
-        f"they lean {np.rad2deg(np.arcsin(out / length)):.1f} degrees outward, {out:.1f} mm at their ends; "
-        f"of designs {usual:.1f} +- {deviation:.1f} degrees, so the bend is {bend:+.1f} +- "
-        f"{length * np.deg2rad(deviation):.1f} mm"
-    )
-
-
-def _nearest_rotation(matrix: FloatArray) -> FloatArray:
-    u, _, vt = np.linalg.svd(matrix)
-    return np.asarray((u * [1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt)
+    image = transform_points(reflection, points_mm[_MIRROR])
+    even, out = (points_mm + image) / 2, (points_mm - points_mm[_MIRROR]) @ across / 2
+    side = np.sign(np.nansum(out[_RIMS[0]]) + np.nansum(out[_TEMPLES[0]]))
+    top, _, inner, bottom, outer = even[_RIMS[0]]
+    wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
+    said, temple = [], _TEMPLES[0][np.isfinite(even[_TEMPLES[0]]).all(1)]
+    if np.isfinite(wrap):
+        said.append(
+            f"the rims are turned back by {wrap:.1f} degrees, of designs {usual[0]:.1f} +- "
+            f"{deviation[0]:.1f}, so the bend is {wrap - usual[0]:+.1f} +- {deviation[0]:.1f} degrees"
+        )
+    if len(temple) > 1:
+        place, way = even[temple], side * (out[temple] - out[temple[0]])
+        length = float(np.linalg.norm(place[-1] - place[0]))
+        run = np.cumsum(np.linalg.norm(np.diff(place[:3], axis=0), axis=1))
+        bow = f", bowed outward by {way[1] - way[2] * run[0] / run[1]:.1f} mm" if len(temple) > 2 else ""
+        said.append(
+            f"the temples lean {np.rad2deg(np.arcsin(way[-1] / length)):.1f} degrees outward, "
+            f"{way[-1]:.1f} mm at their ends{bow}, of designs {usual[1]:.1f} +- {deviation[1]:.1f} "
+            f"degrees, so the bend is {way[-1] - length * np.sin(np.deg2rad(usual[1])):+.1f} +- "
+            f"{length * np.deg2rad(deviation[1]):.1f} mm"
+        )
+    return "; ".join(said)
 
 
 def symmetric_key_points(points: FloatArray, reflection: FloatArray | None = None) -> FloatArray:

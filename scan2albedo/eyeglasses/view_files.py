@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, ScanError
-from scan2albedo.eyeglasses.frame_files import LengthUnit, read_json, require_known_names
+from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, named_key_points, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import read_image_linear, write_png
@@ -71,6 +71,7 @@ def require_distinct_names(names: Iterable[str]) -> None:
 
 
 CameraName = Annotated[str, AfterValidator(checked_name)]
+_Labels = Annotated[dict[KeyPointName, tuple[float, float] | None], AfterValidator(named_key_points)]
 
 
 class CameraEntry(BaseModel):
@@ -154,11 +155,9 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
     """
     if len(masks) != len(cameras):
         raise ValueError(f"there are {len(masks)} masks for {len(cameras)} cameras")
-    for mask, camera in zip(masks, cameras, strict=True):
-        if np.shape(mask) != camera.shape:
-            raise ValueError(
-                f"the mask of {camera.name!r} has shape {np.shape(mask)}, expected {camera.shape}"
-            )
+    for mask, view in zip(masks, cameras, strict=True):
+        if np.shape(mask) != view.shape:
+            raise ValueError(f"the mask of {view.name!r} has shape {np.shape(mask)}, expected {view.shape}")
     make_folder(folder)
     for mask, camera in zip(masks, cameras, strict=True):
         write_png(mask_path(folder, camera), np.asarray(mask) != 0)
@@ -215,28 +214,14 @@ class LabelsFile(Record):
 
     format: Literal["scan2albedo eyeglasses labels"] = "scan2albedo eyeglasses labels"
     format_version: Literal[1] = 1
-    views: dict[CameraName, dict[str, tuple[float, float] | None]] = Field(
+    views: dict[CameraName, _Labels] = Field(
         description="Pixels (column, row) by camera and key point, centres of pixels at integers; null, or "
-        "no entry, where a key point is not labelled.",
-        json_schema_extra={
-            "additionalProperties": {
-                "type": "object",
-                "propertyNames": {"enum": list(KEY_POINT_NAMES)},
-                "additionalProperties": {
-                    "anyOf": [
-                        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
-                        {"type": "null"},
-                    ]
-                },
-            }
-        },
+        "no entry, where a key point is not labelled."
     )
 
     @model_validator(mode="after")
-    def _names_are_known(self) -> LabelsFile:
+    def _cameras_differ(self) -> LabelsFile:
         require_distinct_names(self.views)
-        for labels in self.views.values():
-            require_known_names(labels)
         return self
 
 

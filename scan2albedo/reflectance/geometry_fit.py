@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -21,6 +22,7 @@ from scan2albedo.reflectance.geometry_terms import (
     GeometryObjective,
     GeometryState,
     LandmarkTerm,
+    PhotometricTerm,
     SmoothImage,
     photometric_term,
 )
@@ -138,23 +140,8 @@ def refine_geometry(
             )
         ]
     )
+    state = starting_state(matrix, landmarks, shape_model, coefficients, initial_scene_from_model)
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
-    if initial_scene_from_model is not None:
-        pose = np.array(initial_scene_from_model, np.float64)
-        if pose.shape != (4, 4):
-            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
-        if not is_rigid(pose):
-            raise ReflectanceError(
-                "initial_scene_from_model is not a rigid transform; give rotation and translation"
-            )
-    elif len(seen) < 6:
-        raise ReflectanceError(
-            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
-        )
-    else:
-        points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
-        pose = pose_from_landmarks(matrix, points, landmarks[seen])
-    state = GeometryState.from_pose(shape_model, pose, coefficients)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
     term_over = None
@@ -205,37 +192,27 @@ def refine_geometry(
         plan.append(PlanStep(name, False, "the budget had ended"))
     else:
         stage = meter.sub_meter(name, "objective")
-        colored, steps, ended, damping = state, 0, False, Damping().first
-        for _ in range(10):  # each finds anew which vertices are seen
-            term = term_over(colored.vertices)
-            if term is None or stage.exhausted:
-                break
-            found = _descent(GeometryObjective(shape_model, [*anchors, term]), colored, stage, 5, damping)
-            colored, damping = found.best.state, found.damping
-            steps += found.steps
-            if found.converged:
-                ended = not stage.exhausted
-                break
+        moved = photometric_descent(term_over, GeometryObjective(shape_model, anchors), state, stage)
         meter.merge(stage)
-        iterations += steps
-        objection, evidence = "the image shows nothing of the face, or no step helps", ""
-        if steps:
+        iterations += moved.steps
+        colored, evidence = moved.best.state, ""
+        objection = "the image shows nothing of the face, or no step helps"
+        if moved.steps:
             objection = "shapes before and after show nothing in common"
             if (term := term_over(state.vertices, colored.vertices)) is not None:
-                objective = GeometryObjective(shape_model, [*anchors, term])
-                free = meter.untraced()
-                values = [MapPoint.evaluate(objective, one, free).cost for one in (state, colored)]
                 before, after = (term.relative_rmse(one.vertices) for one in (state, colored))
-                evidence = f"relative rmse {before:.4f} -> {after:.4f}, {len(term.used)} vertices"
                 rmse = before, after
+                evidence = f"relative rmse {before:.4f} -> {after:.4f}, {len(term.used)} vertices"
+                objective, free = GeometryObjective(shape_model, [*anchors, term]), meter.untraced()
+                first, last = (MapPoint.evaluate(objective, one, free).cost for one in (state, colored))
                 objection = ""
-                if not values[1] < values[0]:
+                if not last < first:
                     objection = "the objective did not fall over what both shapes show"
                 elif not after <= MOST_UNEXPLAINED:
                     objection = "the colours are not explained; light or reflectance are others"
         plan.append(PlanStep(name, not objection, objection or "the colours are explained better", evidence))
         if not objection:
-            state, converged = colored, ended
+            state, converged = colored, moved.converged
         elif meter.exhausted:
             converged = False
     if not converged:
@@ -260,6 +237,54 @@ def refine_geometry(
         iterations=iterations,
         trace=meter.trace,
     )
+
+
+def starting_state(
+    camera: FloatArray,
+    landmarks: FloatArray,
+    shape_model: MorphableShapeModel,
+    coefficients: FloatArray,
+    scene_from_model: ArrayLike | None,
+) -> GeometryState:
+    """Return the shape in the pose given (4, 4), or in that of the landmarks (68, 2) that are not NaN."""
+    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+    if scene_from_model is not None:
+        pose = np.array(scene_from_model, np.float64)
+        if pose.shape != (4, 4):
+            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
+        if not is_rigid(pose):
+            raise ReflectanceError(
+                "initial_scene_from_model is not a rigid transform; give rotation and translation"
+            )
+    elif len(seen) < 6:
+        raise ReflectanceError(
+            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
+        )
+    else:
+        points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
+        pose = pose_from_landmarks(camera, points, landmarks[seen])
+    return GeometryState.from_pose(shape_model, pose, coefficients)
+
+
+def photometric_descent(
+    term_over: Callable[..., PhotometricTerm | None],
+    anchors: GeometryObjective,
+    state: GeometryState,
+    meter: Meter,
+) -> Descent[MapPoint[GeometryState]]:
+    """Return where colours and `anchors` lead; which vertices are seen is found anew every five steps."""
+    found = Descent(MapPoint(anchors, state, np.inf, meter), False, 0, Damping().first)
+    for _ in range(10):
+        term = term_over(found.best.state.vertices)
+        if term is None or meter.exhausted:
+            break
+        objective = replace(anchors, terms=[*anchors.terms, term])
+        part = _descent(objective, found.best.state, meter, 5, found.damping)
+        settled = part.converged and not meter.exhausted
+        found = replace(part, converged=settled, steps=found.steps + part.steps)
+        if part.converged:
+            break
+    return found
 
 
 def _descent(

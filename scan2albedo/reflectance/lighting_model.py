@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -94,8 +93,7 @@ def generated_environment(seed: int | np.random.Generator) -> FloatArray:
     likely. The same `seed` gives the same map.
     """
     rng = np.random.default_rng(seed)
-    kinds: tuple[Callable[[np.random.Generator], FloatArray], ...] = (_sky, _windows, _lamps, _studio)
-    return kinds[int(rng.choice(len(kinds), p=[0.3, 0.3, 0.25, 0.15]))](rng)
+    return (_sky, _windows, _lamps, _studio)[int(rng.choice(4, p=[0.3, 0.3, 0.25, 0.15]))](rng)
 
 
 def _sky(rng: np.random.Generator) -> FloatArray:
@@ -171,8 +169,7 @@ def _panel(
     """Mask of the pixels between two heights and two azimuths."""
     azimuth = np.arctan2(toward[..., 0], toward[..., 2])
     off = np.abs((azimuth - rng.uniform(-np.pi, np.pi) + np.pi) % (2 * np.pi) - np.pi)
-    inside: BoolArray = (off < rng.uniform(0.15, widest)) & (toward[..., 1] > low) & (toward[..., 1] < high)
-    return inside
+    return np.asarray((off < rng.uniform(0.15, widest)) & (toward[..., 1] > low) & (toward[..., 1] < high))
 
 
 def _blob(toward: FloatArray, centre: FloatArray, width_rad: float) -> FloatArray:
@@ -187,10 +184,5 @@ def _surface(rng: np.random.Generator) -> FloatArray:
 
 def _color(kelvin: float) -> FloatArray:
     """Linear sRGB of a black body, of mean 1: Planck's law at 610, 550 and 465 nm, relative to 6500 K."""
-
-    def planck(temperature: float) -> FloatArray:
-        x = 1.4388e7 / (np.array([610.0, 550.0, 465.0]) * temperature)
-        return 1 / np.expm1(x)
-
-    ratio = planck(kelvin) / planck(6500.0)
-    return np.asarray(ratio / ratio.mean())
+    body, white = 1 / np.expm1(1.4388e7 / (np.array([610.0, 550.0, 465.0]) * [[kelvin], [6500.0]]))
+    return np.asarray(body / white / (body / white).mean())

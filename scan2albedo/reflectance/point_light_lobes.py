@@ -39,9 +39,8 @@ def point_light_lobes(
     >>> point_light_lobes([[0.0, 0, 0]], [[0.0, 0, 1]], ahead, ahead).round(3)
     array([[[0.318, 0.119, 0.398, 2.626]]])
     """
-    arrays = [
-        np.ascontiguousarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
-    ]
+    given = vertices, normals, camera_positions, light_positions
+    arrays = [np.ascontiguousarray(values, np.float64) for values in given]
     if any(a.ndim != 2 or a.shape[1] != 3 for a in arrays) or len(arrays[0]) != len(arrays[1]):
         raise ValueError(f"shapes are {[a.shape for a in arrays]}, expected (V, 3) twice and (J, 3) twice")
     if len(arrays[2]) != len(arrays[3]):
@@ -74,9 +73,8 @@ def lobe_slopes(
     vertices, normals, camera_positions, light_positions
         As in `point_light_lobes`.
     """
-    arrays = [
-        np.ascontiguousarray(a, np.float64) for a in (vertices, normals, camera_positions, light_positions)
-    ]
+    given = vertices, normals, camera_positions, light_positions
+    arrays = [np.ascontiguousarray(values, np.float64) for values in given]
     slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
     _fill_slopes(*arrays, slopes)
     return slopes

@@ -86,9 +86,8 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
     """
     one = mesh.reflectance
     header = MeshReflectanceHeader(exponents=EXPONENTS, vertices=len(mesh.vertices), faces=len(mesh.faces))
-    arrays = dict(
-        zip(_ARRAYS, (mesh.vertices, mesh.faces, one.known, one.diffuse_linear, one.weights), strict=True)
-    )
+    values = mesh.vertices, mesh.faces, one.known, one.diffuse_linear, one.weights
+    arrays = dict(zip(_ARRAYS, values, strict=True))
     if fit is not None:
         arrays |= {name: getattr(fit, name) for name in _OF_A_FIT}
     if mesh.seen is not None:
@@ -114,8 +113,8 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
     )
     check_exponents(header.exponents, f"reflectance {path}")
     try:
-        reflectance = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
+        one = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
         more = arrays.get("std"), arrays.get("seen")
-        return MeshReflectance(arrays["vertices"], arrays["faces"], reflectance, *more)
+        return MeshReflectance(arrays["vertices"], arrays["faces"], one, *more)
     except ReflectanceError as error:
         raise ReflectanceError(f"reflectance {path}: {error}; write the file again") from error

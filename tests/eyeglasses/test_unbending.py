@@ -102,17 +102,21 @@ def test_what_both_sides_are_bent_to_alike_stays():
     assert frame.residual < 1e-6
     assert laid_on(frame.vertices, glasses.vertices).max() < 1e-6
     said = {}
-    for spread in (-8.0, 0.0, 8.0):
-        bent = eyeglasses(0, bend=GlassesBend(temple_spread_mm=spread))
+    bends = {"out": GlassesBend(temple_spread_mm=8), "in": GlassesBend(temple_spread_mm=-8)}
+    for name, bend in (bends | {"none": GlassesBend(), "folded": GlassesBend(bridge_deg=4)}).items():
+        bent = eyeglasses(0, bend=bend)
         found = canonicalize([(bent.vertices / 10, bent.faces)], [bent.keypoints / 10], weights=[weights])
-        (step,) = found.plan.of_stage("eyeglasses.temples")
+        (step,) = found.plan.of_stage("eyeglasses.common_bend")
         assert not step.ran
-        said[spread] = [float(n) for n in re.findall(r"[-+]?\d+\.\d+", step.evidence)]
-    # Degrees, length of the lean, the design's degrees and deviation, length and deviation of the bend: mm.
-    assert said[8.0][1] - said[0.0][1] == pytest.approx(8, abs=0.5)
-    assert said[0.0][1] - said[-8.0][1] == pytest.approx(8, abs=0.5)
-    assert said[8.0][4] - said[0.0][4] == pytest.approx(8, abs=0.5)
-    assert said[8.0][2:4] == [2.5, 4.3]
+        said[name] = np.array([float(n) for n in re.findall(r"[-+]?\d+\.\d+", step.evidence)])
+    # Rims: degrees, those of designs, their deviation, bend, its deviation. Temples: degrees, mm at the ends,
+    # mm of the bow, degrees of designs, their deviation, mm of the bend, its deviation.
+    out, inward, folded = (said[name] - said["none"] for name in ("out", "in", "folded"))
+    np.testing.assert_allclose(out[[0, 3, 6, 10]], [0, 0, 8, 8], atol=0.5)
+    np.testing.assert_allclose(inward[[0, 3, 6, 10]], [0, 0, -8, -8], atol=0.5)
+    assert out[7] < -0.7 < 0.7 < inward[7]
+    np.testing.assert_allclose(folded[[0, 3, 5]], [4, 4, -4], atol=0.2)
+    assert said["none"][[1, 2, 8, 9]].tolist() == [10.0, 5.8, 2.5, 4.3]
 
 
 def test_one_half_alone_is_only_posed():

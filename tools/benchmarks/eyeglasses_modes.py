@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from benchmarks.bent_frames import (
     OWN_BENDS,
@@ -23,6 +24,18 @@ from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.synthetic import GlassesShape
 
 MODES = {mode: CanonicalizationOptions(mode=mode) for mode in ("unbend", "mean")}
+ONE_BEND = {
+    "one temple 8 mm out": OwnBend(left_spread_mm=8),
+    "8 mm out and in": OwnBend(left_spread_mm=8, right_spread_mm=-8),
+    "9 out, 3 in, twisted": OwnBend(left_spread_mm=9, right_spread_mm=-3, twist_deg=4),
+    "one half folded back": OwnBend(fold_deg=4),
+}
+ALIKE = {
+    "tips 8 mm in": OwnBend(left_spread_mm=-8, right_spread_mm=-8),
+    "whole": OwnBend(),
+    "tips 8 mm out": OwnBend(left_spread_mm=8, right_spread_mm=8),
+    "folded by 4 degrees": OwnBend(fold_deg=4),
+}
 WIRE_BEND = OwnBend(twist_deg=4, drop_mm=2, left_curl_mm=5, left_spread_mm=6)
 
 
@@ -84,6 +97,7 @@ def bench_modes(data: Path, pictures: Path | None) -> None:
     ]
     print(f"way back to the bent frames, all modes: {max(back):.0e} mm")
     bench_wires()
+    bench_parts(frames, weights)
     bench_alike(frames)
     bench_sizes(meshes, marks, weights)
     if pictures is not None:
@@ -132,14 +146,40 @@ def bench_wires() -> None:
             )
 
 
+def bench_parts(frames: list[WholeFrame], weights: list[FloatArray]) -> None:
+    """Print what is left of bends, laid on the true front: what mirrors itself, and what does not."""
+    print("rms in mm, front laid on the true one, bent -> unbent: what both sides share; what they do not")
+    print(f"{'frame, bend':<32}{'front':>30}{'temples':>34}")
+    for frame, shares in zip(frames, weights, strict=True):
+        back = frame.vertices[:, 2].max() - frame.vertices[:, 2]
+        front, temples = back < 25, back > 50
+        _, mirror = cKDTree(frame.vertices * [-1, 1, 1]).query(frame.vertices)
+        for name, bend in ONE_BEND.items():
+            bent = bend_frame(frame, bend)
+            mesh = (bent, frame.faces)
+            unbent = canonicalize([mesh], [frame.key_points(bent)], weights=[shares]).frames[0].vertices
+            parts = []
+            for vertices in (bent, unbent):
+                pose = procrustes(vertices[front], frame.vertices[front])
+                off = transform_points(pose, vertices) - frame.vertices
+                image = off[mirror] * [-1, 1, 1]
+                parts.append(((off + image) / 2, (off - image) / 2))
+            row = f"{f'{frame.name}, {name}':<32}"
+            for part in (front, temples) if temples.any() else (front,):
+                for before, after in zip(*parts, strict=True):
+                    rms = [np.sqrt((off[part] ** 2).sum(1).mean()) for off in (before, after)]
+                    row += f"{rms[0]:>8.2f} -> {rms[1]:.2f}"
+            print(row)
+
+
 def bench_alike(frames: list[WholeFrame]) -> None:
-    """Print what is said of temples that are bent alike on both sides, of frames without a unit (cm)."""
+    """Print what is said of bends that both sides share, of frames without a unit (cm)."""
     for frame in frames:
-        for spread in (-8.0, 0.0, 8.0):
-            bent = bend_frame(frame, OwnBend(left_spread_mm=spread, right_spread_mm=spread)) / 10
+        for name, bend in ALIKE.items():
+            bent = bend_frame(frame, bend) / 10
             found = canonicalize([(bent, frame.faces)], [frame.key_points(bent)], spacing=0.3)
-            said = found.plan.of_stage("eyeglasses.temples")
-            print(f"{frame.name}, both tips {spread:+g} mm: {said[0].evidence if said else 'no temples'}")
+            (said,) = found.plan.of_stage("eyeglasses.common_bend")
+            print(f"{frame.name}, {name}: {said.evidence}")
 
 
 def bench_sizes(

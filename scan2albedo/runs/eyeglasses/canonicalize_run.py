@@ -106,7 +106,7 @@ class CanonicalFiles:
     def notes(self) -> tuple[str, ...]:
         """What a person should check, and the bends that stay."""
         plan = self.result.plan
-        return tuple(s.text for s in (*plan.doubts(), *plan.of_stage("eyeglasses.temples")))
+        return tuple(s.text for s in (*plan.doubts(), *plan.of_stage("eyeglasses.common_bend")))
 
 
 def canonicalize_frames(

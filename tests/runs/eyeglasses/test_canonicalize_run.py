@@ -226,8 +226,9 @@ def test_a_front_without_temples_has_a_size_too(tmp_path):
     assert frame.mm_per_unit == 10.0
     done = canonicalize_frames([frame, read_frame(save(tmp_path, "whole")[0])], budget=0.1)
     assert done.notes[0] == "frame: without temples, left and right cannot be checked reliably"
-    (lean,) = done.notes[1:]
-    assert re.match(r"frame 1: a bend common to both temples stays, .* \+- \d+\.\d mm\)", lean)
+    bare, whole = done.notes[1:]
+    assert re.match(r"frame 0: a bend common to both sides stays, .* \+- 5\.8 degrees\)", bare)
+    assert re.match(r"frame 1: a bend common to both sides stays, .* \+- \d+\.\d mm\)", whole)
 
 
 @pytest.mark.parametrize("unit", MM)
