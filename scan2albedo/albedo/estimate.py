@@ -217,7 +217,6 @@ def _divide(
 
 
 def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
-    """Return the plan's row of the view direction that each texel has from its camera."""
     image = scene.image
     if scene.options.choice(_CAMERAS) is False:
         return PlanStep(_CAMERAS, False, "left out by the caller")

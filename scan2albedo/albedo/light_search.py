@@ -76,7 +76,6 @@ class LightSearch:
         return self._explained(best, wanted, [self.scene.shadows[1], lamps, size])
 
     def _explained(self, best: Point, wanted: list[tuple[float, Point]], steps: list[PlanStep]) -> LightFound:
-        """Return what was found, with the mean of all explanations, and the plan's rows."""
         level, (shift, spread) = wanted[0][1].problem.level, self._averaged(wanted)
         first = max(value for value, _ in self.found)
         found, others = best.solution().hypothesis, list[Alternative]()
@@ -174,7 +173,6 @@ class LightSearch:
         return found
 
     def _with_one_more(self, base: Point) -> list[Point]:
-        """Return local optima with one lamp more, the most evident first."""
         meter, full = self.meter, self.scene.model(base.model.lights + 1, PARTS)
         model = replace(full, bounce=False)
         tried, fresh = self._followed(base, model, False, _FOLLOWED, _FIRST_SCALES), list[Point]()

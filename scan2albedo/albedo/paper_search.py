@@ -110,7 +110,6 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
 
 
 def _annealed(problem: DeviationProblem, model: LightModel, x: FloatArray, seed: int) -> Solution:
-    """Search globally from x, then locally with shadow rays."""
     meter = problem.meter.untraced()
     found = simulated_annealing(
         lambda x: problem.cost(model, x, rays=False),

@@ -143,9 +143,9 @@ class AlbedoPrior:
         stationary = spread.T @ spread * np.exp(-cdist(centres, centres) / self.length)
         return np.asarray(self.shrinkage * modes.T @ modes + (1 - self.shrinkage) * stationary)
 
-    def mean_at(self, places: ArrayLike, channels: slice = slice(None)) -> FloatArray:
+    def mean_at(self, places: ArrayLike) -> FloatArray:
         """Return (N, 3), the mean at places (N, 2): row and column on the chart, both from 0 to 1."""
-        return bilinear(self.mean[..., channels], np.asarray(places, np.float64)[:, ::-1] * MEANS - 0.5)
+        return bilinear(self.mean, np.asarray(places, np.float64)[:, ::-1] * MEANS - 0.5)
 
     def deviation_at(self, places: ArrayLike, channels: slice = slice(None)) -> FloatArray:
         """Return (N, 3), the standard deviation that no node carries; see `mean_at`."""

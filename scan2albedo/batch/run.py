@@ -239,7 +239,6 @@ class _Run:
     written: float = 0.0
 
     def report(self, tasks: Sequence[ScanTask], resume: bool) -> BatchReport:
-        """Process the remaining scans and return the report on all."""
         self.layout.begin_run(self.run)
         status: BatchStatus = "interrupted"
         todo = tasks
@@ -305,7 +304,6 @@ class _Run:
             self.on_progress(replace(self.outcome().progress, last=last, note=note))
 
     def write(self, status: BatchStatus) -> None:
-        """Write the catalogue and the record of the batch."""
         self.written = time.monotonic()
         write_catalogue(self.layout.catalogue, catalogue_table(self.manifest, self.rows))
         outcome = self.outcome().figures()

@@ -116,7 +116,6 @@ def process_task(task: ScanTask) -> BatchScanRecord:
 
 
 def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
-    """Process a scan and return the fields of its record."""
     from scan2albedo.core.version import VERSION
 
     if task.version != VERSION:

@@ -159,7 +159,6 @@ def _write_face(
     options: dict[str, Any],
     json_summary: bool,
 ) -> None:
-    """Write the face, and print where."""
     from scan2albedo.applications import write_face
 
     stop_cleanly_on_interrupt(out)

@@ -115,7 +115,6 @@ Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan
 
 
 def _process_options(context: typer.Context) -> ProcessOptions:
-    """Return the options that the flags of a command set."""
     from dataclasses import fields
 
     from scan2albedo.pipeline.options import ProcessOptions

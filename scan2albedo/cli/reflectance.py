@@ -299,7 +299,6 @@ def _work(name: str, out: Path) -> Iterator[ProgressLines]:
 def _report(
     progress: ProgressLines, name: str, out: Path, text: str, figures: dict[str, Any], json_summary: bool
 ) -> None:
-    """Say the notes of a command's record, and what it did."""
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.reflectance import FILES
 

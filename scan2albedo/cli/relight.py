@@ -166,7 +166,6 @@ def relight(
 
 
 def _angles(option: str, text: str, fewest: int, most: int) -> list[float]:
-    """Return the numbers, separated by commas, of an option."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:

@@ -128,10 +128,8 @@ class RawScan:
             object.__setattr__(self, "landmarks", PlacedLandmarks.of(self.landmarks))
         if not 0 < self.mm_per_unit < np.inf:
             raise ScanError(f"{self.name}: mm_per_unit is {self.mm_per_unit}, expected a length above 0")
-        vertices = self._checked("vertices", self.vertices, np.float64, (None, 3))
-        faces = self._checked("faces", self.faces, np.int64, (None, 3))
-        object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "faces", faces)
+        vertices = self._checked("vertices", np.float64, (None, 3))
+        faces = self._checked("faces", np.int64, (None, 3))
         if len(faces) == 0:
             raise ScanError(
                 f"{self.name}: the scan has no faces ({len(vertices)} vertices); a surface mesh is needed"
@@ -150,14 +148,12 @@ class RawScan:
         if self.color_seen is not None:
             textured = self.uv is not None and self.texture_linear is not None
             grid = self.texture_linear.shape[:2] if textured else (len(vertices),)  # type: ignore[union-attr]
-            seen = self._checked("color_seen", self.color_seen, np.bool_, grid)
-            object.__setattr__(self, "color_seen", seen)
+            self._checked("color_seen", np.bool_, grid)
         for field, dtype, shape in optional:
-            value = getattr(self, field)
-            if value is not None:
+            if (value := getattr(self, field)) is not None:
                 if dtype is np.float32:
                     require_linear(f"{self.name}: {field}", value)
-                object.__setattr__(self, field, self._checked(field, value, dtype, shape))
+                self._checked(field, dtype, shape)
         if self.uv is not None and (reach := float(np.abs(self.uv).max())) > _LARGEST_UV:
             raise ScanError(
                 f"{self.name}: a texture coordinate is {reach:.3g}, beyond {_LARGEST_UV:g}, where no "
@@ -174,8 +170,9 @@ class RawScan:
                 warnings.warn(f"{self.name}: {doubt}", UserWarning, stacklevel=3)
                 object.__setattr__(self, "notes", (*self.notes, doubt))
 
-    def _checked(self, field: str, value: object, dtype: type, shape: tuple[int | None, ...]):  # type: ignore[no-untyped-def]
-        array = np.ascontiguousarray(value)
+    def _checked(self, field: str, dtype: type, shape: tuple[int | None, ...]):  # type: ignore[no-untyped-def]
+        """Convert an array of the scan to its type, and return it."""
+        array = np.ascontiguousarray(getattr(self, field))
         if array.ndim != len(shape) or any(
             want not in (None, got) for got, want in zip(array.shape, shape, strict=False)
         ):
@@ -188,6 +185,7 @@ class RawScan:
                 f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, "
                 f"first at {first}; repair or re-export the scan"
             )
+        object.__setattr__(self, field, array)
         return array
 
     def inside_out(self) -> RawScan:

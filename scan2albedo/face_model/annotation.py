@@ -232,6 +232,28 @@ class AnnotatedSurface:
         return np.asarray(self.region == self.regions[name].index)
 
 
+@dataclass(frozen=True)
+class FittedSurface:
+    """A model deformed onto a scan, as `sampling` needs it; in the model's frame, mm."""
+
+    vertices: FloatArray
+    """(V, 3): limit surface points, V from `levels` refinements of the control mesh."""
+    faces: IntArray
+    """(F, 3)."""
+    uv: FloatArray
+    """(V, 2): chart coordinates of `vertices`."""
+    region: NDArray[np.uint8]
+    """(F,): region index of each face."""
+    residual_mm: FloatArray
+    """(V,): distance of each vertex to the scan; NaN where the scan has no surface near (hole, outside)."""
+    model_from_scan: FloatArray
+    """(4, 4): pose used; the fit may refine it."""
+    levels: int
+    """Loop refinements of `vertices`."""
+    model: AnnotatedSurface
+    """That was fitted."""
+
+
 def surface_frames(corners: FloatArray) -> FloatArray:
     """Return (N, 3, 3) orthonormal frames of triangles (N, 3, 3); columns: first edge, in-plane, normal.
 

@@ -33,8 +33,8 @@ from scan2albedo.geometry.mesh import (
     without_unreferenced,
 )
 
-STEPS, LEVEL = 10, 1
-"""Iterations of the alignment with a person's face, and the refinement at which heights are measured."""
+STEPS = 10
+"""Iterations of the alignment with a person's face."""
 FIRST_MM, BEFORE_MM, BEHIND_MM = 12.0, 2.0, 6.0
 """Scale of Geman and McClure's weights: at first, and at last for scan before and behind the face."""
 NOISE_MM, SIZE_SD = 2.6, 0.1
@@ -124,7 +124,7 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
 
 def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> BoolArray:
     """Return (V,) which vertices of the scan belong to covers of the face with control points `person`."""
-    subdivision, landmarks = model.subdivision(LEVEL), model.landmarks_of(person)
+    subdivision, landmarks = model.subdivision(1), model.landmarks_of(person)
     assert landmarks is not None
     points, faces = subdivision.matrix @ person, subdivision.faces
     rim = boundary_vertex_mask(len(points), faces)

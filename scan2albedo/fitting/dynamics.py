@@ -52,17 +52,15 @@ class ImplicitSystem:
         self._still = (sparse.diags(held) + stiffness).tocsr()
         self._precondition = factorized(self._still + force_stiffness)
 
-    def step(
-        self, state: State, force: FloatArray, springs: Springs, iterations: int = 6, tolerance: float = 0.1
-    ) -> State:
+    def step(self, state: State, force: FloatArray, springs: Springs, iterations: int = 6) -> State:
         """Return the state one time step later.
 
         `force` (C, 3) acts at `state`, `springs` maps x (C, 3) to H x. Conjugate gradients end after
-        `iterations`, or when the residual has fallen to `tolerance` of the first.
+        `iterations`, or when the residual has fallen to a tenth of the first.
         """
         right = self._mass * state.velocity / self.time_step - self._stiffness @ state.q + force
         moved = conjugate_gradients(
-            lambda x: self._still @ x + springs(x), right, self._precondition, iterations, tolerance
+            lambda x: self._still @ x + springs(x), right, self._precondition, iterations, tolerance=0.1
         )
         return State(state.q + moved, moved / self.time_step)
 

@@ -27,7 +27,7 @@ from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from scan2albedo.geometry.rigid import invert_rigid, is_rigid, transform_points
 
 CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
@@ -96,8 +96,7 @@ def fit(
     pose = np.asarray(reg if isinstance(reg, np.ndarray) else reg.model_from_scan, np.float64)
     if pose.shape != (4, 4):
         raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
-    gap = np.abs(pose[:3, :3].T @ pose[:3, :3] - np.eye(3)).max()
-    if not gap < 1e-3 or not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) < 0:
+    if not is_rigid(pose, 1e-3):
         raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
     low, high = model.control_vertices.min(0), model.control_vertices.max(0)

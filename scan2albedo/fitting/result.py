@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
-from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.face_model.annotation import FittedSurface
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import RESULT_LEVELS, Deformation, imbalance_mm
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
@@ -44,37 +43,21 @@ _FEATURES_MM = {
 
 
 @dataclass(frozen=True)
-class FittedFace:
+class FittedFace(FittedSurface):
     """The model deformed onto a scan; everything in the model's frame, mm."""
 
-    vertices: FloatArray
-    """(V, 3): limit surface points, V from `levels` refinements of the control mesh."""
-    faces: IntArray
-    """(F, 3)."""
-    uv: FloatArray
-    """(V, 2): chart coordinates of `vertices`."""
-    region: NDArray[np.uint8]
-    """(F,): region index of each face."""
     control_points: FloatArray
     """(C, 3): deformed control mesh."""
     landmarks: FloatArray | None
     """(68, 3)."""
-    residual_mm: FloatArray
-    """(V,): distance of each vertex to the scan; NaN where the scan has no surface near (hole, outside)."""
-    model_from_scan: FloatArray
-    """(4, 4): pose used; the fit may refine it."""
     template_vertices: FloatArray | None
     """(T, 3): the model's own template vertices carried along (`AnnotatedFaceModel.from_mesh`)."""
-    levels: int
-    """Loop refinements of `vertices`."""
     converged: bool
     """False when a budget ended the fit, or something holds it far from balance (``imbalance_mm``)."""
     iterations: int
     """Steps taken."""
     trace: Trace
     """Stage "fit", mm."""
-    model: AnnotatedSurface
-    """That was fitted."""
     metrics: dict[str, float] = field(default_factory=dict)
     """For result.json: mean, median, p95 residual, coverage, flipped faces; how far the surface would still
     move (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how far the scan

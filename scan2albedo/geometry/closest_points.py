@@ -49,14 +49,13 @@ class ClosestPointQuery:
         weights = barycentric_coordinates(closest, self._vertices[self._faces[face]])
         return ClosestHits(closest, face, weights, np.sqrt(squared))
 
-    def query_facing(
-        self, points: ArrayLike, normals: ArrayLike, *, min_cosine: float = 0.3, neighbours: int = 32
-    ) -> ClosestHits:
+    def query_facing(self, points: ArrayLike, normals: ArrayLike) -> ClosestHits:
         """Return the closest surface point whose face looks the way of each point's normal.
 
-        Where the cosine of unit `normals` (N, 3) and the closest face's normal is below `min_cosine` (closed
-        lips), the nearest compatible face of the `neighbours` nearest is taken, if any.
+        Where the cosine of unit `normals` (N, 3) and the closest face's normal is below 0.3 (closed lips),
+        the nearest compatible face of the 32 nearest is taken, if any.
         """
+        min_cosine = 0.3
         targets, facing = np.asarray(points, np.float64), np.asarray(normals, np.float64)
         hits, across = self.query(targets), face_normals(self._vertices, self._faces)
         agreement = np.einsum("ij,ij->i", across[hits.face], facing)
@@ -64,7 +63,7 @@ class ClosestPointQuery:
         if len(wrong) == 0:
             return hits
         tree = cKDTree(self._vertices[self._faces].mean(1))
-        _, near = tree.query(targets[wrong], k=min(neighbours, len(self._faces)))
+        _, near = tree.query(targets[wrong], k=min(32, len(self._faces)))
         near = near.reshape(len(wrong), -1)
         for row, candidates in zip(wrong.tolist(), near, strict=True):
             fit = candidates[across[candidates] @ facing[row] >= min_cosine]

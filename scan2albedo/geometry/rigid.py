@@ -39,12 +39,12 @@ def invert_rigid(target_from_source: ArrayLike) -> Matrix:
     return compose(rotation, -rotation @ matrix[:3, 3])
 
 
-def is_rigid(matrix: Matrix) -> bool:
-    """Return whether (4, 4) is a rotation and a translation over the row 0 0 0 1."""
+def is_rigid(matrix: Matrix, tolerance: float = 1e-6) -> bool:
+    """Return whether (4, 4) is a rotation, to a `tolerance`, and a translation over the row 0 0 0 1."""
     if not (np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])):
         return False
     turn = matrix[:3, :3]
-    return bool(np.abs(turn @ turn.T - np.eye(3)).max() <= 1e-6 and np.linalg.det(turn) > 0)
+    return bool(np.abs(turn @ turn.T - np.eye(3)).max() <= tolerance and np.linalg.det(turn) > 0)
 
 
 @dataclass(frozen=True)

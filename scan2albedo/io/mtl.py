@@ -105,7 +105,6 @@ class ScanPictures:
         return tuple(materials), tuple(notes)
 
     def _picture(self, name: str) -> NDArray[np.float32] | str:
-        """Return a picture, or why there is none."""
         file = self.folder.find(name)
         if file is None:
             return f"texture {name} {self.folder.why_missing(name)}"

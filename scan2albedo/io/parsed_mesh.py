@@ -75,6 +75,7 @@ def cut_note(counts: IntArray) -> tuple[str, ...]:
     return (f"polygons cut into triangles: {cut}",) if cut else ()
 
 
-def damaged(path: Path, what: str, kind: str) -> ScanError:
-    """Return the error for a file that is not a whole one of its `kind`."""
+def damaged(path: Path, what: str) -> ScanError:
+    """Return the error for a file that is not a whole one of the kind that its name ends with."""
+    kind = path.suffix[1:].upper()
     return ScanError(f"{path.name}: {what}; the file is damaged, truncated or no {kind}: export it again")

@@ -61,7 +61,7 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
     data = limits.read_bytes(path, advice="decimate it")
     end = _HEADER_END.search(data[: 1 << 20])
     if not data.lstrip()[:3].lower() == b"ply" or end is None:
-        raise damaged(path, "it has no complete PLY header", "PLY")
+        raise damaged(path, "it has no complete PLY header")
     header = data[: end.start()].decode("latin-1")
     # Byte order "<" or ">", None for text.
     orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -80,13 +80,13 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
             elif words[:1] == ["property"]:
                 elements[-1].properties.append((words[2], np.dtype(_TYPES[words[1]]), None))
         except (LookupError, ValueError) as error:
-            raise damaged(path, f"its header holds '{line.strip()[:60]}'", "PLY") from error
+            raise damaged(path, f"its header holds '{line.strip()[:60]}'") from error
     if order == "?" or any(element.count < 0 for element in elements):
-        raise damaged(path, "its header names no known format", "PLY")
+        raise damaged(path, "its header names no known format")
     for element in elements:
         names = {name for name, _, _ in element.properties}
         if len(names) < max(len(element.properties), min(element.count, 1)):
-            raise damaged(path, f"its {element.name} has no properties, or one twice", "PLY")
+            raise damaged(path, f"its {element.name} has no properties, or one twice")
     for element in elements:
         if element.count <= len(data):  # else it is cut short, which is reported below
             most = {"vertex": limits.VERTICES, "face": limits.TRIANGLES}.get(element.name, limits.TEXT_LINES)
@@ -207,20 +207,18 @@ def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> di
             raise _cut_short(path, element)
         table = lines.table(rows)
         if table.bad >= 0:
-            raise damaged(path, f"{element.name} {table.bad} is not made of numbers", path.suffix[1:].upper())
+            raise damaged(path, f"{element.name} {table.bad} is not made of numbers")
         found = columns[element.name] = {}
         column = np.zeros(element.count, np.int64)
         for name, item_type, count_type in element.properties:
             if (short := np.flatnonzero(column >= table.counts)).size:
-                raise damaged(path, f"{element.name} {short[0]} is cut short", path.suffix[1:].upper())
+                raise damaged(path, f"{element.name} {short[0]} is cut short")
             values = table.values[table.first + column]
             column = column + 1
             counts = None
             if count_type is not None:
                 if not ((values >= 0) & (column + values <= table.counts)).all():  # NaN is neither
-                    raise damaged(
-                        path, f"a list {name} of {element.name} is cut short", path.suffix[1:].upper()
-                    )
+                    raise damaged(path, f"a list {name} of {element.name} is cut short")
                 counts = values.astype(np.int64)
                 values = table.ranges(column, counts)
                 column = column + counts
@@ -229,7 +227,7 @@ def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> di
                 fits = (values >= bounds.min) & (values < float(bounds.max) + 1)
                 if not fits.all():
                     wrong = f"{values[~fits][0]:g}, which {item_type.name} cannot hold"
-                    raise damaged(path, f"{name} of {element.name} holds {wrong}", path.suffix[1:].upper())
+                    raise damaged(path, f"{name} of {element.name} holds {wrong}")
             with np.errstate(over="ignore"):  # to infinity; infinite vertices in use raise later
                 items = values.astype(item_type)
             found[name] = items if counts is None else _ListColumn(counts, items)
@@ -237,8 +235,7 @@ def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> di
 
 
 def _cut_short(path: Path, element: Element) -> ScanError:
-    what = f"it declares {element.count} {element.name} rows, but ends before that"
-    return damaged(path, what, path.suffix[1:].upper())
+    return damaged(path, f"it declares {element.count} {element.name} rows, but ends before that")
 
 
 def _binary_rows(path: Path, body: NDArray[np.uint8], element: Element, order: str) -> tuple[Columns, int]:

@@ -164,7 +164,7 @@ def _renamed_one_by_one(staging: Path, target: Path, made: list[str], dropped: C
         for name in made:
             os.rename(new / name, target / name)
         os.unlink(target / JOURNAL)
-    except BaseException:
+    except BaseException:  # whatever stops it, an interrupt too: the folder is whole again
         roll_back(target, locked=True)
         raise
     finally:

@@ -85,14 +85,17 @@ def _read_light(given: Any) -> PointLight:
     return PointLight(azimuth_rad, elevation_rad, distance_mm, *looks)
 
 
-def _light_content(light: PointLight) -> LightRecord:
-    azimuth_deg, elevation_deg = math.degrees(light.azimuth_rad), math.degrees(light.elevation_rad)
-    rest = {name: getattr(light, name) for name in LightRecord.model_fields if hasattr(light, name)}
-    return LightRecord(azimuth_deg=azimuth_deg, elevation_deg=elevation_deg, **rest)
-
-
 Light = Annotated[
-    PointLight, PlainValidator(_read_light), PlainSerializer(_light_content, return_type=LightRecord)
+    PointLight,
+    PlainValidator(_read_light),
+    PlainSerializer(
+        lambda light: LightRecord(
+            azimuth_deg=math.degrees(light.azimuth_rad),
+            elevation_deg=math.degrees(light.elevation_rad),
+            **{name: getattr(light, name) for name in LightRecord.model_fields if hasattr(light, name)},
+        ),
+        return_type=LightRecord,
+    ),
 ]
 Environment = Annotated[
     EnvironmentLight,

@@ -33,12 +33,12 @@ def read_stl(path: Path, _folder: ScanFolder) -> ParsedMesh:
             words = words.replace(b"vertex", b"\nvertex")
         corners, _ = ObjLines(words, path.name).numbers(b"vertex", 3, least=3, most=limits.TEXT_LINES)
         if len(corners) % 3:
-            raise damaged(path, "a triangle has not three vertices", "STL")
+            raise damaged(path, "a triangle has not three vertices")
     else:
         what = f"it has {len(data)} bytes, but {declared} triangles need {needed}"
-        raise damaged(path, f"{what}, and it does not end with endsolid", "STL")
+        raise damaged(path, f"{what}, and it does not end with endsolid")
     if corners.size == 0:
-        raise damaged(path, "it holds no triangles", "STL")
+        raise damaged(path, "it holds no triangles")
     return ParsedMesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
 
 
@@ -47,14 +47,14 @@ def read_off(path: Path, folder: ScanFolder) -> ParsedMesh:
     data = limits.read_bytes(path, advice="decimate it")
     header = _HEADER.match(data)
     if header is None:
-        raise damaged(path, "it does not begin with OFF", "ASCII OFF")
+        raise damaged(path, "it does not begin with OFF")
     if header[0].endswith(b"BINARY"):
-        raise damaged(path, "binary OFF is not supported", "ASCII OFF")
+        raise damaged(path, "binary OFF is not supported")
     lines = number_lines(data, header.end(), path.name)
     head, rows = lines.table(slice(1)), NumberLines(lines.text, *(column[1:] for column in lines[1:]))
     counts = head.values[:2]
     if head.bad >= 0 or len(counts) < 2 or not ((counts >= 0) & (counts < limits.TEXT_LINES)).all():  # or NaN
-        raise damaged(path, "its counts are not numbers that a file has", "ASCII OFF")
+        raise damaged(path, "its counts are not numbers that a file has")
     names, number = ["x", "y", "z"], np.dtype(np.float64)
     vertex, face = (Element(name, int(n)) for name, n in zip(("vertex", "face"), counts, strict=True))
     plain = bool(header[2]) and not (header[1] or header[3])  # colours without normals or coordinates

@@ -225,10 +225,6 @@ class NumberTable(NamedTuple):
     bad: int
     """The first line that is not made of numbers, -1 for none; numbers from there on are not set."""
 
-    def columns(self, begin: int, end: int) -> FloatArray:
-        """Return (N, end - begin) the numbers at these places of each line; every line has so many."""
-        return self.values[self.first[:, None] + np.arange(begin, end)]
-
     def ranges(self, begin: IntArray, counts: IntArray) -> FloatArray:
         """Return `counts` (N,) numbers from place `begin` (N,) in each line, line after line."""
         before = np.cumsum(counts) - counts

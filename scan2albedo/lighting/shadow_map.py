@@ -95,7 +95,6 @@ class ShadowMap:
         return result
 
     def _some(self, index: NDArray[np.intp]) -> ShadowMap:
-        """Return that of some points."""
         surface = self.position[index], self.normal[index]
         return ShadowMap(self.caster, *surface, self.offset_mm, self._above[index])
 

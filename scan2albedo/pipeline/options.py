@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from numbers import Integral
 from pathlib import Path
 from types import MappingProxyType
@@ -193,6 +193,22 @@ class ProcessOptions:
     def stages(self) -> Quality:
         """The options of every stage, by the preset."""
         return self.quality if isinstance(self.quality, Quality) else PRESETS[self.quality]
+
+    def of_registration(self) -> RegistrationOptions:
+        """Return the preset's options of registration with what the caller skips or forces."""
+        stage, step = self.stages.registration, "register.depth_annealing"
+        if step in self.skip:
+            return replace(stage, annealing_evaluations=0)
+        return replace(stage, force_annealing=True) if step in self.force else stage
+
+    def of_albedo(self) -> EstimateOptions:
+        """Return the preset's options of the albedo with the steps that the caller skips or forces."""
+        stage, asked = self.stages.albedo, {*self.skip, *self.force}
+        skip = [step for step in stage.skip if step not in asked]
+        force = [step for step in stage.force if step not in asked]
+        skip += [step for step in self.skip if step in OPTIONAL_STEPS]
+        force += [step for step in self.force if step in OPTIONAL_STEPS]
+        return replace(stage, skip=tuple(skip), force=tuple(force))
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments of `process`."""

@@ -15,10 +15,10 @@ from typing import Any, Never
 
 import numpy as np
 
-from scan2albedo.albedo import OPTIONAL_STEPS, AlbedoEstimate, estimate_albedo
+from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture
-from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
@@ -102,6 +102,7 @@ landmarks, unlit, texture_size, white_balance
     **unknown
         Refused.
     """
+    given = locals()  # the arguments, most of them options of the same name
     for wrong in unknown:  # a misspelt option is refused with the one that was meant
         names = ["name", "on_progress", *(option.name for option in fields(ProcessOptions))]
         near = difflib.get_close_matches(wrong, names, 1)
@@ -111,25 +112,7 @@ landmarks, unlit, texture_size, white_balance
     require_type(source, (str, Path, RawScan), "process: source", advice)
     if out is not None:
         require_type(out, (str, Path), "process: out", "give the folder for the results")
-    chosen = ProcessOptions(
-        model=model,
-        size=size,
-        lights=lights,
-        brdf=brdf,
-        unit=unit,
-        quality=quality,
-        budget=budget,
-        seed=seed,
-        skip=skip,
-        force=force,
-        pictures=pictures,
-        files=files,
-        textures=textures,
-        landmarks=landmarks,
-        unlit=unlit,
-        texture_size=texture_size,
-        white_balance=white_balance,
-    )
+    chosen = ProcessOptions(**{option.name: given[option.name] for option in fields(ProcessOptions)})
     if name is None:
         known = source.name if isinstance(source, RawScan) else scan_name(source)
     elif not is_folder_name(known := name):
@@ -143,7 +126,7 @@ landmarks, unlit, texture_size, white_balance
     with memory_errors_named(known), compiled_beside():
         try:
             result = _processed(source, name, chosen, on_progress, plan)
-        except Exception as error:
+        except Exception as error:  # whatever ends the run, it carries what the stages doubted before
             for step in Plan(tuple(chain(*plan.values()))).doubts():
                 error.add_note(step.text)
             raise
@@ -227,14 +210,10 @@ def _processed(
             reason = "skipped by the caller: the scan is taken to lie in the model's frame"
             plan["register"] = [PlanStep("register", False, reason)]
         else:
-            tuning, step = options.stages.registration, "register.depth_annealing"
-            if step in options.skip:
-                tuning = replace(tuning, annealing_evaluations=0)
-            elif step in options.force:
-                tuning = replace(tuning, force_annealing=True)
 
             def posed(of: RawScan) -> Registration:
                 share = clock.share("register")
+                tuning = options.of_registration()
                 return register(of, model, share, options.seed, options=tuning, on_progress=on_progress)
 
             with clock.timed("register"):
@@ -262,51 +241,30 @@ def _processed(
         else:
             image = geometry_image_of_scan(scan, options.texels)
     figures = image.figures()
-    evidence = (
-        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
-        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
-    )
-    if fitted is not None and scan.has_color:
-        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
-    if image.on_face is not None:
-        evidence += f"; {image.on_face.sum() / image.mask.sum():.0%} are the face, where light is sought"
-    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
-    plan["geometry_image"] = [PlanStep("geometry_image", True, chart, evidence)]
-    if fitted is not None and (doubt := texture_doubt(fitted, scan, image)):
-        plan["geometry_image"] = [*plan["geometry_image"], doubt]
+    plan["geometry_image"] = steps = _image_rows(scan, fitted, image, figures)
     if (white := options.white_balance) != "none" and image.texture_linear is not None:
         scan, image, balance = balanced(scan, image, white)
-        plan["geometry_image"] = [*plan["geometry_image"], balance]
-    if (filled := figures.get("filled", 0.0)) > 0:
-        reason = (
-            f"no picture showed {100 * filled:.1f} % of the surface: its colours there are from around it"
-        )
-        plan["geometry_image"] = [*plan["geometry_image"], PlanStep.doubt("geometry_image.filled", reason)]
+        steps.append(balance)
+    if (filled := 100 * figures.get("filled", 0.0)) > 0:
+        reason = f"no picture showed {filled:.1f} % of the surface: its colours there are from around it"
+        steps.append(PlanStep.doubt("geometry_image.filled", reason))
     if image.texture_linear is not None and "albedo" not in options.skip:
         with clock.timed("albedo"):
-            # The preset's options with the steps that the caller skips or forces.
-            stage, asked = options.stages.albedo, {*options.skip, *options.force}
-            skip = [step for step in stage.skip if step not in asked]
-            skip += [step for step in options.skip if step in OPTIONAL_STEPS]
-            force = [step for step in stage.force if step not in asked]
-            force += [step for step in options.force if step in OPTIONAL_STEPS]
             estimate = estimate_albedo(
                 image,
                 lights=options.lights,
                 brdf=options.brdf,
                 budget=clock.share("albedo"),
                 seed=options.seed,
-                options=replace(stage, skip=tuple(skip), force=tuple(force)),
+                options=options.of_albedo(),
                 on_progress=on_progress,
             )
-        plan["albedo"] = estimate.plan.steps
+        plan["albedo"] = steps = [*estimate.plan]
         strongest = () if estimate.uncertainty is None else estimate.uncertainty.intensity[:1]
-        unsure = max(strongest, default=0.0)
-        if unsure > KNOWN_LIGHT:
-            reason = (
-                f"a lamp's strength is known to {100 * unsure:.0f} % only: its light may be in the albedo"
-            )
-            plan["albedo"] = [*estimate.plan, PlanStep.doubt("albedo.lamp_strength", reason)]
+        if (unsure := max(strongest, default=0.0)) > KNOWN_LIGHT:
+            known = f"a lamp's strength is known to {100 * unsure:.0f} % only"
+            reason = f"{known}: its light may be in the albedo"
+            steps.append(PlanStep.doubt("albedo.lamp_strength", reason))
     else:
         reason = "skipped by the caller" if "albedo" in options.skip else "the scan has no usable colour"
         plan["albedo"] = [PlanStep("albedo", False, reason)]
@@ -346,6 +304,22 @@ def _register_rows(registration: Registration) -> list[PlanStep]:
         )
         rows.append(PlanStep.doubt("register.confidence", reason))
     return rows
+
+
+def _image_rows(
+    scan: RawScan, fitted: FittedFace | None, image: GeometryImage, figures: dict[str, float]
+) -> list[PlanStep]:
+    evidence = (
+        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
+        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
+    )
+    if fitted is not None and scan.has_color:
+        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
+    if image.on_face is not None:
+        evidence += f"; {image.on_face.sum() / image.mask.sum():.0%} are the face, where light is sought"
+    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
+    doubt = None if fitted is None else texture_doubt(fitted, scan, image)
+    return [PlanStep("geometry_image", True, chart, evidence), *([doubt] if doubt else [])]
 
 
 def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> list[PlanStep]:

@@ -264,7 +264,7 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
     if uv is None or texture is None:
         mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
     else:
-        confidence = np.round(255 * np.clip(unlit.confidence, 0, 1)).astype(np.uint8)
+        confidence = _gray_bytes(unlit.confidence)
         own_uv, pictures, whole = uv.copy(), list[MeshPicture](), texture.shape[:2]
         tiles = scan.texture_tiles if len(scan.texture_tiles) > 1 else ()
         for number, tile in enumerate(tiles):

@@ -205,7 +205,6 @@ def identify_results(
 
 
 def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> LabelledTemplates:
-    """Return the results whose masks hold a window, with a note about others."""
     usable, lacking = np.zeros(len(labelled), bool), np.ones(len(labelled), bool)
     for kind in kinds:
         usable[labelled.rows[kind]] |= has_window(labelled.sets[kind], WINDOW)

@@ -31,24 +31,21 @@ class Picture:
         """Return the factor that keeps the brightest parts just below white."""
         return auto_exposure(self.linear[self.alpha > 0])
 
-    def srgb(self, exposure: float | None = None, background: float = 1.0) -> NDArray[np.uint8]:
-        """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None.
+    def srgb(self, exposure: float | None = None) -> NDArray[np.uint8]:
+        """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None, on white.
 
         ValueError for an exposure that is not finite and above 0.
         """
         factor = self.auto_exposure() if exposure is None else checked_exposure(exposure)
         shown = np.clip(factor * self.linear, 0, self.alpha[..., None])
-        return encode_srgb_bytes(shown + background * (1 - self.alpha[..., None]))
+        return encode_srgb_bytes(shown + (1 - self.alpha[..., None]))
 
 
-def auto_exposure(linear: ArrayLike, level: float = 0.8, percentile: float = 98) -> float:
-    """Return the factor that shows a percentile of the brightest channels at a linear level; 1 for black.
-
-    `linear` are colours (N, 3); the defaults put the bright part of a face just below white.
-    """
+def auto_exposure(linear: ArrayLike) -> float:
+    """Return the factor that shows the bright part of colours (N, 3) just below white; 1 for black."""
     brightest = np.asarray(linear).reshape(-1, 3).max(-1)
-    bright = float(np.percentile(brightest, percentile)) if len(brightest) else 0.0
-    return level / bright if bright > 0 else 1.0
+    bright = float(np.percentile(brightest, 98)) if len(brightest) else 0.0
+    return 0.8 / bright if bright > 0 else 1.0
 
 
 def checked_exposure(exposure: float) -> float:

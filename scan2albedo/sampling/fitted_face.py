@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
+from scan2albedo.face_model.annotation import FittedSurface
 from scan2albedo.face_model.appearance import appearance, placed
 from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
@@ -22,9 +22,6 @@ from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling.texture_lookup import MOVES, moved_colors, texel_steps, texture_on_chart
-
-if TYPE_CHECKING:
-    from scan2albedo.face_model import AnnotatedSurface
 
 SOFTENING = 1 / 50
 """Standard deviation of the blur of annotated values, as a fraction of the image's size."""
@@ -35,43 +32,7 @@ _CHECK_SIZE = 48
 """Side of the grid on which the texture is held against the shape."""
 
 
-class Fitted(Protocol):
-    """The parts of a fitted face that sampling needs (`scan2albedo.fitting.FittedFace`)."""
-
-    @property
-    def vertices(self) -> NDArray[np.float64]:
-        """(V, 3) mm, model frame."""
-
-    @property
-    def faces(self) -> NDArray[np.int64]:
-        """(F, 3)."""
-
-    @property
-    def uv(self) -> NDArray[np.float64]:
-        """(V, 2) chart coordinates."""
-
-    @property
-    def residual_mm(self) -> NDArray[np.float64]:
-        """(V,) distance to the scan; NaN where there is none near."""
-
-    @property
-    def region(self) -> NDArray[np.uint8]:
-        """(F,) region index."""
-
-    @property
-    def levels(self) -> int:
-        """Refinements of the model's control mesh that give `faces`."""
-
-    @property
-    def model_from_scan(self) -> NDArray[np.float64]:
-        """(4, 4)."""
-
-    @property
-    def model(self) -> AnnotatedSurface:
-        """The model that was fitted."""
-
-
-def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> GeometryImage:
+def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512) -> GeometryImage:
     """Sample a fitted face on a regular grid over its chart [1]_.
 
     Position and normal come from the fitted limit surface, the texture from the closest point of the raw
@@ -183,7 +144,7 @@ def geometry_image(fitted: Fitted, scan: RawScan | None, size: int = 512) -> Geo
     )
 
 
-def without_covers(fitted: Fitted, scan: RawScan) -> RawScan:
+def without_covers(fitted: FittedSurface, scan: RawScan) -> RawScan:
     """Return the scan without the faces that the fit left out, whose colours are not the face's."""
     covered = getattr(fitted, "covered_faces", None)
     if covered is None or len(covered) != len(scan.faces):
@@ -191,11 +152,11 @@ def without_covers(fitted: Fitted, scan: RawScan) -> RawScan:
     return scan.without_faces(covered)
 
 
-def _annotation(fitted: Fitted, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
+def _annotation(fitted: FittedSurface, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
     return fitted.model.region_values(attribute)[region].astype(np.float32)
 
 
-def texture_doubt(fitted: Fitted, scan: RawScan, image: GeometryImage) -> PlanStep | None:
+def texture_doubt(fitted: FittedSurface, scan: RawScan, image: GeometryImage) -> PlanStep | None:
     """Return the doubt that a scan's texture belongs to its shape, None where it most probably does.
 
     `image` is the scan's. The texture as it is stands against itself moved, with red and blue exchanged, as a

@@ -55,15 +55,13 @@ def person(
     return transform_points(procrustes(shaped, rest), shaped)
 
 
-def expression_offsets(
-    model: AnnotatedSurface, rng: np.random.Generator, *, levels: int, each: int = 8
-) -> FloatArray:
-    """Return (E, V, 3) random expressions, `each` of a kind, less the face at rest; mm on the surface."""
+def expression_offsets(model: AnnotatedSurface, rng: np.random.Generator, *, levels: int) -> FloatArray:
+    """Return (E, V, 3) random expressions, eight of a kind, less the face at rest; mm on the surface."""
     to_surface = model.subdivision(levels).matrix
     moved = [
         person(model, rng, strength=0.0, expression=name) - model.control_vertices
         for name in get_args(Expression)[1:]
-        for _ in range(each)
+        for _ in range(8)
     ]
     return np.stack([to_surface @ offset for offset in moved])
 
@@ -112,14 +110,12 @@ def face_surface(model: AnnotatedSurface, control_points: FloatArray, *, levels:
     )
 
 
-def with_relief(
-    surface: FaceSurface, rng: np.random.Generator, *, height_mm: float = 0.08, bumps: int = 40
-) -> FaceSurface:
+def with_relief(surface: FaceSurface, rng: np.random.Generator, *, height_mm: float = 0.08) -> FaceSurface:
     """Return the surface with fine relief along its normals that no control mesh of the model can follow.
 
-    Its standard deviation is `height_mm`; about `bumps` bumps lie across the chart (40 are wrinkles of 5 mm).
+    Its standard deviation is `height_mm`; wrinkles are 5 mm wide, 40 across the chart.
     """
-    height = height_mm * smooth_noise(surface.vertex_uv(), (bumps, bumps), rng)
+    height = height_mm * smooth_noise(surface.vertex_uv(), (40, 40), rng)
     vertices = surface.vertices + height[:, None] * surface.normals
     return replace(surface, vertices=vertices, normals=vertex_normals(vertices, surface.faces))
 

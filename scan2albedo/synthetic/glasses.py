@@ -21,13 +21,6 @@ from scan2albedo.synthetic.glasses_shape import (
     temple_path,
 )
 
-_SECTION = 12
-"""Points around a rim."""
-_HINGE = 5
-_BRIDGE = 31
-"""`_HINGE`, `_BRIDGE`: rim points in the middle of the patches that temple and bridge grow from."""
-_BRIDGE_FRAME = np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-
 
 @dataclass(frozen=True)
 class SyntheticEyeglasses:
@@ -175,9 +168,11 @@ class _Half:
 
 def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_bridge: bool) -> _Half:
     """Return the half at x >= 0; `welded` grows bridge and temple out of the rim's surface."""
-    half = _Half()
+    half, section = _Half(), 12  # points around a rim
+    hinge, bridge = 5, 31  # rim points in the middle of the patches that temple and bridge grow from
+    bridge_frame = np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     line, normal = rim_curve(shape)
-    angle = -2 * np.pi * np.arange(_SECTION) / _SECTION
+    angle = -2 * np.pi * np.arange(section) / section
     sections = (
         line[:, None]
         + shape.rim_width / 2 * np.cos(angle)[:, None] * normal[:, None]
@@ -185,28 +180,28 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     )
     rim = half.add(sections)
     faces = _ring_faces(np.concatenate([rim, rim[:1]]))
-    half.lens_edge = rim[:, _SECTION // 2]
+    half.lens_edge = rim[:, section // 2]
     # Patches (rows, columns) on the rim's outside, and their outlines as a tube's first ring.
     # They reach two segments to each side of their middle, along and around the rim.
     loops, s = {}, 2
     side, full = np.arange(2 * s), np.full(2 * s, s)
-    for middle in (_HINGE, _BRIDGE):
+    for middle in (hinge, bridge):
         i = (middle + np.concatenate([s - side, -full, side - s, full])) % RIM_POINTS
-        j = np.concatenate([-full, side - s, full, s - side]) % _SECTION
+        j = np.concatenate([-full, side - s, full, s - side]) % section
         loops[middle] = (rim[i, j], sections[i, j])
         rows, columns = np.meshgrid(middle + np.arange(-s, s + 1), np.arange(-s, s + 1), indexing="ij")
         if welded:
-            faces = faces[~np.isin(faces, rim[rows % RIM_POINTS, columns % _SECTION]).all(1)]
+            faces = faces[~np.isin(faces, rim[rows % RIM_POINTS, columns % section]).all(1)]
     half.faces.append(faces)
     outward = {"rim_top": 18, "rim_inner": 42, "rim_bottom": 54, "rim_outer": 66}
     half.marks |= {name: int(rim[i, 0]) for name, i in outward.items()}
-    half.marks["rim_bridge"] = int(rim[_BRIDGE, _SECTION // 2])
+    half.marks["rim_bridge"] = int(rim[bridge, section // 2])
     # Half the bridge.
-    loop, points = loops[_BRIDGE]
+    loop, points = loops[bridge]
     start, t = points.mean(0), np.linspace(0, 1, 9)
     path = np.stack([start[0] * (1 - t), start[1] + 1.5 * t * (2 - t), start[2] * (1 - t) ** 2], 1)
     path[-1, 0] = 0.0
-    frames = np.broadcast_to(_BRIDGE_FRAME, (len(path), 3, 3))
+    frames = np.broadcast_to(bridge_frame, (len(path), 3, 3))
     ellipse = _ellipse(len(loop), 0.45 * shape.rim_depth, shape.bridge_height / 2, -0.75 * np.pi)
     rings = _blended(path, frames, points, ellipse, np.clip(2 * t, 0, 1))
     if not welded:
@@ -214,7 +209,7 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     half.seam = half.add_tube(rings, loop if welded else None)[-1]
     half.marks |= {"bridge_top": int(half.seam[6]), "bridge_bottom": int(half.seam[14])}
     # The temple; over 8 mm its section turns from the patch's outline into an ellipse.
-    loop, points = loops[_HINGE]
+    loop, points = loops[hinge]
     start = points.mean(0) + (0.0 if welded else np.array([1.0 + 0.25 * shape.rim_width, 0, 0]))
     path = temple_path(shape, start)
     frames = _path_frames(path)
@@ -250,7 +245,7 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         # Half a second bridge; the key point at the top of the bridge goes to it.
         path = line[24] * np.linspace(1, 0, 17)[:, None] ** [1, 0, 2]
         ellipse = _ellipse(12, 0.45 * shape.rim_depth, shape.bridge_height / 2, np.pi / 2)
-        rings = path[:, None] + ellipse @ _BRIDGE_FRAME
+        rings = path[:, None] + ellipse @ bridge_frame
         rings[-1, :, 0] = 0.0
         last = half.add_tube(rings)[-1]
         half.seam = np.concatenate([half.seam, last])

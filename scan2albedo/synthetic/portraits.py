@@ -15,9 +15,6 @@ from scan2albedo.synthetic.camera import TARGET_MM, Portrait, refuse_outside, to
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
 
-_HIGH_FLASHES_DEG = ((-20.0, 25.0), (20.0, 25.0))
-"""Azimuth and elevation of the flashes that stand where no camera takes pictures."""
-_ROOM_LAMPS_DEG = ((-35.0, 50.0), (40.0, 35.0), (5.0, 70.0))
 _ROOM_COLOR = np.array([1.0, 0.93, 0.82])
 _LEAST_GAIN = 0.1
 _BEHIND_MM = 3.0
@@ -111,15 +108,15 @@ def flash_capture(
     """
     refuse_outside(1, views=views, flashes=flashes)
     refuse_outside(0, gain_deviation=gain_deviation, room=room)
-    if flashes > views + len(_HIGH_FLASHES_DEG):
+    if flashes > views + 2:
         raise ValueError(
-            f"there are {flashes} flashes and {views} views, expected "
-            f"{len(_HIGH_FLASHES_DEG)} flashes more than views at most"
+            f"there are {flashes} flashes and {views} views, expected 2 flashes more than views at most"
         )
     person = GlossyPerson.seated(seed, expression, hair, levels, model)
     # Poses of the head before all places where a camera or a flash stands.
     places = [(float(side), 0.0) for side in (np.linspace(-60, 60, views) if views > 1 else [0])]
-    places += _HIGH_FLASHES_DEG[: max(flashes - views, 0)]
+    # Where flashes stand and no camera takes pictures.
+    places += [(-20.0, 25.0), (20.0, 25.0)][: max(flashes - views, 0)]
     focal, middle = portrait.focal_px, (portrait.picture_size - 1) / 2
     intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
     poses = np.linalg.solve(intrinsics, np.stack([portrait.camera(*place) for place in places]))
@@ -134,8 +131,8 @@ def flash_capture(
         seen = person.seen(camera, centers[c], portrait.picture_size)
         # The room: three lamps 3 m away and light from everywhere, half each.
         lamps = [
-            person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / len(_ROOM_LAMPS_DEG)
-            for lamp in _ROOM_LAMPS_DEG
+            person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3
+            for lamp in ((-35.0, 50.0), (40.0, 35.0), (5.0, 70.0))
         ]
         ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
         rooms.append(seen.picture(ambient.astype(np.float32)))

@@ -202,7 +202,6 @@ def _photographed(
     bits: int | None,
     seed: int,
 ) -> SyntheticScene:
-    """Light and photograph the texels of a geometry image."""
     lights = (light_at(45),) if lights is None else tuple(lights)
     material = material or Material()
     mask, shape = image.mask, image.shape

@@ -23,8 +23,6 @@ _CLEARANCE_MM = 0.4
 """Between nose and frame, between head and temples."""
 _FRONT_MM = 12.0
 """Vertices this far behind the hinges or less may touch the face."""
-_PLACES_DEG = ((-38.0, 8.0), (0.0, -8.0), (38.0, 8.0))
-"""Yaw, positive at the wearer's left, and elevation of each camera around the head."""
 
 
 def fit_temples(shape: GlassesShape, seed: int, head: RayScene, nose_top: FloatArray) -> GlassesBend:
@@ -151,7 +149,8 @@ def wearer(
     # Cameras look from 600 mm away at a point between the lenses and the ears.
     target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
     frame = (picture_size, picture_size)
-    places = [target + 600 * toward(*place) for place in _PLACES_DEG]
+    yaw_elevation_deg = (-38.0, 8.0), (0.0, -8.0), (38.0, 8.0)  # positive yaw at the wearer's left
+    places = [target + 600 * toward(*place) for place in yaw_elevation_deg]
     cameras = np.array([look_at(place, target, focal_px=focal_px, shape=frame) for place in places])
     rng = np.random.default_rng([seed, 9])
     # Half a millimetre behind what a ray meets first is still the same surface.

@@ -64,13 +64,12 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         )
     template = clean_template(surface, name)
     vertices, faces = np.asarray(given.vertices, float), np.array(given.faces, np.int64)
-    control = fit_limit_surface(
-        decimated(template.vertices, template.faces, control_size), template.vertices, template.faces
-    )
-    subdivision = LoopSubdivision.of(len(control.vertices), control.faces, LANDMARK_LEVELS)
+    start, control_faces = decimated(template.vertices, template.faces, control_size)
+    control = fit_limit_surface(start, control_faces, template.vertices, template.faces)
+    subdivision = LoopSubdivision.of(len(control), control_faces, LANDMARK_LEVELS)
     # The cleaned vertices are placed on the limit surface, loose ones where the nearest of these is.
     normals = vertex_normals(template.vertices, template.faces)
-    inner = project(subdivision, control.vertices, template.vertices, normals)
+    inner = project(subdivision, control, template.vertices, normals)
     tree = cKDTree(template.vertices)
     distance, nearest = tree.query(template.all_vertices)
     face, barycentric = inner.face[nearest].copy(), inner.barycentric[nearest].copy()
@@ -78,24 +77,24 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     apart = distance > 1e-3
     apart[template.source] = False
     if apart.any():
-        loose = project(subdivision, control.vertices, template.all_vertices[apart], np.zeros((1, 3)))
+        loose = project(subdivision, control, template.all_vertices[apart], np.zeros((1, 3)))
         face[apart], barycentric[apart] = loose.face, loose.barycentric
     placed = SurfacePoints(face, barycentric)
     matrix = subdivision.points_matrix(placed)
-    frames = surface_frames(control.vertices[control.faces[face]])
-    offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control.vertices)
+    frames = surface_frames(control[control_faces[face]])
+    offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control)
     # Each control face gets the region of the template vertex nearest to its centre.
     label, table = _regions(given, faces)
-    centres = control.vertices[control.faces].mean(1)
+    centres = control[control_faces].mean(1)
     region = label[template.source][tree.query(centres)[1]]
     if template.filled.any():
         index = len(table)
         corners = template.vertices[template.faces[template.filled]]
-        over_holes = project(subdivision, control.vertices, corners.mean(1), np.zeros((1, 3)))
+        over_holes = project(subdivision, control, corners.mean(1), np.zeros((1, 3)))
         region[over_holes.face] = index
         # These faces are softer, so that a mouth may open.
         table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
-    chart, chart_note = _chart(vertex_uv(given), template, control, matrix, name)
+    chart, chart_note = _chart(vertex_uv(given), template, (control, control_faces), matrix, name)
     corners_uv, uv_note = corner_uv(given)
     cut = len(surface.faces) - int((~template.filled).sum())
     off = np.linalg.norm(offset[template.source], axis=1)
@@ -111,8 +110,8 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         uv_note,
     )
     return AnnotatedSurface(
-        control_vertices=control.vertices,
-        control_faces=control.faces,
+        control_vertices=control,
+        control_faces=control_faces,
         uv=chart,
         region=region,
         regions=table,
@@ -156,7 +155,11 @@ def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
 
 
 def _chart(
-    uv: FloatArray | None, template: CleanTemplate, control: ControlMesh, matrix: sparse.csr_matrix, name: str
+    uv: FloatArray | None,
+    template: CleanTemplate,
+    mesh: tuple[FloatArray, IntArray],
+    matrix: sparse.csr_matrix,
+    name: str,
 ) -> tuple[FloatArray, str]:
     """Return (C, 2), the given chart solved for control vertices or a new one, and a note where it is new."""
     from scan2albedo.geometry.parametrization import parametrize_disc
@@ -176,10 +179,10 @@ def _chart(
             tie = 1e-6 * sparse.identity(rows.shape[1])
             chart = np.clip(splu((rows.T @ rows + tie).tocsc()).solve(rows.T @ known), 0.0, 1.0)
             flat = np.column_stack([chart, np.zeros(len(chart))])
-            if (face_cross_products(flat, control.faces)[:, 2] > 0).all():
+            if (face_cross_products(flat, mesh[1])[:, 2] > 0).all():
                 return chart, ""
             note = "a new chart was drawn: the uv given folds over or leaves the unit square"
-    return parametrize_disc(control.vertices, control.faces), note
+    return parametrize_disc(*mesh), note
 
 
 def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], dict[str, Region]]:
@@ -219,7 +222,6 @@ def _landmarks(
     placed: SurfacePoints,
     name: str,
 ) -> SurfacePoints | None:
-    """Place 68 landmarks at the template vertices given or nearest to the points given."""
     if landmarks is None:
         return None
     given = np.asarray(landmarks)
@@ -250,15 +252,7 @@ def _landmarks(
     return SurfacePoints(placed.face[chosen], placed.barycentric[chosen])
 
 
-@dataclass(frozen=True)
-class ControlMesh:
-    """`vertices` (C, 3) and `faces` (F, 3) of a Loop control mesh."""
-
-    vertices: FloatArray
-    faces: IntArray
-
-
-def decimated(vertices: FloatArray, faces: IntArray, size: int) -> ControlMesh:
+def decimated(vertices: FloatArray, faces: IntArray, size: int) -> tuple[FloatArray, IntArray]:
     """Return a mesh of about `size` vertices, denser where the surface bends; smaller ones stay as they are.
 
     Edges collapse shortest first, measured between (position, NORMAL_WEIGHT_MM times normal).
@@ -266,37 +260,39 @@ def decimated(vertices: FloatArray, faces: IntArray, size: int) -> ControlMesh:
     import igl
 
     if len(vertices) <= 1.2 * size:
-        return ControlMesh(vertices, faces)
+        return vertices, faces
     lifted = np.hstack([vertices, NORMAL_WEIGHT_MM * vertex_normals(vertices, faces)])
     target = int(len(faces) * size / len(vertices))
     collapsed, index, _, _ = igl.decimate(
         np.asfortranarray(lifted), np.asfortranarray(faces.astype(np.int32)), target
     )
-    return ControlMesh(np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, np.int64))
+    return np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, np.int64)
 
 
-def fit_limit_surface(start: ControlMesh, vertices: FloatArray, faces: IntArray) -> ControlMesh:
-    """Move the control vertices of `start` until the limit surface passes near the dense mesh (K, 3), (F, 3).
+def fit_limit_surface(
+    start: FloatArray, control_faces: IntArray, vertices: FloatArray, faces: IntArray
+) -> FloatArray:
+    """Return the control vertices, from `start` (C, 3), whose limit surface passes near a dense mesh (K, 3).
 
     Alternates projection of the dense vertices x_i on the limit surface, A_i P, with
 
         min_P  sum_i |A_i P - x_i|^2 + s N / C |L (P - P_0)|^2,  L the graph Laplacian, s small.
     """
-    count = len(start.vertices)
-    subdivision = LoopSubdivision.of(count, start.faces, 2)
+    count = len(start)
+    subdivision = LoopSubdivision.of(count, control_faces, 2)
     chosen = np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), MAX_TARGETS)).astype(int))
     targets, normals = vertices[chosen], vertex_normals(vertices, faces)[chosen]
-    ring = adjacency(count, start.faces)
+    ring = adjacency(count, control_faces)
     valence = np.maximum(np.asarray(ring.sum(1)).ravel(), 1)
     smooth = sparse.identity(count) - sparse.diags(1 / valence) @ ring
     stiff = SMOOTHNESS * len(chosen) / count * (smooth.T @ smooth)
-    control = start.vertices
+    control = start
     for _ in range(4):
         points = project(subdivision, control, targets, normals)
         rows = subdivision.points_matrix(points)
         system = (rows.T @ rows + stiff).tocsc()
-        control = splu(system).solve(rows.T @ targets + stiff @ start.vertices)
-    return ControlMesh(control, start.faces)
+        control = splu(system).solve(rows.T @ targets + stiff @ start)
+    return control
 
 
 def project(

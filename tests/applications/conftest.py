@@ -69,16 +69,16 @@ def _fitted_model():
         subdivision.faces,
         uv,
         model.region[subdivision.parent],
-        model.control_vertices,
-        model.landmarks,
         np.zeros(len(vertices)),
         np.eye(4),
-        None,
         1,
+        model,
+        model.control_vertices,
+        model.landmarks,
+        None,
         True,
         1,
         Trace(),
-        model,
     )
 
 

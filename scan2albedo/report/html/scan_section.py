@@ -104,7 +104,6 @@ def scan_section(
 
 
 def _figures(record: ResultRecord) -> dict[str, Any]:
-    """Return what the record holds in numbers, in words: headline, warnings, figures and lights."""
     flat = flat_figures(record.metrics, "metrics")
     residual, error = flat.get("metrics_fit_residual_mean_mm"), flat.get(_ERROR)
     headline = [] if residual is None else [f"fit {number_text(residual)} mm mean"]
