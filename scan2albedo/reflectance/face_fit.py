@@ -16,7 +16,7 @@ from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.environment_shading import diffuse_response, shading_gradient
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
+from scan2albedo.reflectance.morphable_model import PEOPLE_DIFFER, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import checked_mesh
@@ -28,6 +28,10 @@ _LEAST_BLOCKS = 12
 _LEAST_GAIN = 0.07
 """A gain must exceed this share of the error: light that skin reflects onto skin is coloured, and gains a
 little."""
+_LIGHT_HUES = {0.15: 0.8, 0.5: 0.2}
+"""Standard deviations of the logarithms of a light's channels, less their mean, in photographs with balanced
+white and in any, and how many there are of each: white balance errs by two degrees (Cheng, Prasad, Brown,
+JOSA A 2014), and what is reflected and glossy adds as much; from daylight to a bulb it is 0.5."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,7 @@ class FaceFit:
     """(V, 3): logarithms of the factors on the albedo; None where they were not accepted."""
     evidence: tuple[Evidence, ...]
     plan: Plan
-    """`evidence` for details and for the person, and what was believed, and why."""
+    """`evidence` for details and for the person, and what was believed, and why; the skin's hue is last."""
 
 
 def fit_face(
@@ -131,8 +135,9 @@ def fit_face(
     both are, the mean face is returned, and `plan` says so. The last fits are to all blocks; a person whose
     objective is then above the mean face's, which the model contains, is left out as well. If these leave
     more than a quarter of the photograph (relative RMSE; and what normals may be wrong by), both are left
-    out: light or shape are wrong. Raises `ReflectanceError` as `fit_image`, or when a vertex is not finite.
-    Warns by `RuntimeWarning` when the last fit stops without having converged.
+    out: light or shape are wrong. Where details are believed and the person is not, the mean face gets the
+    hue that its skin probably has (`skin_hue`). Raises `ReflectanceError` as `fit_image`, or when a vertex is
+    not finite. Warns by `RuntimeWarning` when the last fit stops without having converged.
 
     Parameters
     ----------
@@ -163,9 +168,78 @@ def fit_face(
     if not np.isfinite(xyz).all():
         bad = int((~np.isfinite(xyz)).any(1).sum())
         raise ReflectanceError(f"{bad} vertices of the mesh are NaN or infinite; give a whole mesh")
-    # Errors (B,) of descriptions of the face, by blocks left out of their fits; NaN where not judged.
-    used, block = np.asarray(observation.seen) & model.known, np.full(len(xyz), -1)
-    cells = np.floor(xyz[used] / _BLOCK_MM).astype(np.int64)
+    used = np.flatnonzero(np.asarray(observation.seen) & model.known)
+    errors = _errors_left_out(observation, model, xyz, index, lighting, normal_error, budget)
+    # Details hold nothing that wrong normals could colour, so that any gain above chance counts.
+    details = _judged(errors, "details", "mean", "mean+details", 0.0 if normal_error else _LEAST_GAIN)
+    ending = "+details" if details.accepted else ""
+    if normal_error:
+        text = f"the normals may be wrong by {np.degrees(normal_error):.0f} degrees"
+        person = Evidence("person", np.nan, np.nan, 0.0, 0.0, details.blocks, False, untested=text)
+    else:
+        person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
+    mean = fit_image(observation, model.mean_only(), lighting, budget=budget, on_progress=on_progress)
+    mean = replace(mean, face=replace(mean.face, coefficients=np.zeros(model.components)))
+    fit = mean
+    if person.accepted:
+        fit = fit_image(observation, model, lighting, budget=budget, on_progress=on_progress)
+        person = replace(person, objective_before=mean.objective, objective_after=fit.objective)
+        if person.missed_mean:
+            # The model contains the mean face, so a larger objective is a search gone astray.
+            fit, person = mean, replace(person, accepted=False)
+    if person.accepted and details.accepted:
+        # The person may explain all that the details did.
+        details = _judged(errors, "details", "person", "person+details")
+    left = fit.relative_rmse
+    divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
+    tilt = np.trace(divided.by_tilt[divided.usable], axis1=1, axis2=2)
+    shading_error = normal_error * np.sqrt(np.median(tilt) / 3) if len(tilt) else 0.0
+    badly_explained = left > np.hypot(MOST_UNEXPLAINED, shading_error)
+    if badly_explained:
+        fit = mean
+        details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
+    hue, why = np.ones(3), "no details are believed"
+    if person.accepted:
+        why = "the person's coefficients have it"
+    elif details.accepted:
+        why = "the photograph's white is probably balanced"
+        hue = skin_hue(observation.response(used).diffuse @ fit.light)
+        fit = fit_image(observation, model.mean_only(hue), lighting, budget=budget)
+        fit = replace(fit, face=replace(fit.face, coefficients=mean.face.coefficients))
+        divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
+    text = "factors of red, green, blue: " + ", ".join(f"{one:.2f}" for one in hue)
+    toning = PlanStep("reflectance.image.hue", bool((hue != 1).any()), why, text)
+    reflectance, accepted_field = fit.face.reflectance, None
+    radiance, rmse = fit.radiance_linear, fit.relative_rmse
+    if details.accepted:
+        accepted_field = detail_field(divided, xyz, index, normal_error)
+        factor = np.where(reflectance.known[:, None], np.exp(accepted_field), 1.0)
+        reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
+        part = VertexReflectance(
+            reflectance.diffuse_linear[used], reflectance.weights[used], reflectance.known[used]
+        )
+        radiance = np.full(reflectance.diffuse_linear.shape, np.nan)
+        radiance[used] = observation.response(used).shade(part, fit.light).radiance_linear
+        observed = np.asarray(observation.observed_linear)[used]
+        rmse = float(np.linalg.norm(radiance[used] - observed) / np.linalg.norm(observed))
+    evidence = (details, person)
+    better = person.accepted or details.accepted
+    plan = Plan((*(one.plan_step() for one in evidence), toning))
+    return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
+
+
+def _errors_left_out(
+    observation: ImageObservation,
+    model: MorphableReflectanceModel,
+    vertices: FloatArray,
+    faces: IntArray,
+    lighting: LightingModel,
+    normal_error: float,
+    budget: Budget | float | None,
+) -> dict[str, FloatArray]:
+    """Return errors (B,) of descriptions of the face, by blocks left out of fits; NaN where not judged."""
+    used, block = np.asarray(observation.seen) & model.known, np.full(len(vertices), -1)
+    cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     count, folds = int(block.max(initial=-1)) + 1, 3
     fold_of = np.random.default_rng(0).permutation(count) % folds
@@ -184,7 +258,7 @@ def fit_face(
                 fit = fit_image(shown, one, lighting, budget=budget)
             divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
             shown_part = replace(divided, usable=divided.usable & ~held_out)
-            field = detail_field(shown_part, xyz, index, normal_error)
+            field = detail_field(shown_part, vertices, faces, normal_error)
             tested = np.flatnonzero(held_out & divided.lit)
             number = np.bincount(block[tested], minlength=count)
             for label, added in ((name, 0.0), (f"{name}+details", field)):
@@ -194,49 +268,7 @@ def fit_face(
                 total = np.bincount(block[tested], error, minlength=count)
                 means = errors.setdefault(label, np.full(count, np.nan))
                 means[number > 0] = total[number > 0] / number[number > 0]
-    # Details hold nothing that wrong normals could colour, so that any gain above chance counts.
-    details = _judged(errors, "details", "mean", "mean+details", 0.0 if normal_error else _LEAST_GAIN)
-    ending = "+details" if details.accepted else ""
-    if normal_error:
-        text = f"the normals may be wrong by {np.degrees(normal_error):.0f} degrees"
-        person = Evidence("person", np.nan, np.nan, 0.0, 0.0, details.blocks, False, untested=text)
-    else:
-        person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
-    mean = fit_image(observation, model.mean_only(), lighting, budget=budget, on_progress=on_progress)
-    mean = replace(mean, face=model.reconstruct(np.zeros(model.components)))
-    fit = mean
-    if person.accepted:
-        fit = fit_image(observation, model, lighting, budget=budget, on_progress=on_progress)
-        person = replace(person, objective_before=mean.objective, objective_after=fit.objective)
-        if person.missed_mean:
-            # The model contains the mean face, so a larger objective is a search gone astray.
-            fit, person = mean, replace(person, accepted=False)
-    if person.accepted and details.accepted:
-        # The person may explain all that the details did.
-        details = _judged(errors, "details", "person", "person+details")
-    left = fit.relative_rmse
-    divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
-    badly_explained = left > np.hypot(MOST_UNEXPLAINED, normal_error * np.sqrt(np.trace(divided.by_tilt) / 3))
-    if badly_explained:
-        fit = mean
-        details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
-    reflectance, accepted_field = fit.face.reflectance, None
-    radiance, rmse = fit.radiance_linear, fit.relative_rmse
-    if details.accepted:
-        accepted_field = detail_field(divided, xyz, index, normal_error)
-        factor = np.where(reflectance.known[:, None], np.exp(accepted_field), 1.0)
-        reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
-        part = VertexReflectance(
-            reflectance.diffuse_linear[used], reflectance.weights[used], np.ones(int(used.sum()), bool)
-        )
-        radiance = np.full(reflectance.diffuse_linear.shape, np.nan)
-        radiance[used] = observation.response(np.flatnonzero(used)).shade(part, fit.light).radiance_linear
-        observed = np.asarray(observation.observed_linear)[used]
-        rmse = float(np.linalg.norm(radiance[used] - observed) / np.linalg.norm(observed))
-    evidence = (details, person)
-    better = person.accepted or details.accepted
-    plan = Plan(tuple(one.plan_step() for one in evidence))
-    return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
+    return errors
 
 
 def _judged(
@@ -254,6 +286,21 @@ def _judged(
     first, last = float(one[common].mean()), float(two[common].mean())
     accepted = gain > max(2 * spread, least * first)  # two standard errors
     return Evidence(step, first, last, gain, spread, count, accepted)
+
+
+def skin_hue(received: FloatArray) -> FloatArray:
+    """Return factors (3,) on the channels of the mean face's albedo, from the light (V, 3) that it receives.
+
+    A photograph shows the sum of two hues, the skin's and the light's: of the logarithms, less their mean,
+    the skin's part is the posterior mean under normal priors of both, that of the light being a mixture.
+    """
+    cast = np.log(np.maximum(received.mean(0), _TINY))
+    cast -= cast.mean()
+    deviations, often = np.array(tuple(_LIGHT_HUES.items())).T
+    variance = deviations**2 + PEOPLE_DIFFER**2
+    # Two numbers of the three are free.
+    odds = often / variance * np.exp(-cast @ cast / (2 * variance))
+    return np.asarray(np.exp(np.average(PEOPLE_DIFFER**2 / variance, weights=odds + _TINY) * cast))
 
 
 _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
@@ -284,7 +331,8 @@ class ShadingDivided:
     log_whole: FloatArray
     """(V, 3): logarithm of the observed over the whole predicted light; 0 where not seen."""
     by_tilt: FloatArray
-    """(3, 3): covariance of the logarithms of the channels' light by a normal's tilt of one radian."""
+    """(V, 3, 3): covariance of the logarithms of the channels' light by a normal's tilt of one radian; 0
+    where not usable."""
 
     @classmethod
     def from_observation(
@@ -320,14 +368,16 @@ class ShadingDivided:
         part = VertexReflectance(reflectance.diffuse_linear[used], reflectance.weights[used], lit[used])
         normals, toward = np.asarray(observation.normals)[used], np.asarray(observation.toward_camera)[used]
         by_normal, _ = shading_gradient(part, normals, toward, light)
-        slopes = (by_normal / np.maximum(diffuse + highlight, floor)[..., None])[usable[used]]
+        slopes = by_normal / np.maximum(diffuse + np.maximum(highlight, 0), floor)[..., None]
+        by_tilt = np.zeros((len(model.known), 3, 3))
+        by_tilt[usable] = (slopes @ slopes.transpose(0, 2, 1) / 2)[usable[used]]
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),
             usable=usable,
             lit=lit,
             highlight_share=share,
             log_whole=log_ratio(observed, diffuse + highlight),
-            by_tilt=np.einsum("uji,uki->jk", slopes, slopes) / max(2 * len(slopes), 1),
+            by_tilt=by_tilt,
         )
 
     def left_over(self, field: FloatArray | float = 0.0) -> FloatArray:
@@ -344,31 +394,34 @@ def detail_field(
     Blurs of growing width divide the residual of the photograph into bands. In each, with R the residual's
     covariance (3, 3) over the channels and S that of the light's error, the best linear estimate of the
     albedo's part is (R - S) R^-1 times the residual (Wiener); R - S is cut at 0. Normals that are off by an
-    angle (radians, root mean square) add an equal part of what that does to the light to S of each band. What
-    is wider than the last blur is left to the light, and the field fades far from usable vertices (V, 3), mm.
+    angle (radians, root mean square) add an equal part of what that does to the light to S of each band. Both
+    are means over the usable vertices around each one, within the last blur. What is wider than that is left
+    to the light, and the field fades far from usable vertices (V, 3), mm.
     """
     usable = divided.usable
     field = np.zeros_like(divided.log_ratio)
     if not usable.any():
         return field
-    positions = np.asarray(vertices, np.float64)
-    finer, cover = np.where(usable[:, None], divided.log_ratio, 0.0), usable.astype(float)
-    for number, (width, error) in enumerate(_BANDS.items()):
-        blur = surface_diffusion(positions, faces, width)
-        if number == 0:
-            cover = blur(cover)
-            coarser = blur(finer) / np.maximum(cover, 1e-6)[:, None]
-            finer = np.where(usable[:, None], finer, coarser)
-        else:
-            coarser = blur(finer)
+    blurs = [surface_diffusion(np.asarray(vertices, np.float64), faces, width) for width in _BANDS]
+    near = np.maximum(blurs[-1](usable.astype(float)), 1e-6)
+
+    def around(covariance: FloatArray) -> FloatArray:
+        return blurs[-1](np.where(usable[:, None, None], covariance, 0.0)) / near[:, None, None]
+
+    tilted = normal_error**2 / len(_BANDS) * around(divided.by_tilt)
+    cover = blurs[0](usable.astype(float))
+    coarser = blurs[0](np.where(usable[:, None], divided.log_ratio, 0.0)) / np.maximum(cover, 1e-6)[:, None]
+    finer = np.where(usable[:, None], divided.log_ratio, coarser)
+    for blur, error in zip(blurs, _BANDS.values(), strict=True):
+        coarser = coarser if blur is blurs[0] else blur(finer)
         band = finer - coarser
-        inside = band[usable]
-        total = inside.T @ inside / len(inside) + _TINY * np.eye(3)
-        light = error**2 * (_GREY * np.ones((3, 3)) + (1 - _GREY) * np.eye(3))
-        light += normal_error**2 / len(_BANDS) * divided.by_tilt
+        total = around(band[:, :, None] * band[:, None, :]) + _TINY * np.eye(3)
+        light = error**2 * (_GREY * np.ones((3, 3)) + (1 - _GREY) * np.eye(3)) + tilted
         value, vector = np.linalg.eigh(total)
-        root, inverse = vector * np.sqrt(value) @ vector.T, vector / np.sqrt(value) @ vector.T
+        size, turned = np.sqrt(np.maximum(value, _TINY))[:, None], vector.transpose(0, 2, 1)
+        root, inverse = vector * size @ turned, vector / size @ turned
         kept, axis = np.linalg.eigh(np.eye(3) - inverse @ light @ inverse)
-        field += band @ (root @ (axis * np.maximum(kept, 0.0)) @ axis.T @ inverse).T
+        gain = root @ (axis * np.maximum(kept, 0.0)[:, None]) @ axis.transpose(0, 2, 1) @ inverse
+        field += np.einsum("vij,vj->vi", gain, band)
         finer = coarser
     return field * np.clip(cover, 0.0, 1.0)[:, None]

@@ -17,7 +17,7 @@ from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
-_PEOPLE_DIFFER = 0.2
+PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
 _BLOCK_MM = 25.0
 """Edge of the blocks of a face that are left out."""
@@ -236,10 +236,11 @@ class MorphableReflectanceModel:
         """(N,) shares of the albedo's variance that the directions hold one by one."""
         return self.deviation**2 / max(self.total_variance, np.finfo(float).tiny)
 
-    def mean_only(self) -> MorphableReflectanceModel:
-        """Return the model without its directions."""
+    def mean_only(self, factors: ArrayLike = 1.0) -> MorphableReflectanceModel:
+        """Return the model without its directions, with factors (3,) on the channels of the mean albedo."""
         parts = self.diffuse, self.total, self.share
         diffuse, total, share = (LinearModel(part.mean, part.basis[:0]) for part in parts)
+        diffuse = replace(diffuse, mean=diffuse.mean * np.asarray(factors))
         return replace(self, diffuse=diffuse, total=total, share=share)
 
     def reconstruct(self, coefficients: ArrayLike) -> ModelReflectance:
@@ -302,7 +303,7 @@ def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray
     """
     weight = sample.known.astype(np.float64)
     if std is not None and sample.known.any():
-        differ = _PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
+        differ = PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
         square = np.nan_to_num(std[:, :3]).max(1) ** 2
         weight *= differ**2 / np.maximum(differ**2 + square, np.finfo(float).tiny)
     return weight
