@@ -169,7 +169,7 @@ def fit_face(
         bad = int((~np.isfinite(xyz)).any(1).sum())
         raise ReflectanceError(f"{bad} vertices of the mesh are NaN or infinite; give a whole mesh")
     used = np.flatnonzero(np.asarray(observation.seen) & model.known)
-    errors = _errors_left_out(observation, model, xyz, index, lighting, normal_error, budget)
+    errors = errors_left_out(observation, model, xyz, index, lighting, normal_error, budget)
     # Details hold nothing that wrong normals could colour, so that any gain above chance counts.
     details = _judged(errors, "details", "mean", "mean+details", 0.0 if normal_error else _LEAST_GAIN)
     ending = "+details" if details.accepted else ""
@@ -228,7 +228,7 @@ def fit_face(
     return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
 
 
-def _errors_left_out(
+def errors_left_out(
     observation: ImageObservation,
     model: MorphableReflectanceModel,
     vertices: FloatArray,
@@ -403,7 +403,7 @@ def detail_field(
     if not usable.any():
         return field
     blurs = [surface_diffusion(np.asarray(vertices, np.float64), faces, width) for width in _BANDS]
-    near = np.maximum(blurs[-1](usable.astype(float)), 1e-6)
+    near = np.maximum(blurs[-1](usable.astype(float)), _TINY)
 
     def around(covariance: FloatArray) -> FloatArray:
         return blurs[-1](np.where(usable[:, None, None], covariance, 0.0)) / near[:, None, None]
