@@ -6,11 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.face_features import UNLIKE, unlike_features
+from scan2albedo.applications.face_features import (
+    AROUND,
+    FEATURES,
+    UNLIKE,
+    grown,
+    named_texels,
+    taken_features,
+    unlike_features,
+)
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.skin_match import displacement, skin_gains, warped
 from scan2albedo.applications.texture_swap import continued_skin
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized
@@ -66,18 +76,12 @@ def blend_faces(
         specular_scale=scale,
         labels=nearer.image.labels if weight in (0, 1) else None,
     )
-    skins = []
-    for face, other, part, gain in ((a, b, weight, gains[0]), (b, a, 1 - weight, gains[1])):
-        skin, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
-        if share > 0:
-            skin = _between(skin, continued_skin(face, other, model, other is nearer), share)
-        skins.append(gain * skin)
+    skins, beside = matched_skins(a, b, weight, model=model)
     if weight in (0, 1):
-        albedo = skins[round(weight)]
+        albedo = gains[round(weight)] * skins[round(weight)]
     else:
         # Features move toward one another, A's by `weight`, so that none is there twice.
-        beside = displacement(skins[0], skins[1], mask)
-        first, second = (filled_from_nearest(skin, mask) for skin in skins)
+        first, second = (gain * filled_from_nearest(s, mask) for s, gain in zip(skins, gains, strict=True))
         albedo = _between(warped(first, -weight * beside), warped(second, (1 - weight) * beside), weight)
     # The reflectance is the nearer one's where the models do not blend.
     ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
@@ -102,6 +106,32 @@ def blend_faces(
         expected_error=None,
         notes=tuple(UNLIKE.format(name, nearer.name) for name in unlike_features(a, b, model)),
     )
+
+
+def matched_skins(
+    a: ProcessedFace, b: ProcessedFace, weight: float, *, model: AnnotatedSurface | None = None
+) -> tuple[list[FloatArray], FloatArray]:
+    """Return two faces' albedos (H, W, 3), whole, and by how much (H, W, 2) B's features lie beside A's.
+
+    Labels say which texels are one feature in either face, see `skin_match.displacement`.
+
+    Parameters
+    ----------
+    a, b, weight, model : ProcessedFace, ProcessedFace, float, AnnotatedFaceModel or None
+        As in `blend_faces`, of one chart.
+    """
+    skins, labels, same = [], [], np.zeros_like(a.mask)
+    for face, other, part, wins in ((a, b, weight, weight >= 0.5), (b, a, 1 - weight, weight < 0.5)):
+        skin, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
+        if share > 0:
+            skin = _between(skin, continued_skin(face, other, model, wins), share)
+        skins.append(skin)
+        labels.append([named_texels(face, parts[:1]) for parts in FEATURES.values()])
+        same |= taken_features(face, other, model, wins)[0]
+    beside = displacement(skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True)))
+    # What one face gives to both lies where it is.
+    free = gaussian_filter(1.0 - grown(same, AROUND), AROUND * max(same.shape))
+    return skins, beside * free[..., None]
 
 
 def _between(a: NDArray, b: NDArray, weight: float) -> NDArray[np.float64]:

@@ -146,18 +146,15 @@ def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> 
 def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) hair and what else is not skin on temples and cheeks along the chart's rim.
 
-    A beard stays where it reaches the jaw. Faces without labels have no such texels.
+    Each connected part is one thing: a beard, which stays, where it covers more of the jaws than of temples
+    and cheeks. Faces without labels have no such texels.
     """
-    jaws, beard = named_texels(face, JAWS, model), named_texels(face, ["beard"])
-    around = jaws | named_texels(face, SIDES, model)
-    sides = around & (named_texels(face, ["hair", "cloth"]) | (beard & ~_touching(beard, jaws)))
-    return np.asarray(grown(_touching(sides, face.image.border & ~jaws), AROUND) & around)
-
-
-def _touching(texels: BoolArray, others: BoolArray) -> BoolArray:
-    """Return the connected parts of `texels` (H, W) that hold one of `others`."""
-    part = label(texels, np.ones((3, 3)))[0]
-    return np.asarray(np.isin(part, np.setdiff1d(part[others], [0])))
+    sides, jaws = (named_texels(face, names, model) for names in (SIDES, JAWS))
+    part, count = label(named_texels(face, ["hair", "cloth", "beard"]), np.ones((3, 3)))
+    covered = [np.bincount(part[t], minlength=count + 1) / max(t.sum(), 1) for t in (sides, jaws)]
+    at_rim = np.setdiff1d(part[sides & face.image.border], [0])
+    hair = np.isin(part, at_rim[covered[0][at_rim] > covered[1][at_rim]])
+    return np.asarray(grown(hair, AROUND) & (sides | jaws))
 
 
 def grown(texels: BoolArray, part: float) -> BoolArray:

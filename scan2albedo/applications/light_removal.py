@@ -50,7 +50,7 @@ _FACING = 0.3
 """Cosine between a vertex's normal and the fitted surface's from which it belongs to the face; at 0 not."""
 _TILE = 1024
 """Texels of a tile's side."""
-_GUTTER = 16
+GUTTER = 16
 """Texels over which the light goes on beside charts; eight times as much is looked at beside a tile."""
 
 
@@ -228,7 +228,7 @@ def _unlit_texture(
     shape = texture.shape[:2]
     corners = pixels_from_uv(in_first_period(uv, texture.shape).reshape(-1, 2), shape).reshape(-1, 3, 2)
     first, last = np.floor(corners.min(1)), np.ceil(corners.max(1))
-    result, confidence, margin = np.array(texture), np.zeros(shape, np.float32), 8 * _GUTTER
+    result, confidence, margin = np.array(texture), np.zeros(shape, np.float32), 8 * GUTTER
     # The tile with most of the face comes first: what is usual there serves for all, so that they join
     # without a seam.
     face = corners.mean(1)[(light.weight[light.scan.faces] > 0).any(1)]
@@ -269,7 +269,7 @@ def _unlit_texture(
                 albedo[box] = without_lines(albedo[box], near[box], there[box], light.texels_per_mm)
             usual = filtered.noise
         # Beside the scan's charts, where viewers interpolate across the rim, its colours go on.
-        beside = maximum_filter(there, 2 * _GUTTER + 1)[..., None]
+        beside = maximum_filter(there, 2 * GUTTER + 1)[..., None]
         unlit = np.where(beside, filled_from_nearest(albedo, there), tile / light.usual) * light.usual
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
         result[top : top + _TILE, left : left + _TILE] = unlit[own]

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates, zoom
 
+from scan2albedo.applications.face_features import AROUND
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.errors import needs_extra
+from scan2albedo.geometry.area_mean import area_mean
 
 _LEAST_TEXELS = 100
 """Of skin that both faces must have."""
 LOCAL = 0.04
 """Part of the image's side over which the albedo's mean is taken away before features are matched; the
 displacement is averaged over half as much."""
-_FARTHEST = 0.03
-_AGREE = 0.004
-"""Of the image's side: how far a feature is followed, and how far off it may end, there and back."""
-_CONTRASTS, _LEAST_CONTRAST = 3.0, 0.25
-"""Departure of log V, in its deviations: what is clipped, and below which there is no feature to follow."""
+_CONTRASTS = 3.0
+"""Departure of log V, in its deviations, that is clipped before features are matched."""
+_GRID, _STEPS = 128, 10
+"""Texels of a side on which they are matched, and Gauss-Newton steps for each blur."""
 
 
 def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
@@ -58,35 +60,52 @@ def without_light_left(albedo: FloatArray, face: ProcessedFace, other: Processed
     return np.asarray(albedo * np.exp(d * share[..., None]))
 
 
-def displacement(a: FloatArray, b: FloatArray, mask: BoolArray) -> FloatArray:
+def displacement(
+    a: FloatArray, b: FloatArray, mask: BoolArray, marks: Sequence[tuple[BoolArray, BoolArray]] = ()
+) -> FloatArray:
     """Return (H, W, 2) by how many texels (across, down) the features of albedo `b` lie beside those of `a`.
 
-    Two fits put one nostril on texels that differ a little, and a mean of both shows it twice. Dense optical
-    flow (Kroeger et al., ECCV 2016) between the local contrasts of log V, where it agrees there and back and
-    something is to be seen, averaged over the neighbourhood; 0 elsewhere. Albedos are (H, W, 3), 0 outside
-    `mask`. MissingDependencyError without OpenCV.
-    """
-    with needs_extra("opencv"):
-        import cv2
+    Two fits put one nostril, or one brow, on texels that differ a little, and a mean of both shows it twice.
+    The fields f are the local contrast of log V and the `marks`, texels (H, W) of one feature in either face.
+    From coarse to fine, the most probable u of |f_a(x) - f_b(x + u)|^2 / s^2 + |u|^2 / t^2 over a
+    neighbourhood is found by Gauss-Newton steps: s^2 is what a field differs by where it has slopes, t the
+    reach of features. Albedos are (H, W, 3), 0 outside `mask`.
 
-    side = max(mask.shape)
-    contrasts = [local_contrast(field, mask) for field in (a, b)]
-    seen = [np.round(127.5 * (1 + np.clip(c / _CONTRASTS, -1, 1))).astype(np.uint8) for c in contrasts]
-    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-    there, back = (
-        np.asarray(flow.calc(one, other, np.zeros((*mask.shape, 2), np.float32)), np.float64)
-        for one, other in ((seen[0], seen[1]), (seen[1], seen[0]))
-    )
-    agrees = np.linalg.norm(there + warped(back, there), axis=-1) < _AGREE * side
-    near = np.linalg.norm(there, axis=-1) < _FARTHEST * side
-    shown = np.minimum(np.abs(contrasts[0]), np.abs(warped(contrasts[1], there)))
-    weight = mask * agrees * near * np.clip(shown / _LEAST_CONTRAST - 1, 0, 1)
-    sigma = (LOCAL / 2 * side, LOCAL / 2 * side, 0)
-    total, share = (
-        gaussian_filter(field, sigma, mode="mirror")
-        for field in (weight[..., None] * there, weight[..., None])
-    )
-    return np.asarray(total / np.maximum(share, 0.1), np.float64)
+    Parameters
+    ----------
+    a, b, mask, marks : (H, W, 3) float64, (H, W, 3) float64, (H, W) bool, sequence of pairs of (H, W) bool
+
+    References
+    ----------
+    .. [1] B. Lucas, T. Kanade, "An iterative image registration technique", IJCAI 1981.
+    """
+    contrasts = [np.clip(local_contrast(skin, mask) / _CONTRASTS, -1, 1) for skin in (a, b)]
+    pairs = [contrasts, *(pair for pair in marks if pair[0].any() and pair[1].any())]
+    coarse = min(_GRID / max(mask.shape), 1.0)
+    shape = int(np.ceil(coarse * mask.shape[0])), int(np.ceil(coarse * mask.shape[1]))
+    fields = np.array([[area_mean(field, shape) for field in pair] for pair in pairs])
+    window, reach = LOCAL / 2 * max(shape), AROUND * max(shape)
+    moved, places = np.zeros((2, *shape)), np.indices(shape)
+    for blur in (2 * reach, reach, reach / 2):
+        ours, theirs = np.moveaxis(gaussian_filter(fields, (0, 0, blur, blur), mode="nearest"), 1, 0)
+        layers = np.concatenate([theirs[None], np.gradient(theirs, axis=(1, 2))])
+        for _ in range(_STEPS):
+            at = places + moved
+            seen = [[map_coordinates(f, at, order=1, mode="nearest") for f in layer] for layer in layers]
+            rest, slopes = ours - seen[0], np.array(seen[1:])
+            steep = (slopes**2).sum(0)
+            noise = np.sum(rest**2 * steep) / max(np.sum(steep), 1e-12)
+            # In a neighbourhood there are as many independent differences as blurred spots.
+            weight = (window / blur) ** 2 / max(noise, 1e-12)
+            products = np.concatenate([rest * slopes, slopes[:1] * slopes, slopes[1:] * slopes[1:]])
+            means = gaussian_filter(weight * products.sum(1), (0, window, window))
+            down, across = means[:2] - moved / reach**2
+            yy, yx, xx = means[2:] + np.reshape([1, 0, 1], (3, 1, 1)) / reach**2
+            step = np.array([xx * down - yx * across, yy * across - yx * down]) / (yy * xx - yx**2)
+            moved = gaussian_filter(moved + step, (0, window / 2, window / 2))
+    up = np.divide(mask.shape, shape)
+    moved = zoom(moved, (1, *up), order=1, mode="nearest", grid_mode=True)
+    return np.moveaxis(moved[::-1], 0, -1) * up[::-1]
 
 
 def warped(field: FloatArray, flow: FloatArray) -> FloatArray:

@@ -8,7 +8,9 @@ from numbers import Integral
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.ndimage import maximum_filter
 
+from scan2albedo.applications.light_removal import GUTTER
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
@@ -24,7 +26,7 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
     without_unreferenced,
 )
-from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
+from scan2albedo.geometry.rasterization import filled_from_nearest, interpolate, pixels_from_uv, rasterize
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
@@ -121,11 +123,12 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         steps = texel_steps(points, split.uv, split.faces, (size, size))
         color, normal = np.zeros((2, size, size, 3), np.float32 if size <= 4096 else np.float16)
         normal[..., 2] = 1
-        seen, stands = np.zeros((2, size, size), bool)
+        seen, stands, inside = np.zeros((3, size, size), bool)
         for band in bands:
             below = pixels - [0, band.start]
             raster = rasterize(below, np.zeros(len(below)), split.faces, color[band].shape[:2])
-            if not (there := raster.covered).any():
+            inside[band] = there = raster.covered
+            if not there.any():
                 continue
             place, outward, tangents = (
                 interpolate(raster, split.faces, values)[there]
@@ -140,11 +143,17 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
             normal[band][there], stands[band][there] = tangent_normals(
                 shape.normals(place), outward, tangents
             )
-        # Beside the charts normals and colours go on, for reduced pictures (mipmaps).
-        fill_smoothly(normal, stands)
+        # Beside the charts normals and colours go on, for viewers that filter and reduced pictures (mipmaps).
+        for field, known in ((normal, stands), (color, seen)):
+            fill_smoothly(field, known)
+            for band in bands:
+                wide = slice(max(band.start - 2 * GUTTER, 0), band.stop + 2 * GUTTER)
+                beside = maximum_filter(inside[wide], 2 * GUTTER + 1) & ~inside[wide]
+                beside[: band.start - wide.start] = beside[band.stop - wide.start :] = False
+                if beside.any():
+                    field[wide][beside] = filled_from_nearest(field[wide], inside[wide])[beside]
         for band in bands:
             normal[band] = normalized(normal[band].astype(np.float64))
-        fill_smoothly(color, seen)
         tiles.append(TemplateTile(number, chosen, color, seen, normal))
     return TemplateTexture(vertices, faces, uv, tuple(tiles))
 

@@ -20,7 +20,7 @@ from scan2albedo.applications.face_features import (
     without_catchlights,
 )
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.skin_match import LOCAL, skin_gains, without_light_left
+from scan2albedo.applications.skin_match import LOCAL, blurred_inside, skin_gains, without_light_left
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
@@ -144,6 +144,14 @@ def continued(
     floor = FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))
     log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
+    distance, (row, column) = distance_transform_edt(~known, return_indices=True)
+    # What the border would cut in two fades in from there.
+    sigma = AROUND * max(known.shape)
+    mean = np.dstack(
+        [blurred_inside(channel, other.mask, sigma) for channel in np.moveaxis(log_other, -1, 0)]
+    )
+    cut = np.exp(-((distance / sigma) ** 2)) * ~grown(whole, AROUND)
+    log_other -= cut[..., None] * (log_other - mean)
     across, down = forward_differences(log_other)
     across[(source[:, 1:] != source[:, :-1]) | (source[:, 1:] == 0)] = 0
     down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0
@@ -159,7 +167,6 @@ def continued(
         feature = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
         weight = both / (1 + (np.abs(feature).max(-1) / _UNLIKE) ** 2) ** 2
     filled = integrate_gradients(field - feature, missing, known, across, down)
-    distance, (row, column) = distance_transform_edt(~known, return_indices=True)
     border = field[row, column]
     raised = filled + feature[row, column] * np.exp(-((distance / _MARGIN) ** 2))[..., None]
     faded = np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))

@@ -9,6 +9,7 @@ from scan2albedo.applications.face_features import (
     JAWS,
     dark_sides,
     feature_texels,
+    grown,
     named_texels,
     without_gaps,
 )
@@ -57,10 +58,15 @@ def test_a_beard_stays_and_a_sideburn_alone_does_not(person):
     face, sideburns = with_sideburns(person(0))
     jaws = named_texels(face, JAWS)
     beard = jaws | (sideburns & face.mask) | named_texels(face, ("left_cheek", "right_cheek"))
-    for texels, goes in ((beard, False), (sideburns, True)):
-        grown = replace(face, image=with_labels(face.image, beard=texels))
-        assert dark_sides(grown)[sideburns & face.mask].all() == goes
-        assert dark_sides(grown).any() == goes
+    mixed = sideburns.copy()  # hair that goes on as beard down to the edge of the jaw
+    mixed[34:, :12] = (face.mask & ~jaws)[34:, :12]
+    mixed |= grown(mixed, 0) & jaws & (np.indices(jaws.shape)[1] < 12)
+    hair = sideburns & (np.indices(jaws.shape)[0] < 29)
+    for texels, goes in ((beard, False), (sideburns, True), (mixed, True)):
+        things = {"beard": texels} | ({"hair": hair} if texels is mixed else {})
+        made = replace(face, image=with_labels(face.image, **things))
+        assert dark_sides(made)[sideburns & face.mask].all() == goes
+        assert dark_sides(made).any() == goes
 
 
 def test_without_labels_nothing_is_hair_and_the_annotation_knows_features(person):

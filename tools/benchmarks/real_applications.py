@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +23,11 @@ from scan2albedo.applications import (
     relight,
     swap_texture,
 )
+from scan2albedo.applications.blending import matched_skins
+from scan2albedo.applications.face_features import FEATURES as LABELS
+from scan2albedo.applications.face_features import named_texels
 from scan2albedo.applications.files import PORTRAIT_LIGHT
-from scan2albedo.applications.skin_match import displacement, local_contrast, warped
-from scan2albedo.applications.texture_swap import continued_skin
+from scan2albedo.applications.skin_match import local_contrast, warped
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import LAMP_RADIUS_DEG
@@ -209,24 +211,38 @@ def bench_blend(results: Path, out: Path) -> None:
     for first, second in PAIRS:
         a, b = faces[first], faces[second]
         made = blend_faces(a, b, 0.5)
-        print(f"blend {first} and {second}: {agreement_text(a, b)}", flush=True)
+        print(f"blend {first} and {second}: {blend_text(a, b, made)}", flush=True)
         rows.append([(first, portrait(a)), ("half way", portrait(made)), (second, portrait(b))])
     write_sheet(out / "blend.png", rows)
 
 
-def agreement_text(a: ProcessedFace, b: ProcessedFace) -> str:
-    """Return how well the features of two skins lie on one another, as they are and as a blend moves them.
+def blend_text(a: ProcessedFace, b: ProcessedFace, made: ProcessedFace) -> str:
+    """Return how well the features of two faces lie on one another, as they are and as a blend moves them.
 
-    Correlation of the local contrast of log V: what lies elsewhere is in the blend twice.
+    Overlap of labels (Dice), which cover as much in both where nothing is twice; correlation of the local
+    contrast of log V; edges of neither face where they were, and of neither as it was moved.
     """
-    whole = [continued_skin(a, b), continued_skin(b, a)]
-    beside, parts = displacement(whole[0], whole[1], a.mask & b.mask), []
-    skins = [*whole, warped(whole[0], -beside / 2), warped(whole[1], beside / 2)]
+    skins, beside = matched_skins(a, b, 0.5)
+    flows, parts = (-beside / 2, beside / 2), []
+    moved = [
+        replace(f, albedo_linear=np.maximum(warped(f.albedo_linear.astype(np.float64), flow), 0))
+        for f, flow in zip((a, b), flows, strict=True)
+    ]
+    skins += [warped(skin, flow) for skin, flow in zip(skins, flows, strict=True)]
     shown = [local_contrast(skin, a.mask & b.mask) for skin in skins]
-    for name, texels in feature_texels(a).items():
-        before, after = (np.corrcoef(shown[i][texels], shown[i + 1][texels])[0, 1] for i in (0, 2))
-        parts.append(f"{name} {before:.2f} to {after:.2f}")
-    return "features agree: " + ", ".join(parts)
+    for name, (label, *_) in LABELS.items():
+        texels = [named_texels(face, [label]) for face in (a, b)]
+        texels += [warped(t.astype(np.float64), f) > 0.5 for t, f in zip(texels, flows, strict=True)]
+        around = texels[0] | texels[1] | texels[2] | texels[3]
+        if texels[0].any() and texels[1].any():
+            overlap = [2 * np.sum(t & s) / (t.sum() + s.sum()) for t, s in (texels[:2], texels[2:])]
+            alike = [np.corrcoef(shown[i][around], shown[i + 1][around])[0, 1] for i in (0, 2)]
+            parts.append(f"{name} {overlap[0]:.2f} to {overlap[1]:.2f} ({alike[0]:.2f} to {alike[1]:.2f})")
+    edges = [seam_figures(*pair, made).invented for pair in ((a, b), moved)]
+    return (
+        f"features overlap (and agree): {', '.join(parts)}; "
+        f"edges of neither face {edges[0]:.2f} %, of neither as moved {edges[1]:.2f} %"
+    )
 
 
 def bench_relit(results: Path, out: Path, names: Sequence[str] = ("james", "fran")) -> None:
