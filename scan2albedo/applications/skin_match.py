@@ -85,7 +85,7 @@ def displacement(
     shape = int(np.ceil(coarse * mask.shape[0])), int(np.ceil(coarse * mask.shape[1]))
     fields = np.array([[area_mean(field, shape) for field in pair] for pair in pairs])
     window, reach = LOCAL / 2 * max(shape), AROUND * max(shape)
-    moved, places = np.zeros((2, *shape)), np.indices(shape)
+    moved, places, tiny = np.zeros((2, *shape)), np.indices(shape), np.finfo(np.float64).eps
     for blur in (2 * reach, reach, reach / 2):
         ours, theirs = np.moveaxis(gaussian_filter(fields, (0, 0, blur, blur), mode="nearest"), 1, 0)
         layers = np.concatenate([theirs[None], np.gradient(theirs, axis=(1, 2))])
@@ -94,9 +94,9 @@ def displacement(
             seen = [[map_coordinates(f, at, order=1, mode="nearest") for f in layer] for layer in layers]
             rest, slopes = ours - seen[0], np.array(seen[1:])
             steep = (slopes**2).sum(0)
-            noise = np.sum(rest**2 * steep) / max(np.sum(steep), 1e-12)
+            noise = (np.sum(rest**2 * steep) + tiny) / (np.sum(steep) + tiny)
             # In a neighbourhood there are as many independent differences as blurred spots.
-            weight = (window / blur) ** 2 / max(noise, 1e-12)
+            weight = (window / blur) ** 2 / max(noise, tiny)
             products = np.concatenate([rest * slopes, slopes[:1] * slopes, slopes[1:] * slopes[1:]])
             means = gaussian_filter(weight * products.sum(1), (0, window, window))
             down, across = means[:2] - moved / reach**2
