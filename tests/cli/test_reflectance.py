@@ -151,7 +151,7 @@ def test_fit_image_without_a_model_takes_the_default_one_and_says_what_it_believ
     done = run("fit-image", photographs[2], "-o", tmp_path / "out", "--json")
     assert done.exit_code == 0, done.output
     figures = json.loads(done.stdout)
-    assert [step["stage"].split(".")[-1] for step in figures["plan"]] == ["details", "person"]
+    assert [step["stage"].split(".")[-1] for step in figures["plan"]] == ["details", "person", "hue"]
     assert figures["beats_mean"] == any(step["ran"] for step in figures["plan"])
     record = read_record(tmp_path / "out" / "reflectance.json", ReflectanceRecord)
     assert record.inputs == (str(photographs[2]),)
