@@ -155,5 +155,4 @@ def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatAr
             total += seen[:, None] * image[row, column]
             trusted, surface = trusted + seen, surface + on_surface
     known = (trusted > 0) & (2 * trusted >= surface)
-    values = total / np.where(known, trusted, 1.0)[:, None]
-    return np.where(known[:, None], values, np.nan), known
+    return np.where(known[:, None], total / np.where(known, trusted, 1.0)[:, None], np.nan), known

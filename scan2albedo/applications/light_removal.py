@@ -242,8 +242,7 @@ def _unlit_texture(
         inside = np.flatnonzero(((last >= low) & (first <= high)).all(1))
         if len(inside) == 0:
             continue
-        window = np.s_[low[1] : high[1], low[0] : high[0]]
-        tile = texture[window]
+        tile = texture[np.s_[low[1] : high[1], low[0] : high[0]]]
         places_px = (corners[inside] - low).reshape(-1, 2)
         index = np.arange(len(places_px)).reshape(-1, 3)
         raster = rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])

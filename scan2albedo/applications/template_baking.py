@@ -231,8 +231,7 @@ class _Surface:
         close = hits.distance <= REACH_MM
         if not beyond_edges:
             close &= np.einsum("nk,nk->n", hits.barycentric, self._inner[corners]) > 1e-6
-        normal = np.einsum("nk,nkc->nc", hits.barycentric, self._normals[corners])
-        return normalized(normal), close
+        return normalized(np.einsum("nk,nkc->nc", hits.barycentric, self._normals[corners])), close
 
 
 def tangent_normals(

@@ -66,8 +66,7 @@ def principal_directions(
     values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
     rank = int((values > max(_RANK_TOLERANCE * values[0], _ROUNDING * count * size)).sum())
     kept = min(rank, count - 1, count if most is None else most)
-    largest = np.abs(vectors).argmax(0)
-    sign = np.where(vectors[largest, np.arange(count)] < 0, -1.0, 1.0)
+    sign = np.where(vectors[np.abs(vectors).argmax(0), np.arange(count)] < 0, -1.0, 1.0)
     spread = max(count - 1, 1)
     return (vectors * sign)[:, :kept].T / np.sqrt(spread), float(values.sum() / spread)
 

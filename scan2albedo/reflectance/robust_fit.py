@@ -251,5 +251,4 @@ def normal_sigma(
         before, found = found, nnls(terms / total[:, None], (robust * square / 2 - noise) / total)[0]
         if np.abs(found - before).max() <= 1e-3 * before.max():
             break
-    variance = np.stack([np.ones(count), wide], 1) @ found
-    return np.sqrt(np.maximum(variance, _LEAST_SIGMA**2))
+    return np.sqrt(np.maximum(np.stack([np.ones(count), wide], 1) @ found, _LEAST_SIGMA**2))

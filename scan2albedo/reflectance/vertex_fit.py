@@ -156,8 +156,7 @@ def fit_reflectance(
     # The median albedo that squares without lobes give, all channels.
     diffuse = samples.lobes[..., :1]
     below = (precision * diffuse**2).sum(0)[rows]
-    above = (precision * samples.observed_linear * diffuse).sum(0)[rows]
-    level = float(np.median(above / below))
+    level = float(np.median((precision * samples.observed_linear * diffuse).sum(0)[rows] / below))
     level = level if level > 0 else 1.0
     mean, std = level * np.array(PRIOR_MEAN), level * np.array(PRIOR_STD)
     data = Observations(samples.observed_linear, precision, samples.lobes, mean, 1 / std**2)

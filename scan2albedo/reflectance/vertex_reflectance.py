@@ -110,6 +110,5 @@ def reflectance_from_albedo(
     lobes = np.asarray(weights, np.float64)
     if lobes.shape not in ((3,), albedo.shape):
         raise ReflectanceError(f"weights are {lobes.shape}, expected (3,) or {albedo.shape}")
-    finite = np.isfinite(albedo).all(1)
-    kept = finite if known is None else np.asarray(known)
+    kept = np.isfinite(albedo).all(1) if known is None else np.asarray(known)
     return VertexReflectance(albedo, np.broadcast_to(lobes, albedo.shape), cast("BoolArray", kept))

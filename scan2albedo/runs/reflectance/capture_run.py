@@ -209,8 +209,7 @@ def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | Non
     import trimesh
 
     colors = np.round(255 * albedo_colors(filled_albedo(mesh, drawn))).astype(np.uint8)
-    shape = trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False)
-    shape.export(path)
+    trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False).export(path)
 
 
 def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, BoolArray]:
