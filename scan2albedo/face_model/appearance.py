@@ -246,9 +246,8 @@ def skin_in_light(basis: FloatArray, colors: FloatArray, weight: FloatArray, sta
     """Return (9, 3): what `colors` (N, 3) of skin owe to the light, ridge regression about `start` (3,)."""
     found = np.zeros((basis.shape[1], 3))
     for c, scale in enumerate((_LIGHT_SD[0], _LIGHT_SD[1], _LIGHT_SD[1])):
-        ridge = np.diag(scale**-2.0)
         found[:, c] = np.linalg.solve(
-            (basis.T * weight) @ basis + ridge, basis.T @ (weight * (colors[:, c] - start[c]))
+            (basis.T * weight) @ basis + np.diag(scale**-2.0), basis.T @ (weight * (colors[:, c] - start[c]))
         )
     found[0] += start
     return found
@@ -351,8 +350,7 @@ class _Grid:
     @classmethod
     def of(cls, position: FloatArray, seen: BoolArray) -> _Grid:
         every = max(1, len(seen) // 32)
-        both = seen[::every, 1:] & seen[::every, :-1]
-        steps = (position[::every, 1:] - position[::every, :-1])[both]
+        steps = (position[::every, 1:] - position[::every, :-1])[seen[::every, 1:] & seen[::every, :-1]]
         side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
         factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
         shape = tuple(-(-texels // factor) for texels in seen.shape)

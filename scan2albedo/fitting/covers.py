@@ -130,8 +130,7 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     rim = boundary_vertex_mask(len(points), faces)
     face = ScanSurface(points, faces, surface_normals(points, faces)[0], rim)
     hits = face.nearest.query(scan.vertices)
-    across = normalized(face.normals_at(hits))
-    before_mm = np.einsum("ij,ij->i", scan.vertices - hits.points, across)
+    before_mm = np.einsum("ij,ij->i", scan.vertices - hits.points, normalized(face.normals_at(hits)))
     # How far off the nose is, which no lens covers, shows how well the person's face is known.
     x, y, _ = (hits.points - landmarks[28]).T
     nose = (np.abs(x) < (landmarks[35, 0] - landmarks[31, 0]) / 2) & (y < 0)

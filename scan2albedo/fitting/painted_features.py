@@ -149,8 +149,7 @@ class _Template:
             gram[:, 4, 4] += _FLOOR[channel] ** 2 * gram[:, 0, 0]
             inverse = np.linalg.inv(gram + 1e-9 * np.eye(5))
             rho = -inverse[:, 3, 4] / np.sqrt(inverse[:, 3, 3] * inverse[:, 4, 4])
-            counted = cue.independent * least * least[0]
-            total -= counted / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
+            total -= cue.independent * least * least[0] / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
         return total[1:]
 
 
@@ -238,8 +237,7 @@ def _eye(landmarks: FloatArray, first: int) -> _Template:
 
 def _lips(landmarks: FloatArray) -> _Template:
     outer, inner = landmarks[48:60], landmarks[60:68]
-    middle = (inner[[1, 2, 3]] + inner[[7, 6, 5]]) / 2
-    line = np.concatenate([outer[:1], middle, outer[6:7]])
+    line = np.concatenate([outer[:1], (inner[[1, 2, 3]] + inner[[7, 6, 5]]) / 2, outer[6:7]])
     points = _around(outer, 10.0)
     away, inside = polyline_distance(points, _closed(outer)), points_in_poly(points, outer)
     used = (inside | (away < 8.0)) & (away > 0.4) & ~points_in_poly(points, inner)

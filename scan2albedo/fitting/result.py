@@ -180,8 +180,7 @@ def residuals_mm(
 ) -> FloatArray:
     """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
     exact = exact and len(scan.faces) <= MAX_EXACT_FACES
-    query = ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest
-    hits = query.query(vertices)
+    hits = (ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest).query(vertices)
     facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
     return np.where(~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing, hits.distance, np.nan)
 
@@ -191,9 +190,8 @@ def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_
     usual = np.zeros(len(landmarks))
     for (begin, end), deviation_mm in _FEATURES_MM.items():
         usual[begin:end] = deviation_mm
-    near = cKDTree(vertices).query_ball_point(landmarks, _NEAR_MM)
     unseen, off = np.ones(len(landmarks)), np.zeros(len(landmarks))
-    for number, index in enumerate(near):
+    for number, index in enumerate(cKDTree(vertices).query_ball_point(landmarks, _NEAR_MM)):
         if index:
             seen = residual_mm[index][~np.isnan(residual_mm[index])]
             unseen[number] = 1 - len(seen) / len(index)

@@ -181,10 +181,9 @@ def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_
     """
     count = len(vertices)
     corners = vertices[faces]
-    opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
     own = np.repeat(faces, 3, axis=1).ravel()
     other = np.tile(faces, 3).ravel()
-    edges = np.tile(opposite, (1, 3, 1)).reshape(-1, 3)
+    edges = np.tile(np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1), (1, 3, 1)).reshape(-1, 3)
     itself = np.arange(count)
     keys, slot = np.unique(np.concatenate([own * count + other, itself * (count + 1)]), return_inverse=True)
     slot = slot[: len(own)]
