@@ -148,7 +148,7 @@ def every_candidate(
     target, candidates = ScanTarget(scan.samples), Candidates()
     for batch in _batches(scan, template, poses, options.candidates, 0):
         candidates = _with_refined(scan, target, template, batch, meter, candidates)
-    return _with_evidence(scan, template, candidates, meter)
+    return _with_evidence(scan, template, candidates, meter, None)
 
 
 def _sorted(candidates: list[Candidate]) -> Candidates:
@@ -156,11 +156,7 @@ def _sorted(candidates: list[Candidate]) -> Candidates:
 
 
 def _with_evidence(
-    scan: PreparedScan,
-    template: Template,
-    candidates: Candidates,
-    meter: Meter,
-    landmarks: PlacedPose | None = None,
+    scan: PreparedScan, template: Template, candidates: Candidates, meter: Meter, landmarks: PlacedPose | None
 ) -> Candidates:
     """Look at the first `_LOOKED_AT` candidates that are apart from each other, those seen before among them.
 
