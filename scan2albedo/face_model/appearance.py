@@ -254,12 +254,7 @@ def skin_in_light(basis: FloatArray, colors: FloatArray, weight: FloatArray, sta
 
 
 def _explained(
-    grid: _Grid,
-    known: BoolArray,
-    texture: Image,
-    normal: Image,
-    log_prior: FloatArray,
-    model: AppearanceModel,
+    grid: _Grid, seen: BoolArray, texture: Image, normal: Image, log_prior: FloatArray, model: AppearanceModel
 ) -> tuple[FloatArray, float]:
     """Return (C, h, w) the log likelihood of the classes, and the log odds of the skin's colour.
 
@@ -267,17 +262,17 @@ def _explained(
     """
     weight = np.exp(log_prior[0])
     colors, grain = features_of(texture, normal, grid.part, weight, grid.texel_mm)
-    basis, values = light_basis(normal)[known], np.column_stack([colors[known], grain[known]])
+    basis, values = light_basis(normal)[seen], np.column_stack([colors[seen], grain[seen]])
     step = -(-len(values) // _SOME)
-    few = values[::step], basis[::step], log_prior[:, known][:, ::step]
+    few = values[::step], basis[::step], log_prior[:, seen][:, ::step]
     fits = [
         _fitted(*few, start, grid.independent * step, model)
-        for start in _starts(few[0][:, :3], weight[known][::step])
+        for start in _starts(few[0][:, :3], weight[seen][::step])
     ]
     light, often, _ = max(fits, key=lambda fit: fit[2])
     values[:, :3] -= basis @ light
     found = np.zeros_like(log_prior)
-    found[:, known] = often[:, None] + _POWER * model.log_likelihood(values)
+    found[:, seen] = often[:, None] + _POWER * model.log_likelihood(values)
     return found, _hue_odds(light[0, 1:])
 
 
