@@ -160,8 +160,7 @@ class GeometryImage:
     def border(self) -> NDArray[np.bool_]:
         """(H, W) texels of the surface with a side neighbour outside it: the chart's rim, or its seams."""
         padded = np.pad(self.mask, 1)
-        surrounded = padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
-        return self.mask & ~surrounded
+        return self.mask & ~(padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:])
 
     def toward_camera(self, view_direction: ArrayLike) -> NDArray[np.float64]:
         """Return (N, 3) unit directions from the texels of `mask` to their cameras, else `view_direction`."""
@@ -201,8 +200,7 @@ class GeometryImage:
         if self.skin is not None:
             figures["skin"] = float(self.skin[self.mask].mean())
         if self.filled is not None:
-            surface = self.mask if self.on_face is None else self.on_face
-            figures["filled"] = float(self.filled[surface].mean())
+            figures["filled"] = float(self.filled[self.mask if self.on_face is None else self.on_face].mean())
         if self.camera_positions is not None:
             figures["cameras"] = float(len(self.camera_positions))
         ratio = float(high / low) if low > 0 else float("nan")

@@ -246,21 +246,15 @@ def skin_in_light(basis: FloatArray, colors: FloatArray, weight: FloatArray, sta
     """Return (9, 3): what `colors` (N, 3) of skin owe to the light, ridge regression about `start` (3,)."""
     found = np.zeros((basis.shape[1], 3))
     for c, scale in enumerate((_LIGHT_SD[0], _LIGHT_SD[1], _LIGHT_SD[1])):
-        ridge = np.diag(scale**-2.0)
         found[:, c] = np.linalg.solve(
-            (basis.T * weight) @ basis + ridge, basis.T @ (weight * (colors[:, c] - start[c]))
+            (basis.T * weight) @ basis + np.diag(scale**-2.0), basis.T @ (weight * (colors[:, c] - start[c]))
         )
     found[0] += start
     return found
 
 
 def _explained(
-    grid: _Grid,
-    known: BoolArray,
-    texture: Image,
-    normal: Image,
-    log_prior: FloatArray,
-    model: AppearanceModel,
+    grid: _Grid, seen: BoolArray, texture: Image, normal: Image, log_prior: FloatArray, model: AppearanceModel
 ) -> tuple[FloatArray, float]:
     """Return (C, h, w) the log likelihood of the classes, and the log odds of the skin's colour.
 
@@ -268,17 +262,17 @@ def _explained(
     """
     weight = np.exp(log_prior[0])
     colors, grain = features_of(texture, normal, grid.part, weight, grid.texel_mm)
-    basis, values = light_basis(normal)[known], np.column_stack([colors[known], grain[known]])
+    basis, values = light_basis(normal)[seen], np.column_stack([colors[seen], grain[seen]])
     step = -(-len(values) // _SOME)
-    few = values[::step], basis[::step], log_prior[:, known][:, ::step]
+    few = values[::step], basis[::step], log_prior[:, seen][:, ::step]
     fits = [
         _fitted(*few, start, grid.independent * step, model)
-        for start in _starts(few[0][:, :3], weight[known][::step])
+        for start in _starts(few[0][:, :3], weight[seen][::step])
     ]
     light, often, _ = max(fits, key=lambda fit: fit[2])
     values[:, :3] -= basis @ light
     found = np.zeros_like(log_prior)
-    found[:, known] = often[:, None] + _POWER * model.log_likelihood(values)
+    found[:, seen] = often[:, None] + _POWER * model.log_likelihood(values)
     return found, _hue_odds(light[0, 1:])
 
 
@@ -351,8 +345,7 @@ class _Grid:
     @classmethod
     def of(cls, position: FloatArray, seen: BoolArray) -> _Grid:
         every = max(1, len(seen) // 32)
-        both = seen[::every, 1:] & seen[::every, :-1]
-        steps = (position[::every, 1:] - position[::every, :-1])[both]
+        steps = (position[::every, 1:] - position[::every, :-1])[seen[::every, 1:] & seen[::every, :-1]]
         side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
         factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
         shape = tuple(-(-texels // factor) for texels in seen.shape)

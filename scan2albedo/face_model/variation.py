@@ -95,10 +95,9 @@ def displacement(bump: Bump, points: FloatArray, landmarks: FloatArray) -> Float
     direction = np.array(bump.direction, float)
     if not bump.paired:
         return _gaussian(points, landmarks[list(bump.landmarks)].mean(0), bump.radius_mm) * direction
-    right = landmarks[list(bump.landmarks)].mean(0)
     left = landmarks[[_MIRRORED[k] for k in bump.landmarks]].mean(0)
     return (
-        _gaussian(points, right, bump.radius_mm) * (direction * [-1, 1, 1])
+        _gaussian(points, landmarks[list(bump.landmarks)].mean(0), bump.radius_mm) * (direction * [-1, 1, 1])
         + _gaussian(points, left, bump.radius_mm) * direction
     )
 
@@ -126,8 +125,7 @@ def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:
     across, along = (np.pi * ((rest - low) / (high - low))[:, :2]).T
     for k in range(_WAVES):
         for m in range(_WAVES):
-            wave = np.cos(k * across) * np.cos(m * along)
-            modes += [_WAVE_MM * wave[:, None] * normals] if k + m else []
+            modes += [_WAVE_MM * (np.cos(k * across) * np.cos(m * along))[:, None] * normals] if k + m else []
     # Less the motion, turn and growth nearest to each.
     offset = rest - weights @ rest / weights.sum()
     similarities = [np.broadcast_to(unit, rest.shape) for unit in np.eye(3)]

@@ -72,24 +72,20 @@ def source(
 
 
 def with_landmarks(
-    forces: ScanForces,
-    samples: SurfaceSamples,
-    landmarks: LandmarkPull | None,
-    points: FloatArray,
-    meter: Meter,
+    forces: ScanForces, samples: SurfaceSamples, pull: LandmarkPull | None, points: FloatArray, meter: Meter
 ) -> Pairs | None:
     """Return the pairs of forces and landmarks at `points` (N + L, 3), None without any; records them."""
     meter.count()
     meter.record(forces.mean_distance_mm(samples.area))
     if not forces.weight.any():
         return None
-    if landmarks is None:
+    if pull is None:
         return Pairs(forces.offset, forces.normal, forces.weight, forces.tangential, NOISE_MM)
-    offset = landmarks.seen_offsets(points[len(forces.weight) :])
+    offset = pull.seen_offsets(points[len(forces.weight) :])
     return Pairs(
         np.vstack([forces.offset, offset]),
         np.vstack([forces.normal, np.zeros_like(offset)]),
-        np.concatenate([forces.weight, landmarks.person_weight(offset)]),
+        np.concatenate([forces.weight, pull.person_weight(offset)]),
         np.concatenate([np.full(len(forces.weight), forces.tangential), np.ones(len(offset))]),
         NOISE_MM,
     )
@@ -122,15 +118,8 @@ def proportioned(
         return with_landmarks(forces, samples, landmarks, points, meter)
 
     matrix, weights = source(samples, samples.area * samples.rigidity, landmarks)
-    found = align(
-        matrix @ reference,
-        weights,
-        pairs,
-        steps=steps,
-        modes=np.stack([matrix @ modes[:, axis] for axis in range(3)], axis=1),
-        precision=precision,
-        scale_range=(1.0, 1.0),
-    )
+    rest, moves = matrix @ reference, np.stack([matrix @ modes[:, axis] for axis in range(3)], axis=1)
+    found = align(rest, weights, pairs, steps=steps, modes=moves, precision=precision, scale_range=(1.0, 1.0))
     return found.pose.apply(reference + modes @ found.coefficients)
 
 

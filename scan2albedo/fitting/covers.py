@@ -22,16 +22,8 @@ from scan2albedo.fitting.openings import EYES
 from scan2albedo.fitting.options import between
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
+from scan2albedo.geometry import mesh
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
-from scan2albedo.geometry.mesh import (
-    boundary_vertex_mask,
-    edges_with_faces,
-    face_areas,
-    normalized,
-    vertex_areas,
-    vertex_components,
-    without_unreferenced,
-)
 
 STEPS = 10
 """Iterations of the alignment with a person's face."""
@@ -81,20 +73,20 @@ def uncovered(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray,
     if not gone.any() or gone.all():
         return Uncovered(scan)
     border = np.isin(np.arange(len(cover)), scan.faces[gone])
-    covered_mm2 = float(face_areas(scan.vertices, scan.faces[gone]).sum())
+    covered_mm2 = float(mesh.face_areas(scan.vertices, scan.faces[gone]).sum())
     return Uncovered(_part(scan, ~gone, border), _part(scan, gone, border), covered_mm2)
 
 
 def _part(scan: ScanSurface, chosen: BoolArray, border: BoolArray) -> ScanSurface:
     """Return the faces `chosen` (F,) of a scan, whose new border are the vertices `border` (V,)."""
-    kept, faces = without_unreferenced(scan.vertices, scan.faces[chosen])
+    kept, faces = mesh.without_unreferenced(scan.vertices, scan.faces[chosen])
     return ScanSurface(scan.vertices[kept], faces, scan.normals[kept], (scan.boundary | border)[kept])
 
 
 def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray) -> FloatArray:
     """Return control points (C, 3) of the person's face nearest to the scan, but for what lies before it."""
     samples = SurfaceSamples.of(model, reference, 0)
-    person = shape_modes(model, vertex_areas(model.control_vertices, model.control_faces))
+    person = shape_modes(model, mesh.vertex_areas(model.control_vertices, model.control_faces))
     modes = person.transpose(1, 2, 0)
     gates = ForceGates(FARTHEST_MM, 0.0, np.inf)
 
@@ -111,14 +103,10 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
         trust = (forces.weight > 0) / (1 + (gap / scale) ** 2) ** 2
         return Pairs(forces.offset, forces.normal, trust, noise=NOISE_MM)
 
-    found = align(
-        samples.matrix @ reference,
-        samples.area * samples.rigidity,
-        pairs,
-        steps=STEPS,
-        modes=np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1),
-        precision=np.diag(np.concatenate([[SIZE_SD**-2], np.ones(len(person))])),
-    )
+    rest, weights = samples.matrix @ reference, samples.area * samples.rigidity
+    moves = np.stack([samples.matrix @ modes[:, axis] for axis in range(3)], axis=1)
+    precision = np.diag(np.concatenate([[SIZE_SD**-2], np.ones(len(person))]))
+    found = align(rest, weights, pairs, steps=STEPS, modes=moves, precision=precision)
     return found.pose.apply(reference + modes @ found.coefficients)
 
 
@@ -127,11 +115,10 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     subdivision, landmarks = model.subdivision(1), model.landmarks_of(person)
     assert landmarks is not None
     points, faces = subdivision.matrix @ person, subdivision.faces
-    rim = boundary_vertex_mask(len(points), faces)
+    rim = mesh.boundary_vertex_mask(len(points), faces)
     face = ScanSurface(points, faces, surface_normals(points, faces)[0], rim)
     hits = face.nearest.query(scan.vertices)
-    across = normalized(face.normals_at(hits))
-    before_mm = np.einsum("ij,ij->i", scan.vertices - hits.points, across)
+    before_mm = np.einsum("ij,ij->i", scan.vertices - hits.points, mesh.normalized(face.normals_at(hits)))
     # How far off the nose is, which no lens covers, shows how well the person's face is known.
     x, y, _ = (hits.points - landmarks[28]).T
     nose = (np.abs(x) < (landmarks[35, 0] - landmarks[31, 0]) / 2) & (y < 0)
@@ -140,7 +127,7 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     lowest_mm = landmarks[[40, 41, 46, 47], 1].mean() - BELOW_EYES_MM - landmarks[28, 1]
     near = (before_mm > deviation_mm) & (before_mm < FARTHEST_MM)
     near &= (y > lowest_mm) & ~nose & ~face.on_boundary(hits)
-    part = vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
+    part = mesh.vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
     eyes = np.array([landmarks[list(eye)].mean(0) for eye in EYES])
     aside = np.linalg.norm(scan.vertices[:, None, :2] - eyes[:, :2], axis=2).min(1)
     cover = near & np.isin(part, part[near & (aside < EYE_MM)])
@@ -148,9 +135,9 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
         return cover
     # Heights are normal about a face that the modes make, and even before covers and other faces.
     odds = -np.log(FARTHEST_MM) - norm.logpdf(before_mm[cover], scale=deviation_mm)
-    told = float(vertex_areas(scan.vertices, scan.faces)[cover] @ odds) / EYE_MM**2
+    told = float(mesh.vertex_areas(scan.vertices, scan.faces)[cover] @ odds) / EYE_MM**2
     # A cover ends as a thing does: at the scan's border, or by jumps. A brow rises gradually.
-    edges, _ = edges_with_faces(scan.faces)
+    edges, _ = mesh.edges_with_faces(scan.faces)
     one, other = edges[cover[edges[:, 0]] != cover[edges[:, 1]]].T
     length_mm = np.linalg.norm(scan.vertices[one] - scan.vertices[other], axis=1)
     jumps = np.abs(before_mm[one] - before_mm[other]) > STEEP * length_mm

@@ -15,26 +15,22 @@ FOLD_COSINE, FOLD_CHANGE_RAD = -0.866, np.pi / 4
 
 
 def guarded(
-    before: FloatArray,
-    after: FloatArray,
-    face_normals: FloatArray,
-    samples: SurfaceSamples,
-    control_faces: IntArray,
+    before: FloatArray, after: FloatArray, normals: FloatArray, samples: SurfaceSamples, faces: IntArray
 ) -> FloatArray:
     """Return control points (C, 3) between `before` and `after` for which no triangle turns over.
 
     The step is halved around each offending triangle up to seven times, then dropped there, then everywhere.
-    `face_normals` (F, 3) are unit normals of the sampled triangles at `before`.
+    `normals` (F, 3) are unit normals of the sampled triangles at `before`, `faces` those of the control mesh.
     """
     fraction = np.ones((len(before), 1))
     for attempt in range(9):
         trial = before + fraction * (after - before)
-        bad = turned_faces(face_normals, samples.matrix @ trial, samples.faces, MIN_STEP_COSINE)
+        bad = turned_faces(normals, samples.matrix @ trial, samples.faces, MIN_STEP_COSINE)
         if len(bad) == 0:
             return trial
         corners = np.zeros(len(before), bool)
-        corners[control_faces[samples.parent[bad]]] = True
-        corners[control_faces[corners[control_faces].any(1)]] = True
+        corners[faces[samples.parent[bad]]] = True
+        corners[faces[corners[faces].any(1)]] = True
         fraction[corners] *= 0.5 if attempt < 7 else 0.0
     return before
 

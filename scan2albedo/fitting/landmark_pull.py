@@ -59,13 +59,11 @@ class LandmarkPull:
         if placed is None or model.landmark_points is None:
             return None
         numbers = np.flatnonzero(placed.placed)
-        matrix = model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)[numbers]
-        targets = transform_points(frame_from_scan, placed.points[numbers])
         ones = np.ones(len(numbers))
         return cls(
             numbers,
-            matrix,
-            targets,
+            model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)[numbers],
+            transform_points(frame_from_scan, placed.points[numbers]),
             sigma_mm=np.maximum(placed.sigma_mm[numbers], _SUREST_MM),
             wrong_mm=WRONG_MM * ones,
             axes=ones[:, None] * np.ones(3),

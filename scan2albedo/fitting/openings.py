@@ -91,8 +91,7 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
         _, right, left = min(pairs, key=lambda pair: pair[0])
         found += [(eye, (eye[0], eye[3]), hole) for eye, hole in zip(EYES, (right, left), strict=True)]
     if mouths:
-        widest = max(mouths, key=lambda hole: hole.size[0])
-        found.append((INNER_LIPS, (INNER_LIPS[0], INNER_LIPS[4]), widest))
+        found.append((INNER_LIPS, (INNER_LIPS[0], INNER_LIPS[4]), max(mouths, key=lambda hole: hole.size[0])))
     if not found:
         return None
     weights = np.zeros((3 * len(found), 68))

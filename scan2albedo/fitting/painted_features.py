@@ -149,8 +149,7 @@ class _Template:
             gram[:, 4, 4] += _FLOOR[channel] ** 2 * gram[:, 0, 0]
             inverse = np.linalg.inv(gram + 1e-9 * np.eye(5))
             rho = -inverse[:, 3, 4] / np.sqrt(inverse[:, 3, 3] * inverse[:, 4, 4])
-            counted = cue.independent * least * least[0]
-            total -= counted / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
+            total -= cue.independent * least * least[0] / 2 * np.log(1 - np.clip(rho, 0, 0.999) ** 2)
         return total[1:]
 
 
@@ -221,7 +220,7 @@ def _brow(landmarks: FloatArray, first: int) -> _Template:
     away = polyline_distance(points, line)
     used = (away < 10.0) & (np.abs(away - _BROW_MM) > 0.5)
     cue = _Cue((away[used] < _BROW_MM).astype(float), _place(points[used]), 20.0)
-    return _template("brow", numbers, landmarks, line, points[used], (cue,))
+    return _template("brow", numbers, landmarks, line, points[used], cue)
 
 
 def _eye(landmarks: FloatArray, first: int) -> _Template:
@@ -232,14 +231,13 @@ def _eye(landmarks: FloatArray, first: int) -> _Template:
     used = (inside | (away < 6.0)) & (away > 0.4)
     label, light = inside[used].astype(float), _place(points[used])
     # The eyeball is less red than skin; iris, pupil and lashes are dark.
-    cues = (_Cue(1 - label, light, 20.0, red=True), _Cue(label, light, 12.0))
-    return _template("eye", numbers, landmarks, lids[[0, 3]], points[used], cues)
+    white, dark = _Cue(1 - label, light, 20.0, red=True), _Cue(label, light, 12.0)
+    return _template("eye", numbers, landmarks, lids[[0, 3]], points[used], white, dark)
 
 
 def _lips(landmarks: FloatArray) -> _Template:
     outer, inner = landmarks[48:60], landmarks[60:68]
-    middle = (inner[[1, 2, 3]] + inner[[7, 6, 5]]) / 2
-    line = np.concatenate([outer[:1], middle, outer[6:7]])
+    line = np.concatenate([outer[:1], (inner[[1, 2, 3]] + inner[[7, 6, 5]]) / 2, outer[6:7]])
     points = _around(outer, 10.0)
     away, inside = polyline_distance(points, _closed(outer)), points_in_poly(points, outer)
     used = (inside | (away < 8.0)) & (away > 0.4) & ~points_in_poly(points, inner)
@@ -250,18 +248,13 @@ def _lips(landmarks: FloatArray) -> _Template:
     shut = np.exp(-np.sum((inner[2] - inner[6]) ** 2) / _OPEN_MM**2)
     lips = _Cue(inside[used].astype(float), _place(points[used]), 40.0, red=True)
     between = _Cue(label, np.stack([up / 2, np.sign(up)], axis=1), 12.0 * shut)
-    return _template("lips", tuple(range(48, 68)), landmarks, line, points[used], (lips, between))
+    return _template("lips", tuple(range(48, 68)), landmarks, line, points[used], lips, between)
 
 
 def _template(
-    name: str,
-    numbers: tuple[int, ...],
-    landmarks: FloatArray,
-    line: FloatArray,
-    points: FloatArray,
-    cues: tuple[_Cue, ...],
+    name: str, numbers: tuple[int, ...], places: FloatArray, line: FloatArray, points: FloatArray, *cues: _Cue
 ) -> _Template:
-    marks = _Places.of(landmarks[list(numbers)], line)
+    marks = _Places.of(places[list(numbers)], line)
     mirror = _MIRROR if numbers[0] in (22, 42) else np.ones(_MOTIONS)
     return _Template(name, numbers, _Places.of(points, line), marks, cues, line.mean(0), mirror)
 

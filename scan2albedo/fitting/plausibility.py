@@ -77,8 +77,7 @@ def face_coverage(fitted: FittedFace) -> float:
     if counted.all():
         return fitted.metrics["coverage"]
     area = face_areas(fitted.vertices, fitted.faces) * counted
-    seen = (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1)
-    return float(area @ seen / max(area.sum(), 1e-300))
+    return float(area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), 1e-300))
 
 
 def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
@@ -166,11 +165,10 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
         return np.asarray((values > ends[0]) & (values < ends[1]))
 
     nose = _in_regions(model, level, "nose", "left_nostril", "right_nostril")
-    strip = between(height, MIDLINE_HEIGHT_MM) & between(side, MIDLINE_MM) & ~nose
     return Asymmetry(
         unlike_mm(upper, UPPER_PATCH_MM),
         unlike_mm(between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM), MIDDLE_PATCH_MM),
-        unlike_mm(strip, UPPER_PATCH_MM),
+        unlike_mm(between(height, MIDLINE_HEIGHT_MM) & between(side, MIDLINE_MM) & ~nose, UPPER_PATCH_MM),
         fitted.metrics["residual_mean_mm"],
     )
 

@@ -28,17 +28,8 @@ _MIRROR_STEPS = 20
 _NEAR_MM, _UNSEEN_MM = 12.0, 4.0
 """The surface around a landmark that shows it, about an eye's height, and the deviation of one, along an
 axis, around which there is no scan."""
-_FEATURES_MM = {
-    (0, 1): 8.0,
-    (1, 16): 4.2,
-    (16, 17): 8.0,
-    (17, 27): 2.2,
-    (27, 31): 1.9,
-    (31, 36): 1.1,
-    (36, 48): 2.0,
-    (48, 68): 2.1,
-}
-"""Deviation in mm along an axis by iBUG-68 numbers (begin, end): what `tools/bench_landmarks.py
+_FEATURES_MM = np.repeat((8.0, 4.2, 8.0, 2.2, 1.9, 1.1, 2.0, 2.1), (1, 15, 1, 10, 4, 5, 12, 20))
+"""Deviation in mm along an axis of each landmark of iBUG-68: what `tools/bench_landmarks.py
 --expressions` found on its faces. No others have judged it."""
 
 
@@ -180,22 +171,17 @@ def residuals_mm(
 ) -> FloatArray:
     """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
     exact = exact and len(scan.faces) <= MAX_EXACT_FACES
-    query = ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest
-    hits = query.query(vertices)
+    hits = (ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest).query(vertices)
     facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
     return np.where(~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing, hits.distance, np.nan)
 
 
 def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:
     """Return (68,) deviations along an axis, mm: more where no scan is near, or the fit lies off it."""
-    usual = np.zeros(len(landmarks))
-    for (begin, end), deviation_mm in _FEATURES_MM.items():
-        usual[begin:end] = deviation_mm
-    near = cKDTree(vertices).query_ball_point(landmarks, _NEAR_MM)
     unseen, off = np.ones(len(landmarks)), np.zeros(len(landmarks))
-    for number, index in enumerate(near):
+    for number, index in enumerate(cKDTree(vertices).query_ball_point(landmarks, _NEAR_MM)):
         if index:
             seen = residual_mm[index][~np.isnan(residual_mm[index])]
             unseen[number] = 1 - len(seen) / len(index)
             off[number] = seen.mean() if len(seen) else 0.0
-    return np.sqrt(usual**2 + (_UNSEEN_MM * unseen) ** 2 + off**2)
+    return np.sqrt(_FEATURES_MM**2 + (_UNSEEN_MM * unseen) ** 2 + off**2)

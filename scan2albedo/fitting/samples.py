@@ -74,8 +74,7 @@ class SurfaceSamples:
         # The matrix leaves out distances of zero: each sample itself.
         around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()
         mean = normalized(around @ normals + self.area[:, None] * normals)
-        turned = 1 - np.einsum("ij,ij->i", normals, mean)
-        return np.asarray(_LEAST_RELIEF + np.minimum(turned, _MOST_RELIEF))
+        return np.asarray(_LEAST_RELIEF + np.minimum(1 - np.einsum("ij,ij->i", normals, mean), _MOST_RELIEF))
 
     def product(self, stiffness: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""

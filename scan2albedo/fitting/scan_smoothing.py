@@ -69,8 +69,7 @@ class SurfaceAverages:
 
     @cached_property
     def _weight(self) -> FloatArray:
-        count = np.ones(len(self.vertices)) if self.count is None else self.count
-        return np.where(self._spike, 0.0, count)
+        return np.where(self._spike, 0.0, np.ones(len(self.vertices)) if self.count is None else self.count)
 
     def _averaged(
         self, values: FloatArray, at_border: FloatArray, shares: FloatArray, passes: int

@@ -114,7 +114,7 @@ def run_stages(deformation: Deformation, count: int | None = None) -> tuple[Floa
     for index, level in enumerate(levels[:count]):
         if meter.exhausted and (index or not meter.out_of_time):
             return q, False
-        q = _run_stage(deformation, level, index / max(len(levels) - 1, 1), options.steps, q)
+        q = _run_stage(deformation, level, index / max(len(levels) - 1, 1), options.steps, q, None)
     if count is not None:
         return q, not meter.exhausted
     q, stiffening = _mended(deformation, q, None, levels[-1], MENDING_ROUNDS)
@@ -193,19 +193,14 @@ def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
 
 
 def _run_stage(
-    deformation: Deformation,
-    level: int,
-    progress: float,
-    steps: int,
-    q: FloatArray,
-    stiffening: FloatArray | None = None,
+    deformation: Deformation, level: int, progress: float, steps: int, q: FloatArray, stiff: FloatArray | None
 ) -> FloatArray:
     """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
     meter, reference, pull = deformation.meter, deformation.reference, deformation.landmarks
     samples, usual = deformation.sampled(level)
-    area, stiffness = deformation.control_area, deformation.elasticity(progress, stiffening)
+    area, stiffness = deformation.control_area, deformation.elasticity(progress, stiff)
     system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
-    gates = ForceGates.at(deformation.options, progress)
+    gates, faces = ForceGates.at(deformation.options, progress), deformation.model.control_faces
     state = State(q, np.zeros_like(q))
     errors: list[float] = []
     forces: ScanForces | None = None
@@ -226,9 +221,7 @@ def _run_stage(
         if pull is not None:
             push, product = push + pull.force(reference + state.q), pull.with_springs(product)
         moved = system.step(state, push, product)
-        safe = guarded(
-            reference + state.q, reference + moved.q, face_normals, samples, deformation.model.control_faces
-        )
+        safe = guarded(reference + state.q, reference + moved.q, face_normals, samples, faces)
         state = State(safe - reference, (safe - reference - state.q) / TIME_STEP)
         if len(errors) > 5 and not errors[-6] - errors[-1] > GAIN_TOLERANCE * errors[-6]:
             break

@@ -127,8 +127,7 @@ def turned_against_neighbours(faces: IntArray) -> BoolArray:
     _, labels = connected_components(graph, directed=False)
     kept, reverse = labels[:count], labels[count:]
     part, side = np.minimum(kept, reverse), kept < reverse
-    balance = np.bincount(part, np.where(side, 1.0, -1.0))
-    return np.where(balance[part] >= 0, ~side, side) & (kept != reverse)
+    return np.where(np.bincount(part, np.where(side, 1.0, -1.0))[part] >= 0, ~side, side) & (kept != reverse)
 
 
 def neighbouring_faces(faces: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
@@ -180,8 +179,7 @@ def far_faces(vertices: FloatArray, faces: IntArray) -> BoolArray:
     if not reaching.any() or reaching.all():
         return np.zeros(len(faces), bool)
     part = vertex_components(len(vertices), faces[far[faces].all(1)])
-    large = np.bincount(part) >= OBJECT_SHARE * used.sum()
-    return reaching & ~(large[part] & far)[faces].any(1)
+    return reaching & ~((np.bincount(part) >= OBJECT_SHARE * used.sum())[part] & far)[faces].any(1)
 
 
 def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:

@@ -10,14 +10,8 @@ from scipy import sparse
 from scipy.sparse.linalg import splu, spsolve
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.geometry import mesh
 from scan2albedo.geometry.loop_subdivision import refine
-from scan2albedo.geometry.mesh import (
-    adjacency,
-    boundary_vertex_mask,
-    face_cross_products,
-    vertex_areas,
-    vertex_components,
-)
 
 _WIDEST = 1e3
 MAX_COTANGENT = 5.0
@@ -58,9 +52,9 @@ def bending(
     vertices 0 (the plate's free edge).
     """
     plain = laplacian(vertices, faces)
-    area = vertex_areas(vertices, faces)
+    area = mesh.vertex_areas(vertices, faces)
     floor = 1e-6 * max(float(area.mean()), 1e-300)
-    weight = np.where(boundary_vertex_mask(len(vertices), faces), 0.0, 1.0)
+    weight = np.where(mesh.boundary_vertex_mask(len(vertices), faces), 0.0, 1.0)
     if face_weight is not None:
         weight = weight * vertex_minimum(len(vertices), faces, face_weight)
     return (plain @ sparse.diags(weight / np.maximum(area, floor)) @ plain).tocsr()
@@ -125,7 +119,7 @@ def surface_diffusion(
         raise ValueError(f"deviation_mm must be finite and 0 or more, got {deviation_mm}")
     if not np.isfinite(vertices).all():
         raise ValueError(f"{int((~np.isfinite(vertices)).any(1).sum())} vertices are NaN or infinite")
-    area = vertex_areas(vertices, faces)
+    area = mesh.vertex_areas(vertices, faces)
     # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
     deviation = min(float(deviation_mm), _WIDEST * float(np.ptp(vertices, axis=0).max(initial=0.0)))
     mass = np.where(area > 0, area, 1.0)
@@ -162,10 +156,10 @@ def filled_over_mesh(values: ArrayLike, known: ArrayLike, faces: IntArray) -> Fl
     if not there.any():
         raise ValueError("no vertex is known: there is nothing to fill from")
     result = np.where(there[:, None], given, given[there].mean(0))
-    part = vertex_components(len(given), faces)
+    part = mesh.vertex_components(len(given), faces)
     rows = np.flatnonzero(~there & (np.bincount(part, there) > 0)[part])
     if len(rows):
-        links = adjacency(len(given), faces)
+        links = mesh.adjacency(len(given), faces)
         inner = sparse.diags(np.asarray(links.sum(1)).ravel()[rows]) - links[rows][:, rows]
         right = links[rows][:, np.flatnonzero(there)] @ given[there]
         result[rows] = spsolve(inner.tocsc(), right).reshape(len(rows), -1)
@@ -181,10 +175,9 @@ def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_
     """
     count = len(vertices)
     corners = vertices[faces]
-    opposite = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
     own = np.repeat(faces, 3, axis=1).ravel()
     other = np.tile(faces, 3).ravel()
-    edges = np.tile(opposite, (1, 3, 1)).reshape(-1, 3)
+    edges = np.tile(np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1), (1, 3, 1)).reshape(-1, 3)
     itself = np.arange(count)
     keys, slot = np.unique(np.concatenate([own * count + other, itself * (count + 1)]), return_inverse=True)
     slot = slot[: len(own)]
@@ -193,7 +186,7 @@ def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_
     start = np.searchsorted(row, np.arange(count + 1))
     # The derivatives of N / |N| by N; zeros where N is zero.
     normal = np.zeros((count, 3))
-    np.add.at(normal, faces.ravel(), np.repeat(face_cross_products(vertices, faces), 3, axis=0))
+    np.add.at(normal, faces.ravel(), np.repeat(mesh.face_cross_products(vertices, faces), 3, axis=0))
     length = np.linalg.norm(normal, axis=1)
     inverse = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
     unit = normal * inverse[:, None]

@@ -62,8 +62,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     first, second = (2 / 3 + 0.7548776662466927 * step) % 1.0, (2 / 3 + 0.5698402909980532 * step) % 1.0
     fold = first + second > 1
     first, second = np.where(fold, 1 - first, first), np.where(fold, 1 - second, second)
-    weights = np.stack([1 - first - second, first, second], 1)
-    points = np.einsum("nk,nkd->nd", weights, vertices[faces[owner]])
+    points = np.einsum("nk,nkd->nd", np.stack([1 - first - second, first, second], 1), vertices[faces[owner]])
     areas, vectors = area[owner] * share, cross[owner] * (0.5 * share)[:, None]
     if len(points) == 0:
         return OrientedPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))

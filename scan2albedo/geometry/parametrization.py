@@ -8,13 +8,7 @@ from scipy.sparse.linalg import splu
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.geometry.mesh import (
-    adjacency,
-    boundary_loops,
-    edges_with_faces,
-    face_areas,
-    vertex_components,
-)
+from scan2albedo.geometry import mesh
 
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
@@ -75,7 +69,7 @@ def flatten_disc(
     xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
     loop = boundary_loop(len(xyz), index)
     # SLIM's energy is not scale invariant: unit area on both sides.
-    xyz = (xyz - xyz.mean(0)) / np.sqrt(face_areas(xyz, index).sum())
+    xyz = (xyz - xyz.mean(0)) / np.sqrt(mesh.face_areas(xyz, index).sum())
     target = boundary_curve(xyz, loop)
     data = igl.slim_precompute(
         np.asfortranarray(xyz),
@@ -101,9 +95,9 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
     >>> boundary_loop(4, np.array([[0, 1, 2], [0, 2, 3]]))
     array([0, 1, 2, 3])
     """
-    edges, uses = edges_with_faces(faces)
-    used, loops = np.unique(faces), boundary_loops(faces)
-    components = len(np.unique(vertex_components(vertex_count, faces)[used]))
+    edges, uses = mesh.edges_with_faces(faces)
+    used, loops = np.unique(faces), mesh.boundary_loops(faces)
+    components = len(np.unique(mesh.vertex_components(vertex_count, faces)[used]))
     euler = len(used) - len(edges) + len(faces)
     if components != 1 or uses.max() > 2 or euler != 1 or len(loops) != 1:
         raise ModelError(
@@ -140,7 +134,7 @@ def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
 
 def tutte(vertex_count: int, faces: IntArray, loop: IntArray, target: FloatArray) -> FloatArray:
     """Return the (V, 2) map with every inner vertex at the mean of its neighbours, `loop` at `target`."""
-    ring = adjacency(vertex_count, faces)
+    ring = mesh.adjacency(vertex_count, faces)
     laplacian = (sparse.diags(np.asarray(ring.sum(1)).ravel()) - ring).tocsr()
     inner = np.setdiff1d(np.arange(vertex_count), loop)
     uv = np.zeros((vertex_count, 2))

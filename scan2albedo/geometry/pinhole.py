@@ -31,8 +31,7 @@ def project(camera: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatAr
     image = points @ camera[:, :3].T + camera[:, 3]
     depth = image[:, 2]
     front = depth > 0
-    pixels = np.where(front[:, None], image[:, :2] / np.where(front, depth, 1.0)[:, None], np.nan)
-    return pixels, depth
+    return np.where(front[:, None], image[:, :2] / np.where(front, depth, 1.0)[:, None], np.nan), depth
 
 
 def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

@@ -147,8 +147,7 @@ def procrustes(
         )
     w = w / total
     x_mean, y_mean = w @ x, w @ y
-    covariance = (w[:, None] * (y - y_mean)).T @ (x - x_mean)
-    u, singular, vt = np.linalg.svd(covariance)
+    u, singular, vt = np.linalg.svd((w[:, None] * (y - y_mean)).T @ (x - x_mean))
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt)) or 1.0])
     rotation = (u * sign) @ vt
     factor = 1.0

@@ -46,8 +46,7 @@ class SurfaceNoise:
         if chosen.sum() < _FEWEST_VERTICES:
             return 0.0, 0.0
         gap = self.gap[chosen]
-        noise = _NORMAL_MAD * np.median(np.abs(gap - np.median(gap)))
-        return float(noise), float(self.area[chosen].mean())
+        return float(_NORMAL_MAD * np.median(np.abs(gap - np.median(gap)))), float(self.area[chosen].mean())
 
 
 def above_neighbours(vertices: FloatArray, begins: IntArray, neighbours: IntArray) -> FloatArray:

@@ -40,8 +40,7 @@ def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurfac
     cell = max(cell, float(np.ptp(vertices, axis=0).max()) / 2**20)
     place = np.floor((vertices - vertices.min(0)) / cell + 0.5).astype(np.int64)
     span = place.max(0) + 1
-    key = (place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2]
-    _, inverse = np.unique(key, return_inverse=True)
+    _, inverse = np.unique((place[:, 0] * span[1] + place[:, 1]) * span[2] + place[:, 2], return_inverse=True)
     cluster = inverse.ravel()
     count = np.bincount(cluster).astype(np.float64)
     means = np.stack([np.bincount(cluster, vertices[:, axis]) / count for axis in range(3)], 1)

@@ -139,8 +139,7 @@ def write_glb(
     file = GlbFile()
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
     if uv is not None:
-        from_top = np.asarray(uv, np.float64) * (1, -1) + (0, 1)
-        attributes["TEXCOORD_0"] = (from_top.astype("f4"), "VEC2")
+        attributes["TEXCOORD_0"] = ((np.asarray(uv, np.float64) * (1, -1) + (0, 1)).astype("f4"), "VEC2")
     mesh = file.add_mesh("face", points, triangles, attributes=attributes)
     grey = 200 / 255 if texture_srgb is None else 1.0
     material = plain_material("albedo", (grey, grey, grey, 1.0), double_sided=False)

@@ -150,8 +150,7 @@ def _in_srgb(image: Image.Image) -> Image.Image | None:
     kind = "RGBA" if image.mode == "RGBA" else "RGB"
     try:
         own, srgb = ImageCms.ImageCmsProfile(BytesIO(profile)), ImageCms.createProfile("sRGB")
-        intent = ImageCms.Intent.RELATIVE_COLORIMETRIC
-        convert = ImageCms.buildTransform(own, srgb, image.mode, kind, intent)
+        convert = ImageCms.buildTransform(own, srgb, image.mode, kind, ImageCms.Intent.RELATIVE_COLORIMETRIC)
     except (ImageCms.PyCMSError, OSError):  # a damaged profile, or one of another kind of samples
         return None
     if image.mode == kind:
@@ -327,8 +326,7 @@ def declared_pixels(data: bytes) -> int | None:
             # Pillow reads tags also of kinds of TIFF whose pixels it cannot decode.
             from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-            big = b"+" in data[2:4]
-            head = b"II+\0" + data[4:16] if big else b"II*\0" + data[4:8]
+            head = b"II+\0" + data[4:16] if b"+" in data[2:4] else b"II*\0" + data[4:8]
             tags = ImageFileDirectory_v2(head, data[:2])
             stream = BytesIO(data)
             stream.seek(tags.next)

@@ -108,8 +108,7 @@ def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None
         placed = read_landmarks(file, scan.mm_per_unit)
     else:
         return replace(scan, notes=(*scan.notes, f"no landmarks of this scan in the folder {landmarks}"))
-    note = f"{int(placed.placed.sum())} landmarks given"
-    return replace(scan, landmarks=placed, notes=(*scan.notes, note))
+    return replace(scan, landmarks=placed, notes=(*scan.notes, f"{int(placed.placed.sum())} landmarks given"))
 
 
 def load_scan_with(

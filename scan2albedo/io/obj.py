@@ -200,10 +200,7 @@ def _materials(
     limits.require_at_most(lines.name, "materials", len(order), limits.MATERIALS, "join its materials")
     number = np.array([order[name] for name in names], np.int64)
     index = np.where(current < 0, -1, number[np.maximum(current, 0)])
-    notes += [
-        f"material {name} is not in the material library: went on without it"
-        for name in order
-        if name not in known
-    ]
+    lost = (name for name in order if name not in known)
+    notes += [f"material {name} is not in the material library: went on without it" for name in lost]
     materials, lacking = pictures.materials(known.get(name, MaterialText(name)) for name in order)
     return index, materials, tuple(dict.fromkeys((*notes, *lacking)))

@@ -162,15 +162,8 @@ def mesh_of_columns(
     if len(materials) > 1 and "texnumber" in of_face:
         chosen = of_face["texnumber"].astype(np.int64)[polygon]
         material = np.where((chosen >= 0) & (chosen < len(materials)), chosen, -1)
-    return ParsedMesh(
-        vertices=vertices,
-        faces=faces,
-        uv=uv,
-        material=material,
-        materials=materials,
-        vertex_color_linear=colors,
-        notes=cut_note(index.counts) + notes,
-    )
+    notes = cut_note(index.counts) + notes
+    return ParsedMesh(vertices, faces, uv, material, materials, vertex_color_linear=colors, notes=notes)
 
 
 def _colors(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:

@@ -61,11 +61,8 @@ def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
     candidates = np.flatnonzero(repeated[place] == hashes)
     chosen = rows[candidates]
     order = np.lexsort(chosen.T)
-    same = (chosen[order[1:]] == chosen[order[:-1]]).all(axis=1)
-    group_start = np.concatenate([[True], ~same])
-    starts = np.flatnonzero(group_start)
-    group = np.cumsum(group_start) - 1
-    first[candidates[order]] = candidates[order[starts[group]]]
+    group_start = np.concatenate([[True], ~(chosen[order[1:]] == chosen[order[:-1]]).all(axis=1)])
+    first[candidates[order]] = candidates[order[np.flatnonzero(group_start)[np.cumsum(group_start) - 1]]]
     return first
 
 

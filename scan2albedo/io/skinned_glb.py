@@ -113,11 +113,10 @@ def write_skinned_glb(
     for n, start in enumerate(range(0, order.shape[1], 4)):
         attributes[f"JOINTS_{n}"] = (order[:, start : start + 4].astype(kind), "VEC4")
         attributes[f"WEIGHTS_{n}"] = (kept[:, start : start + 4].astype("f4"), "VEC4")
-    mesh = file.add_mesh("frame", xyz, index, attributes=attributes)
     # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
     number = {int(joint): i + 2 for i, joint in enumerate(known)}
     nodes: list[dict[str, Any]] = [
-        {"name": "frame", "mesh": mesh, "skin": 0},
+        {"name": "frame", "mesh": file.add_mesh("frame", xyz, index, attributes=attributes), "skin": 0},
         {"name": "skeleton", "children": [number[joint] for joint in number if above[joint] < 0]},
     ]
     places = joints * METRES_PER_MM

@@ -58,8 +58,7 @@ def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: flo
     lines = [f"mtllib {target.stem}.mtl\n"] if mesh.pictures else []
     places = mesh.vertices / mm_per_unit
     if mesh.vertex_color_linear is not None:
-        colors = linear_to_srgb(np.clip(mesh.vertex_color_linear, 0, 1))
-        rows = np.column_stack([places, colors]).tolist()
+        rows = np.column_stack([places, linear_to_srgb(np.clip(mesh.vertex_color_linear, 0, 1))]).tolist()
         lines += [f"v {x:.9g} {y:.9g} {z:.9g} {r:.4f} {g:.4f} {b:.4f}\n" for x, y, z, r, g, b in rows]
     else:
         lines += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in places.tolist()]

@@ -106,11 +106,7 @@ def accepted(
     reason = "the pose at which the scan is most probably a face is taken"
     steps = [PlanStep("register.search", True, reason, evidence)]
     # Once one is found the others are not looked at closely.
-    apart = [
-        _distance_mm(other, best)
-        for other in candidates[1:]
-        if other.log_odds > 0 or other.likeness > _FACE_LIKENESS
-    ]
+    apart = [_distance_mm(c, best) for c in candidates[1:] if c.log_odds > 0 or c.likeness > _FACE_LIKENESS]
     if best.log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
         text = (
             f"there is a second face {max(apart):.0f} mm away; the one that resembles the model "
@@ -147,9 +143,7 @@ def probability(candidates: Candidates) -> float:
     """
     best = candidates[0]
     rivals = [
-        other.log_odds
-        for other in candidates[1:]
-        if other.is_apart(best) and _distance_mm(other, best) <= _OTHER_FACE_MM
+        c.log_odds for c in candidates[1:] if c.is_apart(best) and _distance_mm(c, best) <= _OTHER_FACE_MM
     ]
     return float(expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
 

@@ -132,8 +132,7 @@ def ranked_candidates(
     batches = chain(placed, _batches(scan, template, poses, options.candidates, 3 * options.candidates))
     # Open3D's wide pairs draw half a face round the head, towards its missing half: at last without it.
     freely = _batches(scan, template, poses, 2 * options.candidates, 0)
-    every = chain(zip(batches, repeat(target)), zip(freely, repeat(None)))
-    for number, (batch, cloud) in enumerate(every):
+    for number, (batch, cloud) in enumerate(chain(zip(batches, repeat(target)), zip(freely, repeat(None)))):
         candidates = _with_refined(scan, cloud, template, batch, meter, candidates)
         candidates = colors.rescored(_with_evidence(scan, template, candidates, meter, landmarks))
         hopeless = number == 1 and landmarks is None and candidates[0].log_odds <= -_MOST_LOG_ODDS
@@ -149,7 +148,7 @@ def every_candidate(
     target, candidates = ScanTarget(scan.samples), Candidates()
     for batch in _batches(scan, template, poses, options.candidates, 0):
         candidates = _with_refined(scan, target, template, batch, meter, candidates)
-    return _with_evidence(scan, template, candidates, meter)
+    return _with_evidence(scan, template, candidates, meter, None)
 
 
 def _sorted(candidates: list[Candidate]) -> Candidates:
@@ -157,11 +156,7 @@ def _sorted(candidates: list[Candidate]) -> Candidates:
 
 
 def _with_evidence(
-    scan: PreparedScan,
-    template: Template,
-    candidates: Candidates,
-    meter: Meter,
-    landmarks: PlacedPose | None = None,
+    scan: PreparedScan, template: Template, candidates: Candidates, meter: Meter, landmarks: PlacedPose | None
 ) -> Candidates:
     """Look at the first `_LOOKED_AT` candidates that are apart from each other, those seen before among them.
 
@@ -208,8 +203,7 @@ def _batches(
     second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
     yield poses.subset(second)
     every = by_relief(len(poses))
-    rest = every[~np.isin(every, np.concatenate([first, second]))]
-    yield poses.subset(rest[:more_candidates])
+    yield poses.subset(every[~np.isin(every, np.concatenate([first, second]))][:more_candidates])
 
 
 def _with_refined(
@@ -243,8 +237,7 @@ def _with_refined(
         relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
         candidates.append(Candidate(pose, relief, rms_mm))
         meter.count()
-        best = max(candidates, key=lambda c: c.ranking)
-        meter.record(rigid_distance_mm(scan.samples, template, best.pose))
+        meter.record(rigid_distance_mm(scan.samples, template, max(candidates, key=lambda c: c.ranking).pose))
     return tuple(sorted(candidates, key=lambda c: -c.ranking))
 
 

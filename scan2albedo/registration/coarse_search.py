@@ -81,5 +81,4 @@ def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: 
     rotations = super_fibonacci_rotations(rotation_count)
     anchor, rotation = np.nonzero(anchors.normals @ rotations[:, :, 2].T >= np.cos(_CONE_RAD))
     turned = rotations[rotation]
-    translations = anchors.points[anchor] - turned @ front
-    return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(translations))
+    return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(anchors.points[anchor] - turned @ front))

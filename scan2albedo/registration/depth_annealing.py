@@ -40,17 +40,12 @@ class DepthDerivativeObjective:
     """
 
     def __init__(
-        self,
-        scan_vertices: FloatArray,
-        scan_faces: IntArray,
-        template: Template,
-        start: Similarity,
-        size: int,
+        self, vertices: FloatArray, faces: IntArray, template: Template, start: Similarity, size: int
     ) -> None:
         self._frame = DepthFrame(template.image.frame.center, template.image.frame.width, size)
         self._vertices, self._faces = template.coarse_vertices, template.coarse_faces
         limit = float(self._vertices[:, 2].max()) + LOOK_THROUGH_MM
-        self._scan = depth_image(scan_vertices, scan_faces, self._frame, start.inverse(), z_limit=limit)
+        self._scan = depth_image(vertices, faces, self._frame, start.inverse(), z_limit=limit)
         # Weights of the model at rest, 0 outside.
         places, shape = self._frame.pixels(self._vertices), (size, size)
         raster = rasterize(places, self._vertices[:, 2], self._faces, shape)
@@ -163,15 +158,9 @@ def annealed(
         reason = "switched off: 0 evaluations"
     if reason:
         return Annealed(start, None, PlanStep(stage, False, reason))
+    size, count = template.image.frame.size, options.annealing_evaluations
     found = anneal_depth_derivatives(
-        scan.vertices,
-        scan.faces,
-        template,
-        start,
-        size=template.image.frame.size,
-        evaluations=options.annealing_evaluations,
-        seed=seed,
-        meter=meter,
+        scan.vertices, scan.faces, template, start, size=size, evaluations=count, seed=seed, meter=meter
     )
     # ICP measures another distance than the annealing, so its rows stay out of the trace.
     unseen = meter.untraced()

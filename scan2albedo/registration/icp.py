@@ -142,15 +142,9 @@ def icp(
         trust = measured.trust() * (sigma_mm**2 / (sigma_mm**2 + measured.plane_mm**2)) ** 2
         return Pairs(-measured.offset, measured.normal, trust, noise=sigma_mm)
 
+    steps, known = len(sigmas_mm), np.diag(precision)
     return align(
-        samples.points,
-        weights,
-        pairs,
-        start,
-        steps=len(sigmas_mm),
-        modes=modes,
-        precision=np.diag(precision),
-        settled=settled,
+        samples.points, weights, pairs, start, steps=steps, modes=modes, precision=known, settled=settled
     )
 
 

@@ -122,11 +122,7 @@ def register(
 
 
 def refined_registration(
-    registration: Registration,
-    scan: RawScan,
-    model: AnnotatedSurface,
-    model_from_scan: FloatArray,
-    face_scale: float,
+    searched: Registration, scan: RawScan, model: AnnotatedSurface, model_from_scan: FloatArray, scale: float
 ) -> Registration:
     """Return the registration with a refined pose (4, 4) and face scale, the RMS distance measured there.
 
@@ -136,15 +132,10 @@ def refined_registration(
     # In the frame of the search, so that the same pose has the same distance.
     vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
     samples = oriented_points(vertices, faces, SPACING_MM)
-    pose = Similarity.of_rigid(prepared_from_scan @ invert_rigid(model_from_scan), face_scale, model.front)
-    change = model_from_scan @ invert_rigid(registration.model_from_scan)
+    pose = Similarity.of_rigid(prepared_from_scan @ invert_rigid(model_from_scan), scale, model.front)
+    change = model_from_scan @ invert_rigid(searched.model_from_scan)
     turned_deg = np.rad2deg(rotation_angle_rad(change[:3, :3]))
     evidence = f"{turned_deg:.1f} degrees and {np.linalg.norm(change[:3, 3]):.1f} mm from the search's"
     step = PlanStep("register.refined_pose", True, "the pose with which the fit ended", evidence)
-    return replace(
-        registration,
-        model_from_scan=model_from_scan,
-        face_scale=face_scale,
-        rmse_mm=rms_mm(samples, Template.of(model, 0), pose),
-        plan=registration.plan + (step,),
-    )
+    rmse_mm, plan = rms_mm(samples, Template.of(model, 0), pose), searched.plan + (step,)
+    return replace(searched, model_from_scan=model_from_scan, face_scale=scale, rmse_mm=rmse_mm, plan=plan)

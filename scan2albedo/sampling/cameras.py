@@ -84,8 +84,7 @@ def _fitted(corners: FloatArray, pixels: FloatArray, normals: FloatArray) -> Flo
         kept = off <= _OUTLIER * np.median(off)
     if not np.median(off) < _tolerance(pixels):
         return None
-    toward = camera_centers(camera[None])[0] - corners[:, 0]
-    facing = np.einsum("ij,ij->i", toward, normals) > 0
+    facing = np.einsum("ij,ij->i", camera_centers(camera[None])[0] - corners[:, 0], normals) > 0
     return camera if facing.mean() >= _FACING else None
 
 

@@ -122,14 +122,13 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
         residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
     )
     # Embree would ignore collapsed triangles anyway.
-    solid = fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]
     return GeometryImage(
         position=position,
         normal=normal,
         mask=raster.covered,
         texture_linear=texture.linear,
         region=region,
-        occluder=(fitted.vertices, solid),
+        occluder=(fitted.vertices, fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]),
         texture_valid=texture.seen,
         filled=texture.filled,
         specular_scale=np.where(inside, blurred / np.maximum(weight, 1e-6), np.float32(0)),

@@ -136,8 +136,7 @@ class TextureLookup:
             texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
             density = texture_area / np.maximum(face_areas(scan.vertices, scan.faces), 1e-12)
             used = density[texture_area > 0]
-            dense = density > (MIN_DENSITY * np.median(used) if len(used) else np.inf)
-            valid &= dense[face] & inside
+            valid &= (density > (MIN_DENSITY * np.median(used) if len(used) else np.inf))[face] & inside
         else:
             assert scan.vertex_color_linear is not None
             corners = scan.vertex_color_linear[scan.faces[face]]
@@ -168,8 +167,7 @@ class TextureLookup:
         squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
         gradient = np.zeros((len(faces), 2, 3))
         for k in range(3):
-            opposite = corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]
-            hat = np.cross(cross, opposite) / squared[:, None]
+            hat = np.cross(cross, corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]) / squared[:, None]
             gradient += scan.uv[near, k, :, None] * hat[:, None, :]
         footprint = np.einsum("nck,nkd->ncd", gradient[hits.face], steps) * to_pixels[:, None]
         # So many that no pixel between them is left out.
@@ -191,8 +189,7 @@ def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tu
     corners, chart = vertices[faces], uv[faces]
     edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], 2)
     chart_edges = np.stack([chart[:, 1] - chart[:, 0], chart[:, 2] - chart[:, 0]], 2)
-    determinant = np.linalg.det(chart_edges)
-    usable = np.abs(determinant) > 1e-15
+    usable = np.abs(np.linalg.det(chart_edges)) > 1e-15
     inverse = np.zeros_like(chart_edges)
     inverse[usable] = np.linalg.inv(chart_edges[usable])
     height, width = shape
