@@ -223,8 +223,7 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     if image.camera is None or image.camera_positions is None:
         return PlanStep(_CAMERAS, False, "no camera is known: one view direction serves", "no camera")
     known = image.camera[image.mask] != NO_CAMERA
-    cosine = (scene.toward @ np.asarray(scene.view)).min()
-    angle = math.degrees(math.acos(float(np.clip(cosine, -1, 1))))
+    angle = math.degrees(math.acos(float(np.clip((scene.toward @ np.asarray(scene.view)).min(), -1, 1))))
     took = f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels"
     evidence = f"{took}, from up to {angle:.0f} deg off the view direction"
     plain = 1.0 if reflectance.brdf == "minnaert" else 0.0

@@ -137,8 +137,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
         nearest = cKDTree(toward).query(texels)[1]
         moments = [np.bincount(nearest, share * texels[:, k], count) for k in range(3)]
         pulled = np.stack(moments, 1).astype(np.float64)
-        length = np.linalg.norm(pulled, axis=1)
-        toward = np.where(length[:, None] > 0, normalized(pulled), toward)
+        toward = np.where(np.linalg.norm(pulled, axis=1)[:, None] > 0, normalized(pulled), toward)
     return toward
 
 

@@ -184,7 +184,6 @@ def view_frame(axis: ArrayLike) -> FloatArray:
     """Return (3, 3) rows of a right-handed orthonormal frame, the third along `axis`; for +z the identity."""
     e3 = np.asarray(axis, np.float64)
     e3 = e3 / np.linalg.norm(e3)
-    helper = np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
-    e1 = np.cross(helper, e3)
+    e1 = np.cross(np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0]), e3)
     e1 /= np.linalg.norm(e1)
     return np.stack([e1, np.cross(e3, e1), e3])

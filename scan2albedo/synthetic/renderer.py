@@ -181,6 +181,5 @@ def phong(
     normal: FloatArray, toward_light: FloatArray, toward_viewer: FloatArray, exponent: float
 ) -> FloatArray:
     """Return (N,) max(0, r . v)^exponent, r the mirrored light direction (Phong, CACM 18(6), 1975)."""
-    along = np.einsum("ij,ij->i", normal, toward_light)
-    mirrored = 2 * along[:, None] * normal - toward_light
+    mirrored = 2 * np.einsum("ij,ij->i", normal, toward_light)[:, None] * normal - toward_light
     return np.maximum(0, np.einsum("ij,ij->i", mirrored, toward_viewer)) ** exponent

@@ -85,13 +85,11 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control)
     # Each control face gets the region of the template vertex nearest to its centre.
     label, table = _regions(given, faces)
-    centres = control[control_faces].mean(1)
-    region = label[template.source][tree.query(centres)[1]]
+    region = label[template.source][tree.query(control[control_faces].mean(1))[1]]
     if template.filled.any():
         index = len(table)
         corners = template.vertices[template.faces[template.filled]]
-        over_holes = project(subdivision, control, corners.mean(1), np.zeros((1, 3)))
-        region[over_holes.face] = index
+        region[project(subdivision, control, corners.mean(1), np.zeros((1, 3))).face] = index
         # These faces are softer, so that a mouth may open.
         table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
     chart, chart_note = _chart(vertex_uv(given), template, (control, control_faces), matrix, name)
@@ -288,10 +286,8 @@ def fit_limit_surface(
     stiff = SMOOTHNESS * len(chosen) / count * (smooth.T @ smooth)
     control = start
     for _ in range(4):
-        points = project(subdivision, control, targets, normals)
-        rows = subdivision.points_matrix(points)
-        system = (rows.T @ rows + stiff).tocsc()
-        control = splu(system).solve(rows.T @ targets + stiff @ start)
+        rows = subdivision.points_matrix(project(subdivision, control, targets, normals))
+        control = splu((rows.T @ rows + stiff).tocsc()).solve(rows.T @ targets + stiff @ start)
     return control
 
 
