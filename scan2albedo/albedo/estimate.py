@@ -275,8 +275,7 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
     # A few steps at a time, so that a budget can end the fit between them.
     while not meter.exhausted:
         step = least_squares(residual, free, loss="soft_l1", f_scale=0.05, max_nfev=8)
-        moved = float(np.abs(step.x - free).max())
-        free = step.x
+        moved, free = float(np.abs(step.x - free).max()), step.x
         meter.record(float(np.mean(np.abs(step.fun))))
         if moved < 1e-5:
             return complete(free)

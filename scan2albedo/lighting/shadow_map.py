@@ -174,8 +174,7 @@ def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> Float
     .. [1] R. Swinbank, R. J. Purser, "Fibonacci grids", Q. J. R. Meteorol. Soc. 132, 2006.
     """
     along = 1 - (1 - math.cos(half_angle_rad)) * (np.arange(count) + 0.5) / count
-    turn = np.arange(count) * math.pi * (3 - math.sqrt(5))
-    across = np.sqrt(1 - along**2)
+    turn, across = np.arange(count) * math.pi * (3 - math.sqrt(5)), np.sqrt(1 - along**2)
     e1, e2, e3 = view_frame(axis)
     return along[:, None] * e3 + (across * np.cos(turn))[:, None] * e1 + (across * np.sin(turn))[:, None] * e2
 

@@ -211,8 +211,7 @@ def _processed(
         else:
 
             def posed(of: RawScan) -> Registration:
-                share = clock.share("register")
-                tuning = options.of_registration()
+                share, tuning = clock.share("register"), options.of_registration()
                 return register(of, model, share, options.seed, options=tuning, on_progress=on_progress)
 
             with clock.timed("register"):

@@ -58,8 +58,7 @@ class RayScene:
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf) -> BoolArray:
         """Return (N,) True where the ray hits the mesh nearer than `reach` ((N,) or scalar, mm)."""
-        rays = self._rays(origins, directions)
-        limit = np.asarray(reach, np.float64)
+        rays, limit = self._rays(origins, directions), np.asarray(reach, np.float64)
         if limit.ndim == 0:
             return self._scene.test_occlusions(rays, 0.0, float(limit)).numpy().astype(bool)
         return self._scene.cast_rays(rays)["t_hit"].numpy() < limit

@@ -80,8 +80,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         loose = project(subdivision, control, template.all_vertices[apart], np.zeros((1, 3)))
         face[apart], barycentric[apart] = loose.face, loose.barycentric
     placed = SurfacePoints(face, barycentric)
-    matrix = subdivision.points_matrix(placed)
-    frames = surface_frames(control[control_faces[face]])
+    matrix, frames = subdivision.points_matrix(placed), surface_frames(control[control_faces[face]])
     offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control)
     # Each control face gets the region of the template vertex nearest to its centre.
     label, table = _regions(given, faces)
@@ -192,8 +191,7 @@ def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], 
         )
     if len(named) > MAX_REGIONS:
         raise ModelError(f"{name}: {len(named)} regions given, at most {MAX_REGIONS} fit the region map")
-    label = np.zeros(count, np.uint8)
-    table = {REST_REGION: Region(REST_REGION, 0)}
+    label, table = np.zeros(count, np.uint8), {REST_REGION: Region(REST_REGION, 0)}
     for index, (title, values) in enumerate(named.items(), start=1):
         members = np.asarray(values)
         is_index = members.dtype.kind in "iu" and members.ndim == 1
