@@ -223,8 +223,7 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     if image.camera is None or image.camera_positions is None:
         return PlanStep(_CAMERAS, False, "no camera is known: one view direction serves", "no camera")
     known = image.camera[image.mask] != NO_CAMERA
-    cosine = (scene.toward @ np.asarray(scene.view)).min()
-    angle = math.degrees(math.acos(float(np.clip(cosine, -1, 1))))
+    angle = math.degrees(math.acos(float(np.clip((scene.toward @ np.asarray(scene.view)).min(), -1, 1))))
     took = f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels"
     evidence = f"{took}, from up to {angle:.0f} deg off the view direction"
     plain = 1.0 if reflectance.brdf == "minnaert" else 0.0
@@ -276,8 +275,7 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
     # A few steps at a time, so that a budget can end the fit between them.
     while not meter.exhausted:
         step = least_squares(residual, free, loss="soft_l1", f_scale=0.05, max_nfev=8)
-        moved = float(np.abs(step.x - free).max())
-        free = step.x
+        moved, free = float(np.abs(step.x - free).max()), step.x
         meter.record(float(np.mean(np.abs(step.fun))))
         if moved < 1e-5:
             return complete(free)

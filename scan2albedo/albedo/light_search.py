@@ -155,8 +155,7 @@ class LightSearch:
     def _record(self) -> None:
         """Add a trace row: the perplexity of a cell under the best explanation so far."""
         value, point = max(self.found, key=lambda pair: pair[0])
-        cells = len(point.error) / point.problem.repeats
-        self.meter.record(math.exp(-value / cells))
+        self.meter.record(math.exp(-value / (len(point.error) / point.problem.repeats)))
 
     def _variants(self, point: Point) -> list[Point]:
         """Return the optima near a point: even ambient light, and a surface that errs otherwise."""

@@ -107,8 +107,7 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
         variogram = []
         for lag in (1, 2, 3):
             sums = np.zeros((*known.shape, values.shape[2] + 1))
-            middle = slice(lag // 2, lag // 2 - lag)
-            pairs = known[lag:] & known[:-lag]
+            middle, pairs = slice(lag // 2, lag // 2 - lag), known[lag:] & known[:-lag]
             sums[middle, :, -1] = pairs
             sums[middle, :, :-1] = 0.5 * (values[lag:] - values[:-lag]) ** 2 * pairs[..., None]
             sums = _window_sums(sums, WINDOW // 2)

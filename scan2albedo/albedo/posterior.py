@@ -246,8 +246,7 @@ class Point:
         # The evidence is largest where what the field shows is what it is free to show [1]_.
         own, along = p.field.own(self.known.scales), self.u @ p.field.basis
         left = (dtrsm(1.0, self.known.factor, p.field.basis, lower=1) ** 2).sum(0)
-        free = own - own**2 * left
-        shown = (own * along) ** 2
+        free, shown = own - own**2 * left, (own * along) ** 2
         parts = list[float]()
         for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.field.ratio, _LIGHT_SD):
             dof = scale**2 * float(ratio @ free)

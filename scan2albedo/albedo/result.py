@@ -151,7 +151,6 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
     if not (np.isfinite(ours).all() and np.isfinite(true).all()):
         raise ValueError("estimate or truth holds NaN or infinite values inside the mask")
     square = float(np.sum(ours * ours))
-    scale = float(np.sum(ours * true)) / square if square > 0 else 0.0
-    difference = scale * ours - true
+    difference = (float(np.sum(ours * true)) / square if square > 0 else 0.0) * ours - true
     norm, rmse = (float(np.sqrt(np.sum(values**2))) for values in (true, difference))
     return AlbedoError(100 * float(np.mean(difference**2)), rmse / norm if norm > 0 else float(rmse > 0))

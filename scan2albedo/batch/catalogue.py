@@ -149,8 +149,7 @@ def load_albedos(
             settle(file.parent)
         except OSError as error:
             raise BatchError(f"{file.parent}: a killed run is in the way: {error.strerror}") from error
-        albedo = read_image_linear(file)
-        image = file.parent / "geometry_image.npz"
+        albedo, image = read_image_linear(file), file.parent / "geometry_image.npz"
         advice = "run the batch with --resume"
         more: dict[str, Any] = {"what": "geometry image", "advice": advice, "error": BatchError}
         arrays = read_npz(image, ("mask",), optional=("texture_valid",), **more)

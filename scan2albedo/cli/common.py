@@ -53,8 +53,7 @@ def echo_json(value: Any) -> None:
     """Print strict JSON on stdout: infinite and unknown numbers are null."""
     from scan2albedo.io.records import plain_json
 
-    text = json.dumps(plain_json(value), indent=2, allow_nan=False)
-    typer.echo(text.replace("\x7f", "\\u007f"))
+    typer.echo(json.dumps(plain_json(value), indent=2, allow_nan=False).replace("\x7f", "\\u007f"))
 
 
 def checked_budget(budget: float | None, unit: str = "auto") -> Budget:

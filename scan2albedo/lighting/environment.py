@@ -34,8 +34,7 @@ class DistantLights:
 
     def __post_init__(self) -> None:
         toward = _checked_directions(self.directions)
-        irradiance = np.asarray(self.irradiance_linear, np.float64)
-        count = len(toward)
+        irradiance, count = np.asarray(self.irradiance_linear, np.float64), len(toward)
         if irradiance.shape not in ((count,), (count, 3)):
             raise ValueError(f"irradiance_linear must be ({count}, 3) or ({count},), got {irradiance.shape}")
         if not np.isfinite(irradiance).all():
@@ -100,8 +99,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     >>> int((toward @ texel_directions(sun.shape[:2])[2, 4] > 0.9).sum()) > 35
     True
     """
-    image = checked_map(environment_linear)
-    even = distant_directions(count)
+    image, even = checked_map(environment_linear), distant_directions(count)
     brightness = np.abs(image).mean(2)
     rows, columns = brightness.shape
     # A fine map gets means of texels, a coarse one has each of them cut up.
@@ -137,8 +135,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
         nearest = cKDTree(toward).query(texels)[1]
         moments = [np.bincount(nearest, share * texels[:, k], count) for k in range(3)]
         pulled = np.stack(moments, 1).astype(np.float64)
-        length = np.linalg.norm(pulled, axis=1)
-        toward = np.where(length[:, None] > 0, normalized(pulled), toward)
+        toward = np.where(np.linalg.norm(pulled, axis=1)[:, None] > 0, normalized(pulled), toward)
     return toward
 
 

@@ -88,8 +88,7 @@ def _legendre_column(z: FloatArray, m: int, order: int) -> list[FloatArray]:
     column = [np.full_like(z, first)]
     for degree in range(m + 1, order + 1):
         up, back = _recurrence(degree, m)
-        below = column[-2] if len(column) > 1 else 0.0
-        column.append(up * (z * column[-1] - back * below))
+        column.append(up * (z * column[-1] - back * (column[-2] if len(column) > 1 else 0.0)))
     return column
 
 

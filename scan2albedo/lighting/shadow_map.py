@@ -174,8 +174,7 @@ def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> Float
     .. [1] R. Swinbank, R. J. Purser, "Fibonacci grids", Q. J. R. Meteorol. Soc. 132, 2006.
     """
     along = 1 - (1 - math.cos(half_angle_rad)) * (np.arange(count) + 0.5) / count
-    turn = np.arange(count) * math.pi * (3 - math.sqrt(5))
-    across = np.sqrt(1 - along**2)
+    turn, across = np.arange(count) * math.pi * (3 - math.sqrt(5)), np.sqrt(1 - along**2)
     e1, e2, e3 = view_frame(axis)
     return along[:, None] * e3 + (across * np.cos(turn))[:, None] * e1 + (across * np.sin(turn))[:, None] * e2
 
@@ -184,7 +183,6 @@ def view_frame(axis: ArrayLike) -> FloatArray:
     """Return (3, 3) rows of a right-handed orthonormal frame, the third along `axis`; for +z the identity."""
     e3 = np.asarray(axis, np.float64)
     e3 = e3 / np.linalg.norm(e3)
-    helper = np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
-    e1 = np.cross(helper, e3)
+    e1 = np.cross(np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0]), e3)
     e1 /= np.linalg.norm(e1)
     return np.stack([e1, np.cross(e3, e1), e3])

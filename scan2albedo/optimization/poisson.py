@@ -36,8 +36,7 @@ def integrate_gradients(
     """
     if not region.any():
         return field
-    count = int(region.sum())
-    index = np.full(field.shape[:2], -1, np.int64)
+    count, index = int(region.sum()), np.full(field.shape[:2], -1, np.int64)
     index[region] = np.arange(count)
     usable = region | known
     diagonal, right = np.full(count, anchor), anchor * field[region].reshape(count, -1)

@@ -91,8 +91,7 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
         raise ValueError("the comparison needs a fit with landmarks and an albedo; do not skip these stages")
     # Everything is compared in the frame of the true pose.
     truth_from_fit = truth.model_from_scan @ invert_rigid(fitted.model_from_scan)
-    center = fitted.vertices.mean(0)
-    image = result.geometry_image
+    center, image = fitted.vertices.mean(0), result.geometry_image
     both = image.mask & truth.image.mask
     position = transform_points(truth_from_fit, image.position[both])
     landmarks = transform_points(truth_from_fit, fitted.landmarks)

@@ -162,8 +162,7 @@ class _Clock:
         """Return the stage's part of what is left of the budget."""
         if self.budget.seconds is None:
             return self.budget
-        fixed_s = _TEXEL_S * self.texels * (1 if stage == "albedo" else 2)
-        left = self.left_s() - fixed_s - self.kept_s
+        left = self.left_s() - _TEXEL_S * self.texels * (1 if stage == "albedo" else 2) - self.kept_s
         return replace(self.budget, seconds=max(left * BUDGET_SHARES[stage], 1e-3))
 
 
@@ -212,8 +211,7 @@ def _processed(
         else:
 
             def posed(of: RawScan) -> Registration:
-                share = clock.share("register")
-                tuning = options.of_registration()
+                share, tuning = clock.share("register"), options.of_registration()
                 return register(of, model, share, options.seed, options=tuning, on_progress=on_progress)
 
             with clock.timed("register"):
@@ -275,7 +273,6 @@ def _processed(
             lit = (scan, fitted, estimate, options)
             unlit, template, plan["unlit"] = _without_light(*lit, unlit_s, clock.left_s())
     ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
-    loaded = (PlanStep("load", True, note) for note in scan.notes)
     return ProcessResult(
         scan=scan,
         registration=registration,
@@ -284,7 +281,7 @@ def _processed(
         albedo=estimate,
         unlit=unlit,
         template=template,
-        plan=Plan((*loaded, *chain(*plan.values()))),
+        plan=Plan((*(PlanStep("load", True, note) for note in scan.notes), *chain(*plan.values()))),
         trace=sum((stage.trace for stage in ran), Trace()),
         timings_s=clock.timings_s,
         options=options.recorded(model),

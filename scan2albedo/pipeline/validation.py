@@ -161,14 +161,13 @@ def validation_row(scene: SyntheticScene, light_angle_deg: float, brdf: str) -> 
     texture = scene.image.texture_linear
     assert texture is not None
     error = albedo_error(estimate.albedo_linear, scene.albedo_linear, mask)
-    value = albedo_error(estimate.albedo_linear.max(-1), scene.albedo_linear.max(-1), mask)
     return ValidationRow(
         light_angle_deg,
         scene.texture,
         brdf,
         albedo_error(texture, scene.albedo_linear, mask).mse_percent,
         error.mse_percent,
-        value.mse_percent,
+        albedo_error(estimate.albedo_linear.max(-1), scene.albedo_linear.max(-1), mask).mse_percent,
         error.relative_rmse,
         angle_between_deg(estimate.lights, scene.lights[0]),
         len(estimate.lights),

@@ -50,8 +50,7 @@ def cmc_curve(identification: Identification, *, confidence: float = 0.95) -> Cm
     ranks = identification.ranks[identification.known]
     if len(ranks) == 0:
         raise RecognitionError("no probe's person is known, so there is no rate; name the persons")
-    hits = (ranks[:, None] <= rank).sum(axis=0)
-    probes = len(ranks)
+    hits, probes = (ranks[:, None] <= rank).sum(axis=0), len(ranks)
     low, high = _rate_interval(hits, probes, confidence)
     return CmcCurve(rank, hits / probes, low, high, probes, confidence)
 

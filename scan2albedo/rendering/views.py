@@ -52,8 +52,7 @@ class View:
 
     def raster(self, vertices: ArrayLike, faces: ArrayLike, size: int) -> Raster:
         """Return which face covers each of `size` x `size` pixels, the nearest one, and where."""
-        nearness = self.project(vertices)[:, 2]
-        return rasterize(self.pixels(vertices, size), nearness, faces, (size, size))
+        return rasterize(self.pixels(vertices, size), self.project(vertices)[:, 2], faces, (size, size))
 
 
 def render_mesh(
@@ -91,8 +90,7 @@ def render_mesh(
         picture = interpolate(raster, index, color)
     if shaded:
         normals = normalized(interpolate(raster, index, vertex_normals(view.project(xyz), index)))
-        light = normalized(np.array([0.35, 0.45, 0.82]))
-        picture *= (0.25 + 0.75 * np.abs(normals @ light))[..., None]
+        picture *= (0.25 + 0.75 * np.abs(normals @ normalized(np.array([0.35, 0.45, 0.82]))))[..., None]
     picture[~raster.covered] = 1.0
     return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
 

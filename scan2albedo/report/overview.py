@@ -81,8 +81,7 @@ def result_panels(
         wide = View(view.center_mm, 1.5 * view.half_width_mm)
         panels.append(_scan_panel("registered input, found landmarks", scan, fitted, wide))
         if fitted.landmarks is not None:
-            dots = wide.pixels(fitted.landmarks, len(panels[0].picture))
-            panels[0] = replace(panels[0], dots=dots)
+            panels[0] = replace(panels[0], dots=wide.pixels(fitted.landmarks, len(panels[0].picture)))
         panels.append(Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view)))
         colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
         residual = render_mesh(

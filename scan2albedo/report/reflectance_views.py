@@ -142,8 +142,7 @@ def relit_picture(
     known are filled from those around them. Each pixel of `camera` (3, 4) is the mean of nine rays, shaded
     and shadowed one by one. The back of the mesh is not seen.
     """
-    center = camera_centers(camera[None])
-    across = face_cross_products(vertices, faces)
+    center, across = camera_centers(camera[None]), face_cross_products(vertices, faces)
     front = np.einsum("fc,fc->f", across, center - vertices[faces[:, 0]]) > 0
     seen = seen_samples(vertices, faces[front], camera, shape, 3)
     if len(seen.index) == 0 or not reflectance.known.any():

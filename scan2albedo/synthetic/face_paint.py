@@ -59,8 +59,7 @@ def paint_face(
         _brow(uv, landmarks[side], rng, features) for side in (slice(17, 22), slice(22, 27))
     )
     # Redness of the lips, and darkness of the line between them.
-    upper = _curve(landmarks[48:55])
-    lower = _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]])
+    upper, lower = _curve(landmarks[48:55]), _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]])
     inside = _signed_distance(uv, np.concatenate([upper, lower[1:-1]])) + features.lip_fullness
     lips = smoothstep(inside / 0.006 + 0.5)
     middle = (landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2

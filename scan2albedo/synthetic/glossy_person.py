@@ -83,8 +83,7 @@ class GlossyPerson:
         hits = self.scene.first_hit(np.broadcast_to(center, rays.shape), rays)
         pixel = np.flatnonzero(hits.face >= 0)
         face, barycentric = self.shown[hits.face[pixel]], hits.barycentric[pixel]
-        corners = self.sitter.faces[face]
-        on_face = self.sitter.part[face] == BodyPart.FACE
+        corners, on_face = self.sitter.faces[face], self.sitter.part[face] == BodyPart.FACE
         # On the face albedo and weights are linear between vertices; other parts have one shine each.
         diffuse, weights = np.empty((len(face), 3)), np.empty((len(face), 3))
         for array, values in ((diffuse, self.diffuse_linear), (weights, self.weights)):

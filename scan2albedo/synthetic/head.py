@@ -93,8 +93,7 @@ def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:
     folds = gaussian_filter(rng.normal(size=(rows, columns)), (6, 2.5))
     y = crest - 105 * down**1.2
     z = -135 + 78 * np.sin(down * np.pi / 2) - 35 * (x / 185) ** 2 + 2.5 * folds / folds.std()
-    sheet = np.stack([x, y, z], -1).reshape(-1, 3) + origin
-    faces = grid_faces(rows, columns)
+    sheet, faces = np.stack([x, y, z], -1).reshape(-1, 3) + origin, grid_faces(rows, columns)
     flat_x, flat_down = x.ravel(), down.ravel()
     opening = np.abs(flat_x) < 58 * (1 - flat_down) + 3 * np.sin(9 * flat_down)
     return compact(sheet, faces[~opening[faces].any(1)])

@@ -201,8 +201,7 @@ def random_pose(
     if rotation_max_deg >= 180:
         rotation = random_rotation(rng)
     else:
-        axis = rng.normal(size=3)
-        angle = np.deg2rad(rotation_max_deg) * rng.uniform()
+        axis, angle = rng.normal(size=3), np.deg2rad(rotation_max_deg) * rng.uniform()
         rotation = rotation_from_vector(axis / np.linalg.norm(axis) * angle)
     return compose(rotation, rng.uniform(-1, 1, 3) * translation_max_mm)
 

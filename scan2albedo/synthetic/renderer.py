@@ -58,8 +58,7 @@ class RayScene:
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf) -> BoolArray:
         """Return (N,) True where the ray hits the mesh nearer than `reach` ((N,) or scalar, mm)."""
-        rays = self._rays(origins, directions)
-        limit = np.asarray(reach, np.float64)
+        rays, limit = self._rays(origins, directions), np.asarray(reach, np.float64)
         if limit.ndim == 0:
             return self._scene.test_occlusions(rays, 0.0, float(limit)).numpy().astype(bool)
         return self._scene.cast_rays(rays)["t_hit"].numpy() < limit
@@ -181,6 +180,5 @@ def phong(
     normal: FloatArray, toward_light: FloatArray, toward_viewer: FloatArray, exponent: float
 ) -> FloatArray:
     """Return (N,) max(0, r . v)^exponent, r the mirrored light direction (Phong, CACM 18(6), 1975)."""
-    along = np.einsum("ij,ij->i", normal, toward_light)
-    mirrored = 2 * along[:, None] * normal - toward_light
+    mirrored = 2 * np.einsum("ij,ij->i", normal, toward_light)[:, None] * normal - toward_light
     return np.maximum(0, np.einsum("ij,ij->i", mirrored, toward_viewer)) ** exponent

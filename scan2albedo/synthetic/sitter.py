@@ -99,8 +99,7 @@ def sit_down(
     `seed` draws shape and textures. The skin's `tone`, 0 lightest ... 1 darkest, and `face_albedo`, see
     `Sitter`, are random when None.
     """
-    rng = np.random.default_rng([seed, 6])
-    of_shape = np.random.default_rng([seed, 2])
+    rng, of_shape = np.random.default_rng([seed, 6]), np.random.default_rng([seed, 2])
     control_points = person(model, of_shape, expression=expression, expression_strength=expression_strength)
     face = with_relief(face_surface(model, control_points), rng)
     head_vertices, head_faces, head_uv = head_around(face.vertices, face.faces, face.normals)

@@ -80,18 +80,15 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         loose = project(subdivision, control, template.all_vertices[apart], np.zeros((1, 3)))
         face[apart], barycentric[apart] = loose.face, loose.barycentric
     placed = SurfacePoints(face, barycentric)
-    matrix = subdivision.points_matrix(placed)
-    frames = surface_frames(control[control_faces[face]])
+    matrix, frames = subdivision.points_matrix(placed), surface_frames(control[control_faces[face]])
     offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control)
     # Each control face gets the region of the template vertex nearest to its centre.
     label, table = _regions(given, faces)
-    centres = control[control_faces].mean(1)
-    region = label[template.source][tree.query(centres)[1]]
+    region = label[template.source][tree.query(control[control_faces].mean(1))[1]]
     if template.filled.any():
         index = len(table)
         corners = template.vertices[template.faces[template.filled]]
-        over_holes = project(subdivision, control, corners.mean(1), np.zeros((1, 3)))
-        region[over_holes.face] = index
+        region[project(subdivision, control, corners.mean(1), np.zeros((1, 3))).face] = index
         # These faces are softer, so that a mouth may open.
         table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
     chart, chart_note = _chart(vertex_uv(given), template, (control, control_faces), matrix, name)
@@ -194,8 +191,7 @@ def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], 
         )
     if len(named) > MAX_REGIONS:
         raise ModelError(f"{name}: {len(named)} regions given, at most {MAX_REGIONS} fit the region map")
-    label = np.zeros(count, np.uint8)
-    table = {REST_REGION: Region(REST_REGION, 0)}
+    label, table = np.zeros(count, np.uint8), {REST_REGION: Region(REST_REGION, 0)}
     for index, (title, values) in enumerate(named.items(), start=1):
         members = np.asarray(values)
         is_index = members.dtype.kind in "iu" and members.ndim == 1
@@ -288,10 +284,8 @@ def fit_limit_surface(
     stiff = SMOOTHNESS * len(chosen) / count * (smooth.T @ smooth)
     control = start
     for _ in range(4):
-        points = project(subdivision, control, targets, normals)
-        rows = subdivision.points_matrix(points)
-        system = (rows.T @ rows + stiff).tocsc()
-        control = splu(system).solve(rows.T @ targets + stiff @ start)
+        rows = subdivision.points_matrix(project(subdivision, control, targets, normals))
+        control = splu((rows.T @ rows + stiff).tocsc()).solve(rows.T @ targets + stiff @ start)
     return control
 
 

@@ -127,8 +127,7 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
     kept = faces
     while len(spoilt := _spoilt(kept)):
         kept = np.delete(kept, spoilt, axis=0)
-        dropped = len(faces) - len(kept)
-        if dropped > max(MENDABLE_SHARE * len(faces), 1):
+        if len(faces) - len(kept) > max(MENDABLE_SHARE * len(faces), 1):
             raise ModelError(
                 f"{name}: more than {MENDABLE_SHARE:.0%} of the faces lie at edges with more than two "
                 "faces, or where surfaces touch at a point; remove inner and doubled faces"

@@ -47,9 +47,7 @@ def unit_of(column: str) -> str:
     """
     if column.startswith("seconds") or column.endswith("seconds"):
         return "s"
-    if is_share(column):
-        return "%"
-    return _UNITS.get(column.rpartition("_")[2], "")
+    return "%" if is_share(column) else _UNITS.get(column.rpartition("_")[2], "")
 
 
 def is_share(column: str) -> bool:
@@ -107,9 +105,7 @@ def seconds_text(seconds: float | None) -> str:
     if seconds < 120:
         return f"{number_text(seconds)} s"
     minutes, rest = divmod(round(seconds), 60)
-    if minutes < 120:
-        return f"{minutes} min {rest} s"
-    return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes} min {rest} s" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def size_text(count: int) -> str:
