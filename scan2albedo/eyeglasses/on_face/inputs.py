@@ -81,9 +81,10 @@ class RegisteredEyeglasses:
     iou: FloatArray
     """(C,) of the frame's mask and the given one; NaN without. Frames millimetres off reach 0.97."""
     proposed_labels: FloatArray
-    proposed_deviation_px: FloatArray
     """(C, 20, 2) key points in views whose outline was sought in a picture, where nobody labelled them and
-    it was found around them, NaN elsewhere; and their standard deviation (C, 20) along each axis."""
+    it was found around them; NaN elsewhere."""
+    proposed_deviation_px: FloatArray
+    """(C, 20) standard deviation of each along each axis of its picture."""
     proposed_masks: tuple[BoolArray | None, ...]
     """(H, W) of the frame in these views, None for the others."""
     converged: bool
