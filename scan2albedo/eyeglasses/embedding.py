@@ -125,10 +125,8 @@ def embed(
         limit = 10 * max_nodes
         touched = _cells(vertices, faces, low, used, limit)
         if touched is None:
-            raise EyeglassesError(
-                f"a spacing of {used:.4g} makes more than {limit} lattice nodes; give a larger one, or raise "
-                "max_nodes"
-            )
+            said = f"a spacing of {used:.4g} makes more than {limit} lattice nodes"
+            raise EyeglassesError(f"{said}; give a larger one, or raise max_nodes")
         step = PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
     origin = _origin(low, used)
     owners, handle, merged = _shared_handles((handles - origin) / used, called)
@@ -203,9 +201,8 @@ def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray
     while True:
         middles = np.array([handles[group].mean(0) for group in groups])
         cells = np.floor(middles).astype(np.int64)
-        apart = np.where(
-            _distances(cells.astype(float), "chebyshev") < 2, _distances(middles, "euclidean"), np.inf
-        )
+        touch = _distances(cells.astype(float), "chebyshev") < 2
+        apart = np.where(touch, _distances(middles, "euclidean"), np.inf)
         a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
         if np.isinf(apart[a, b]):
             break

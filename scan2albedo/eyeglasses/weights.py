@@ -141,16 +141,14 @@ def solve_weights(
     if meter is None:
         meter = Meter("eyeglasses.weights", "scaled KKT residual", Budget.of(budget), on_progress)
     xyz, index = checked_mesh(vertices, faces)
-    embedding = embed(
-        xyz, index, checked_points("handles", handles), spacing, max_nodes=max_nodes, names=names
-    )
+    marks = checked_points("handles", handles)
+    embedding = embed(xyz, index, marks, spacing, max_nodes=max_nodes, names=names)
     solution = solve_lattice(embedding.lattice, embedding.handle_cells, tolerance=tolerance, meter=meter)
     total = solution.x.sum(1)
     # Dividing by less would amplify rounding.
     if not total.min() > TOLERANCE:
-        raise EyeglassesError(
-            f"no key point holds {int((total <= TOLERANCE).sum())} of {len(total)} lattice nodes"
-        )
+        lost = int((total <= TOLERANCE).sum())
+        raise EyeglassesError(f"no key point holds {lost} of {len(total)} lattice nodes")
     weights = np.clip(embedding.interpolation @ (solution.x / total[:, None]), 0.0, 1.0)
     weights = embedding.shares * weights[:, embedding.handle]
     weights /= weights.sum(1, keepdims=True)
@@ -180,8 +178,7 @@ def solve_lattice(
         if len(coarse.nodes) >= len(levels[0].nodes):
             break
         levels.insert(0, coarse)
-    count = len(handle_cells)
-    found: BoundedMinimum | None = None
+    count, found = len(handle_cells), None
     for number, level in enumerate(levels):
         finer = len(levels) - 1 - number
         # The handles' nodes hold 1 and 0, shared where coarse cells share nodes.

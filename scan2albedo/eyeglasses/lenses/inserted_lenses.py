@@ -89,10 +89,8 @@ def insert_lens(
         rim = replace(rim, normal=axis, center=middle + cx * plane.across + cy * plane.up)
         radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
         if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
-            raise EyeglassesError(
-                f"its mean radius is {radius:.3g} mm, which no lens has; give everything in millimetres, "
-                "for the power in dioptres depends on it"
-            )
+            said = f"its mean radius is {radius:.3g} mm, which no lens has"
+            raise EyeglassesError(f"{said}; give everything in millimetres, as dioptres depend on it")
         plane = LensPlane.at(rim.center, rim.normal)
         outward = plane.directions(plane.angles(rim.points))
         seated = rim.points + seat_mm * rim.measured[:, None] * outward
@@ -197,10 +195,10 @@ def without_glass(
             count = int(panes.sum())
             notes.append(f"the {lens.name}: the frame's own glass there, {count} faces, is left out")
         if is_covered(vertices, faces[kept], plane, marks):
-            notes.append(
-                f"the {lens.name}: the frame covers it, it seems by glass of one piece with the rim, which "
-                "may have been taken for the rim; cut it out of the mesh"
+            said = (
+                "the frame covers it, it seems by glass of one piece with the rim, which may have been taken"
             )
+            notes.append(f"the {lens.name}: {said} for the rim; cut it out of the mesh")
     if not kept.all():
         uv = None if frame.uv is None else np.asarray(frame.uv)
         frame = replace(frame, faces=faces[kept], uv=uv[kept] if uv is not None and uv.ndim == 3 else uv)
@@ -290,9 +288,8 @@ def _cross(
     if material.tinting == "filter":
         rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)
     arriving = paths.share[rays]
-    paths.crossings.append(
-        LensCrossings(rays, lens, position, heading, mirrored, arriving * tint, arriving * beta[:, None])
-    )
+    shares = arriving * tint, arriving * beta[:, None]
+    paths.crossings.append(LensCrossings(rays, lens, position, heading, mirrored, *shares))
     paths.share[rays] = arriving * rest
     paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
     if lens.optics.dioptres != 0:

@@ -98,10 +98,8 @@ def fit_lenses_to_masks(
             reason = f"{_views(~shown)} no {name}: the mesh's own is left out of the outline"
             steps.append(PlanStep("glasses.lenses", True, reason, evidence))
         elif opening.sealed and not shown.all():
-            reason = (
-                f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim, which stays; "
-                "cut it out of the mesh"
-            )
+            reason = f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim"
+            reason += ", which stays; cut it out of the mesh"
             steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
         elif shown.any() and not opening.sealed and not len(opening.panes):
             reason = f"{_views(shown)} a {name} that the mesh does not have"

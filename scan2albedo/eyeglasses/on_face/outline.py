@@ -122,6 +122,9 @@ class ObservedView:
         return self.distance is not None or self.colors is not None
 
 
+Views = tuple[ObservedView, ...]
+
+
 @dataclass(frozen=True)
 class OutlineSamples:
     """Points of the frame that make its outlines, and the `view` (N,) of each.
@@ -186,9 +189,8 @@ def grouped_colors(picture: NDArray[Any], around: FloatArray) -> IntArray:
     inside = np.isfinite(around).all(1)
     if not inside.any():
         return np.zeros((height, width), np.int64)
-    low, high = np.clip([around[inside].min(0), around[inside].max(0)], 0, [width - 1, height - 1]).astype(
-        int
-    )
+    box = [around[inside].min(0), around[inside].max(0)]
+    low, high = np.clip(box, 0, [width - 1, height - 1]).astype(int)
     values = np.asarray(picture, np.float64).reshape(-1, 3)
     near = np.asarray(picture[low[1] : high[1] + 1, low[0] : high[0] + 1], np.float64).reshape(-1, 3)
     some = near[:: max(1, len(near) // 8000)]
@@ -252,11 +254,7 @@ class OutlineSampler:
     """Traces the outlines of a moving frame, with the head, if any, in front of it."""
 
     def __init__(
-        self,
-        mesh: FrameMesh,
-        views: tuple[ObservedView, ...],
-        head: RayCaster | None,
-        shown: tuple[IntArray, ...] | None = None,
+        self, mesh: FrameMesh, views: Views, head: RayCaster | None, shown: tuple[IntArray, ...] | None = None
     ) -> None:
         """`shown` are the faces that each view's mask shows, all of them when omitted."""
         self.mesh, self.views, self.head = mesh, views, head
@@ -330,10 +328,9 @@ class OutlineSampler:
                     hidden |= hidden_by(self.head, camera, center + far * ray)
                 kept = kept[~hidden[kept]]
                 owner = owner[~hidden]
+            of_each = [np.bincount(which, minlength=count) for which in (owner_of[kept], owner)]
             with np.errstate(invalid="ignore"):
-                share[number] = np.bincount(owner_of[kept], minlength=count) / np.bincount(
-                    owner, minlength=count
-                )
+                share[number] = of_each[0] / of_each[1]
             if view.distance is None:
                 # A stretch of the frame is there or hidden: what is found of a hidden one is something else.
                 kept = kept[share[number, owner_of[kept]] > 0.5]

@@ -184,15 +184,9 @@ class _Registration:
 
     def run(self) -> RegisteredEyeglasses:
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
-        return report(
-            self.given,
-            self.sampler,
-            self.objective,
-            replace(found, converged=found.converged and not self.meter.out_of_time),
-            bend_found=self.bend_found,
-            meter=self.meter,
-            plan=Plan(tuple(self.steps)),
-        )
+        found = replace(found, converged=found.converged and not self.meter.out_of_time)
+        rest: Any = {"bend_found": self.bend_found, "meter": self.meter, "plan": Plan(tuple(self.steps))}
+        return report(self.given, self.sampler, self.objective, found, **rest)
 
     def _note(self, step: str, ran: bool, reason: str, evidence: str = "") -> None:
         self.steps.append(PlanStep(f"{self.meter.stage}.{step}", ran, reason, evidence))
@@ -201,19 +195,18 @@ class _Registration:
         given, options = self.given, self.options
         rigid = partial(self.objective.linearize, samples=None, rigid=True)
         if not given.labelled:
-            starts = (
-                poses_on_face(given) if given.start is None else states_of([given.start], given.keypoints)
-            )
-            where = "the head puts it on its nose" if given.start is None else "the start is taken as given"
+            if given.start is None:
+                starts, where = poses_on_face(given), "the head puts it on its nose"
+            else:
+                starts, where = states_of([given.start], given.keypoints), "the start is taken as given"
             self._note("pose", False, f"no key point is labelled: {where}")
             unseen = FrameEstimate(starts[len(starts) // 2], rigid(starts[len(starts) // 2]), True)
             self._look_at_pictures(unseen.state)
             if not any(view.colors is not None for view in self.objective.views):
                 return unseen
             self.unseen = unseen
-            views, head = self.objective.views, self.sampler.head
-            placed = place_in_pictures(starts, self.sampler.mesh, given.keypoints, views, head)
-            state, spread_mm, gain = placed
+            seen = given.keypoints, self.objective.views, self.sampler.head
+            state, spread_mm, gain = place_in_pictures(starts, self.sampler.mesh, *seen)
             evidence = f"{gain:.0f} nats a view; known to {', '.join(f'{s:.1f}' for s in spread_mm)} mm"
             self._note("pictures", True, "placed where its projection parts the colours best", evidence)
             return FrameEstimate(state, rigid(state), True)
@@ -248,15 +241,15 @@ class _Registration:
 
     def _watch(self, views: tuple[ObservedView, ...]) -> None:
         """Take other views from here on."""
-        contact, sampler = self.objective.contact, self.sampler
+        given, sampler = self.given.keypoints, self.sampler
         self.given = replace(self.given, views=views)
-        self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)
+        self.objective = RegistrationObjective(given, views, self.options, self.objective.contact)
         self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
         if not (self.options.bend and self.given.labelled):
-            reason = "no key point is labelled" if self.options.bend else "the frame stays as it is"
-            self._note("key_points", False, reason)
+            why = "no key point is labelled" if self.options.bend else "the frame stays as it is"
+            self._note("key_points", False, why)
             return before
         if self.meter.exhausted and not self.meter.out_of_time:
             self._note("key_points", False, "the budget has ended")
@@ -344,14 +337,8 @@ class _Registration:
             start = found.state
             # Without labels the first outlines may be beside the true ones: bends would follow them.
             rigid = not (self.options.bend and (self.given.labelled or len(moves) > 2))
-            found = descend(
-                partial(self.objective.linearize, samples=samples, rigid=rigid),
-                start,
-                meter,
-                steps=6,
-                tolerance=1e-3,
-                error="mean_outline_px",
-            )
+            linearize = partial(self.objective.linearize, samples=samples, rigid=rigid)
+            found = descend(linearize, start, meter, steps=6, tolerance=1e-3, error="mean_outline_px")
             first = found.at.mean_outline_px if not moves else first
             if not self.given.labelled and self.options.bend:
                 # What is open to bends so far is looked for farther away.

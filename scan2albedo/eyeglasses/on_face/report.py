@@ -105,10 +105,7 @@ def report(
     wrong = (differing > _PATCH_PX) & given.known
 
     # What pictures show: the key points whose surroundings were found there, and the frame's pixels.
-    proposed, proposed_px = (
-        np.full((count, len(keypoints), 2), np.nan),
-        np.full((count, len(keypoints)), np.nan),
-    )
+    proposed, proposed_px = (np.full((count, len(keypoints), *size), np.nan) for size in ((2,), ()))
     masks: list[BoolArray | None] = [None] * count
     scale = mark_deviation**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12)
     proposals = []
@@ -117,9 +114,7 @@ def report(
             continue
         pixels, slopes, _ = projected(view.camera[None], keypoints)
         spread = np.einsum("kij,kjl,kml->kim", slopes, covariances, slopes)
-        spread *= (mark_deviation**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12))[
-            :, None, None
-        ]
+        spread *= scale[:, None, None]
         sought = marks_visible[number] & np.isnan(view.labels).any(1) & (mark_deviation <= OBSERVED_MM)
         with np.errstate(invalid="ignore"):
             sought &= samples.share[number] > 0.5
@@ -157,9 +152,7 @@ def report(
     if wrong.any():
         names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
         rows.append(("contradicted", "masks show them elsewhere or not at all", names))
-    said = proposals + [
-        PlanStep.doubt(f"glasses.{step}", reason, evidence) for step, reason, evidence in rows
-    ]
+    said = proposals + [PlanStep.doubt(f"glasses.{row[0]}", *row[1:]) for row in rows]
     hidden = given.known & ~marks_visible.any(0)
     uncertain = given.known & ~hidden & (mark_deviation > OBSERVED_MM)
     for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):

@@ -23,7 +23,7 @@ from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.lens_panes import rim_openings
 from scan2albedo.eyeglasses.on_face.objective import VOTE, RegistrationObjective, descend
-from scan2albedo.eyeglasses.on_face.outline import FrameMesh, ObservedView, hidden_by
+from scan2albedo.eyeglasses.on_face.outline import FrameMesh, ObservedView, Views, hidden_by
 from scan2albedo.eyeglasses.on_face.report import WORN_MM
 from scan2albedo.face_model import default_model
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -59,10 +59,8 @@ def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
     assert landmarks is not None
     away = ClosestPointQuery(*given.head).query(landmarks / mm).distance
     if not float(np.median(away)) * mm <= WORN_MM / 2:
-        raise EyeglassesError(
-            "no key point is labelled, and the head, on which the frame would be put, is not in the face "
-            f"model's frame, mm, looking along +z: {advice}"
-        )
+        where = "is not in the face model's frame, mm, looking along +z"
+        raise EyeglassesError(f"no key point is labelled, and the head to put the frame on {where}: {advice}")
     eyes = landmarks[36:48].mean(0) / mm
     upright = align_key_points(given.keypoints, in_own_axes(given.keypoints))
     rims = np.array(["rim_top" in name or "rim_bottom" in name for name in KEY_POINT_NAMES])
@@ -81,11 +79,7 @@ def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
 
 
 def place_in_pictures(
-    states: Sequence[FrameState],
-    mesh: FrameMesh,
-    keypoints: FloatArray,
-    views: tuple[ObservedView, ...],
-    head: RayCaster | None,
+    states: Sequence[FrameState], mesh: FrameMesh, keypoints: FloatArray, views: Views, head: RayCaster | None
 ) -> tuple[FrameState, FloatArray, FloatArray]:
     """Return the state, shifted, whose projections part the pictures' colours best, and how sure that is.
 
@@ -122,8 +116,8 @@ def place_in_pictures(
             if best is None or evidence > best[0]:
                 mean = chance @ shifts / chance.sum()
                 spread = np.sqrt(chance @ (shifts - mean) ** 2 / chance.sum() + 1 / 12)
-                moved = replace(state, origin=state.origin + mean)
-                best = evidence, moved, np.append(spread, gain[score.argmax()] / len(used))
+                known = np.append(spread, gain[score.argmax()] / len(used))
+                best = evidence, replace(state, origin=state.origin + mean), known
     assert best is not None
     return best[1], best[2][:3], best[2][3]
 
@@ -169,7 +163,7 @@ def _color_gain(
 
 
 def starting_poses(
-    keypoints: FloatArray, views: tuple[ObservedView, ...], noise_px: float, given: FloatArray | None
+    keypoints: FloatArray, views: Views, noise_px: float, given: FloatArray | None
 ) -> list[FrameState]:
     """Return at least one unbent state to start from, of a frame with key points (K, 3) at rest.
 
@@ -182,15 +176,11 @@ def starting_poses(
     good = np.isfinite(placed.points).all(1) & known & (placed.inliers.sum(0) >= 2)
     if good.sum() >= 3:
         world, rest = placed.points[good], keypoints[good]
-        large, small = (
-            float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
-            for points in (world, rest)
-        )
+        away = (np.linalg.norm(points - np.median(points, axis=0), axis=1) for points in (world, rest))
+        large, small = (float(np.median(distance)) for distance in away)
         if not 1 / _OTHER_UNIT < large / small < _OTHER_UNIT:
-            raise EyeglassesError(
-                f"the labels make a frame {large / small:.3g} times as large as the one given: bring glasses "
-                "and cameras to the same unit"
-            )
+            said = f"the labels make a frame {large / small:.3g} times as large as the one given"
+            raise EyeglassesError(f"{said}: bring glasses and cameras to the same unit")
         # A line of key points leaves a turn open.
         if is_posable(rest):
             poses.append(procrustes(rest, world))
@@ -199,12 +189,9 @@ def starting_poses(
         labelled = [int(np.isfinite(view.labels).all(1).sum()) for view in views]
         remedy = "label 4 or more in one view, 3 or more in two, or give a start"
         if max(labelled) >= 4:
-            remedy = (
-                "they contradict one another or the cameras; check labels, order and cameras, or give a start"
-            )
-        raise EyeglassesError(
-            f"the key points labelled in the views ({', '.join(map(str, labelled))}) fix no pose: {remedy}"
-        )
+            remedy = "they contradict one another or the cameras; check labels and cameras, or give a start"
+        said = f"the key points labelled in the views ({', '.join(map(str, labelled))}) fix no pose"
+        raise EyeglassesError(f"{said}: {remedy}")
     return states_of(poses, keypoints)
 
 
@@ -334,7 +321,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         for pair in map(list, itertools.combinations(range(len(seen)), 2)):
             # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
             rows = (own[pair][:, :, None] * cams[pair][:, 2:] - cams[pair][:, :2]).reshape(-1, 4)
-            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
+            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), np.finfo(float).tiny)
             place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
             if rank == 3 and (cams[pair][:, 2, :3] @ place + cams[pair][:, 2, 3] > 0).all():
                 starts.append(_Point(place, own, cams, noise_px))
@@ -364,9 +351,8 @@ class _Point:
     def normal_equations(self) -> NormalEquations:
         """Return those of the reweighted squares, without cameras that have the point behind them."""
         weighted = self._weights[:, None, None] * self._slopes
-        return NormalEquations(
-            np.einsum("cik,cim->km", weighted, self._slopes), np.einsum("cik,ci->k", weighted, self._errors)
-        )
+        matrix = np.einsum("cik,cim->km", weighted, self._slopes)
+        return NormalEquations(matrix, np.einsum("cik,ci->k", weighted, self._errors))
 
     def moved(self, step: FloatArray) -> _Point:
         """Return the place a step (3,) away."""

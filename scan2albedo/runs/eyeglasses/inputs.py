@@ -210,10 +210,8 @@ def read_registration(
         if len(given) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
         elif outside:
-            notes.append(
-                f"{outside} of {len(given)} labels of {camera.name!r} lie outside its picture of "
-                f"{camera.shape[1]} x {camera.shape[0]} pixels"
-            )
+            size, own = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
+            notes.append(f"{outside} of {len(given)} {own} lie outside its picture of {size}")
     found: list[BoolArray | None] = [None] * len(views)
     if masks is not None:
         for number, camera in enumerate(views):
@@ -287,7 +285,7 @@ def read_lens_scene(
     by_name = {camera.name: camera for camera in read_cameras(cameras)}
     if strange := [name for name in views if name not in by_name]:
         raise EyeglassesError(
-            f"cameras {cameras}: there is no view {strange[0]!r}, only {', '.join(by_name)}"
+            f"cameras {cameras}: no view is named {strange[0]!r}, only {', '.join(by_name)}"
         )
     chosen = tuple(by_name[name] for name in dict.fromkeys(views)) or tuple(by_name.values())
     if keypoints is None and not keypoints_beside(frame).is_file():
@@ -295,10 +293,8 @@ def read_lens_scene(
         keypoints = shared if shared.is_file() else None
     if pictures and len(pictures) != len(chosen):
         names = ", ".join(camera.name for camera in chosen)
-        raise EyeglassesError(
-            f"picture {pictures[0]}: there are {len(pictures)} pictures for {len(chosen)} views ({names}); "
-            "give one a view, and choose views by --view"
-        )
+        said = f"there are {len(pictures)} pictures for {len(chosen)} views ({names})"
+        raise EyeglassesError(f"picture {pictures[0]}: {said}; give one a view, and choose views by --view")
     stems = {picture.stem: picture for picture in pictures}
     if all(camera.name in stems for camera in chosen):
         pictures = [stems[camera.name] for camera in chosen]

@@ -76,21 +76,13 @@ class RegisteredFrameRecord(RunRecord):
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")
 
 
-FILES = OwnFiles(
-    "result.json",
-    RegisteredFrameRecord,
-    ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png", "overview.png")
-    + ("proposed_labels.json", "*_mask.png"),
-    "scan2albedo glasses register",
-)
+_MADE = ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png")
+_MADE += ("overview.png", "proposed_labels.json", "*_mask.png")
+FILES = OwnFiles("result.json", RegisteredFrameRecord, _MADE, "scan2albedo glasses register")
 
 
 def _rms(values: FloatArray) -> float | None:
     return float(np.sqrt(np.mean(values**2))) if len(values) else None
-
-
-def _median(values: FloatArray) -> float | None:
-    return float(np.nanmedian(values)) if np.isfinite(values).any() else None
 
 
 @dataclass(frozen=True)
@@ -114,6 +106,7 @@ class PlacedFrame:
     def views(self) -> tuple[RegisteredViewRecord, ...]:
         """Figures of each view."""
         result, given = self.result, ~np.isnan(self.result.label_errors_px)
+        proposed = result.proposed_deviation_px
         return tuple(
             RegisteredViewRecord(
                 camera=camera.name,
@@ -121,13 +114,13 @@ class PlacedFrame:
                 outliers=int((given[number] & ~result.inliers[number]).sum()),
                 label_rms_px=_rms(result.label_errors_px[number][result.inliers[number]]),
                 mask=self.given.masks[number] is not None,
-                proposed=int(np.isfinite(result.proposed_deviation_px[number]).sum()),
-                proposed_deviation_px=_median(result.proposed_deviation_px[number]),
+                proposed=int(np.isfinite(px).sum()),
+                proposed_deviation_px=float(np.nanmedian(px)) if np.isfinite(px).any() else None,
                 outline_rms_px=float(result.outline_rms_px[number]),
                 iou=float(result.iou[number]),
                 visible_share=float(result.visible[number].mean()),
             )
-            for number, camera in enumerate(self.given.cameras)
+            for number, (camera, px) in enumerate(zip(self.given.cameras, proposed, strict=True))
         )
 
     def figures(self) -> dict[str, Any]:
