@@ -169,9 +169,8 @@ def canonicalize(
 
     Notes
     -----
-    Equation S2 of Li et al., read literally, collapses the frame; R_k = 1 is what it must mean, and turns
-    halve its error. The width of the front, 110 to 170 mm, tells a frame's unit. Frames of different units
-    are brought to that of the mean given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
+    Equation S2 of Li et al., read literally, collapses the frame; turns halve the error of R_k = 1. Frames of
+    different units, told by the front's width, are brought to that of the mean, or to mm, by powers of ten.
 
     Examples
     --------

@@ -76,25 +76,21 @@ def embed(
     apart = _distances(handles, "chebyshev")
     a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
     if not apart[a, b] > 0:
-        raise EyeglassesError(
-            f"key points {called[a]} and {called[b]} coincide at {np.round(handles[a], 6).tolist()}; each "
-            "needs a place of its own: leave one of them out (null)"
-        )
+        said = f"key points {called[a]} and {called[b]} coincide at {np.round(handles[a], 6).tolist()}"
+        raise EyeglassesError(f"{said}; each needs a place of its own: leave one of them out (null)")
     distance = ClosestPointQuery(vertices, faces).query(handles).distance
     far = int(np.argmax(distance))
     if not distance[far] <= _REACH * size:
-        raise EyeglassesError(
-            f"key point {called[far]} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off the "
-            f"mesh; at most {_REACH * size:.4g} can be bridged: check its place and unit"
-        )
+        said = f"key point {called[far]} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off"
+        most = f"at most {_REACH * size:.4g} can be bridged"
+        raise EyeglassesError(f"{said} the mesh; {most}: check its place and unit")
     low = np.minimum(corners.min(0), handles.min(0))
     if isinstance(spacing, str):
         if spacing != "auto":
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
         # Places two spacings apart along one axis lie in cells with another cell between them.
         closest = float(apart[a, b]) / 2
-        # The thickness that a tenth of the surface's area stays below, across faces on the side where the
-        # mesh is met first; infinite where nothing is met.
+        # The thickness that a tenth of the surface's area stays below; infinite where nothing is met.
         thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
         if area[-1] > 0:
             chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])

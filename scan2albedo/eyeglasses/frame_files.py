@@ -48,23 +48,15 @@ def _layout(rows: str) -> _Layout:
     return {name: (types[kind], *(sizes.get(n, n) for n in shape)) for name, kind, *shape in split}
 
 
+_CANONICAL = """canonical_from_frame float 4 4; scale float; handle_transforms float K 4 4; residual float;
+    unbent bool; converged bool"""
+_REGISTERED = """world_from_glasses float 4 4; handle_transforms float K 4 4; bend float K 3;
+    visible bool C V; deviation float V; observed bool V; keypoint_deviation float K; keypoints_observed bool K;
+    depth_deviation float; depth_observed bool; label_errors_px float C K; inliers bool C K;
+    outline_rms_px float C; iou float C; converged bool; iterations int"""
 _KINDS: dict[Callable[..., Any], tuple[str, _Layout]] = {
-    CanonicalEyeglasses: (
-        "canonical",
-        _layout(
-            "canonical_from_frame float 4 4; scale float; handle_transforms float K 4 4; residual float; "
-            "unbent bool; converged bool"
-        ),
-    ),
-    RegisteredEyeglasses: (
-        "registered",
-        _layout(
-            "world_from_glasses float 4 4; handle_transforms float K 4 4; bend float K 3; visible bool C V; "
-            "deviation float V; observed bool V; keypoint_deviation float K; keypoints_observed bool K; "
-            "depth_deviation float; depth_observed bool; label_errors_px float C K; inliers bool C K; "
-            "outline_rms_px float C; iou float C; converged bool; iterations int"
-        ),
-    ),
+    CanonicalEyeglasses: ("canonical", _layout(_CANONICAL)),
+    RegisteredEyeglasses: ("registered", _layout(_REGISTERED)),
 }
 _SAME_SIDE = (
     ("rim_top", "rim_bottom"),

@@ -67,8 +67,7 @@ def registration_panels(
 ) -> list[Panel]:
     """Return a panel for each view, two of the frame's standard deviation, and one on the head if any.
 
-    Orange is the registered frame's outline, blue where the head hides it; green labels fit, red ones are
-    outliers, as are vertices that are not observed.
+    Orange is the frame's outline, blue where the head hides it; red are outliers and what is not observed.
     """
     from matplotlib.colors import to_rgb
 

@@ -111,10 +111,9 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
     marks = keypoints[wanted]
     missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
     if missing:
-        raise EyeglassesError(
-            f"the {SIDES[side]} lens needs the key points of its rim, but {', '.join(missing)} "
-            f"{'is' if len(missing) == 1 else 'are'} missing; give them, or None in place of this lens"
-        )
+        said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        advice = "give them, or None in place of this lens"
+        raise EyeglassesError(f"the {SIDES[side]} lens needs the key points of its rim, but {said}; {advice}")
     return marks
 
 
@@ -170,10 +169,9 @@ def lens_mesh(
         faces, cross, axis = faces[:, [0, 2, 1]], -cross, -axis
     folded = ~(cross @ axis > 0)
     if folded.any():
-        raise EyeglassesError(
-            f"the rim does not go around the lens centre once: {int(folded.sum())} of {len(faces)} triangles "
-            "fold; move the centre inside, or put the points in order"
-        )
+        said = f"{int(folded.sum())} of {len(faces)} triangles fold"
+        advice = "move the centre inside, or put the points in order"
+        raise EyeglassesError(f"the rim does not go around the lens centre once: {said}; {advice}")
     return vertices, faces
 
 
@@ -274,8 +272,7 @@ def _cross(
     normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
     heading, before = own.directions[rays], own.origins[rays]
     position = before + heading * distance[:, None]
-    # Rims are not flat: the plane of the thin lens is moved along its normal to where each ray meets the
-    # mesh; otherwise slanting rays would bend far beside it.
+    # Rims are not flat: the thin lens's plane is moved along its normal to where each ray meets the mesh.
     height = ((position - center) @ normal)[:, None] * normal
     mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
     alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)

@@ -131,11 +131,9 @@ def insert_lenses(
 
     Notes
     -----
-    - A painted tint is a matte surface in the same light; in a photograph it is taken as it is.
-    - In drawn scenes surfaces and lenses cast shadows (a lens according to its shares, without bending
-      light); in photographs none do, whose shadows stay, and whose background counts as far away.
-    - What lenses mirror is seen past all lenses. Light does not bounce otherwise.
-    - 256 lights are 1 % rms off a reference of 8,192 directions, 64 are 2.5 %; cost grows with them.
+    A painted tint is a matte surface in the same light; in a photograph it is taken as it is. In drawn scenes
+    surfaces and lenses cast shadows; in photographs none do, whose background counts as far away. Light does
+    not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
 
     Examples
     --------

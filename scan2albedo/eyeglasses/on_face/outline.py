@@ -22,18 +22,12 @@ from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
-_NEAR_PX = 5.0
-"""Nearer ones are left out where the frame's place is known better: beyond this and three deviations."""
 _MARGIN_PX = 96
 """How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
 """Pixels each way whose uncovered ones show where outside is."""
 _FACING = 0.3
 """Least cosine between where outside is for the frame's outline and for the observed one."""
-_ABOVE_SKIN_MM = 1.0
-"""The head hides points more than this behind its surface: frames rest on the skin."""
-_HEAD_MARGIN_PX = 4.0
-"""Pixels of the outline this near to where the head hides the frame are left out."""
 _SIDE_PX = 12
 """How much of both sides of an outline is compared with a picture."""
 _ALIKE_PX = 3.0
@@ -159,7 +153,8 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
     if head is None:
         return np.zeros(len(points), bool)
     toward = camera_centers(camera[None])[0] - points
-    return head.occluded(points + _ABOVE_SKIN_MM * normalized(toward), toward)
+    # From 1 mm above, for frames rest on the skin.
+    return head.occluded(points + normalized(toward), toward)
 
 
 def trace_outline(seen: SeenSamples) -> tuple[IntArray, FloatArray]:
@@ -283,9 +278,8 @@ class OutlineSampler:
             foremost = seen.corners[:, 0]
             px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
             reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
-            reach = np.minimum(_NEAR_PX + reach, REACH_PX)
-            # Where the nearest border of the mask has its outside on the same side, its distance counts;
-            # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
+            reach = np.minimum(5.0 + reach, REACH_PX)
+            # Where the mask's nearest border faces the same way its distance counts, else a search across it.
             place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
             border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
             limit = np.minimum(reach, border + 0.5)
@@ -316,7 +310,7 @@ class OutlineSampler:
                 way = search_edges(view.distance, place[lost], outward[lost], limit[lost])
                 edges[lost] = place[lost] + way[:, None] * outward[lost]
                 kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
-            # Points that the head hides, or a ray some pixels beside them.
+            # Points that the head hides, or a ray four pixels beside them.
             owner = owner_of = points.weights.argmax(1)[foremost]
             if self.head is not None and len(place):
                 world = seen.interpolated(vertices)
@@ -324,7 +318,7 @@ class OutlineSampler:
                 center = camera_centers(camera[None])[0]
                 far = np.linalg.norm(world - center, axis=1)[:, None]
                 for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                    ray = pixel_directions(camera, place + _HEAD_MARGIN_PX * np.array(step))
+                    ray = pixel_directions(camera, place + 4.0 * np.array(step))
                     hidden |= hidden_by(self.head, camera, center + far * ray)
                 kept = kept[~hidden[kept]]
                 owner = owner[~hidden]

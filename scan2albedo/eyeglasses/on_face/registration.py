@@ -123,10 +123,9 @@ def register_on_face(
 
     Notes
     -----
-    Deviations hold for a mesh of the frame itself, true to about a percent. They count labels that miss the
-    key point alike in all views (0.5 mm) and masks that are too wide or too narrow throughout (1 px). Masks
-    that contradict good labels are left aside. Li et al. (supplement, equation S3) minimise a rendered
-    segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
+    Deviations hold for a mesh true to about a percent, labels that miss the key point alike in all views
+    (0.5 mm) and masks too wide or too narrow throughout (1 px). Li et al. (supplement, equation S3) minimise
+    a rendered segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
 
     Examples
     --------

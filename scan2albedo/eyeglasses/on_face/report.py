@@ -32,8 +32,6 @@ WORN_MM = 40.0
 """Distance of the frame from the head beyond which nobody wears it."""
 _LEAST_NOISE_PX = 0.3
 """Below it pixels and the bend's model limit the accuracy, not labels."""
-_PATCH_PX = 25.0
-"""Pixels by which a key point's surroundings may differ: a patch as wide as a temple is more."""
 
 
 def report(
@@ -102,7 +100,8 @@ def report(
         if mask is not None and view.distance is not None:
             iou[number], here = compare_masks(sampler, motion, number, mask, outline_px)
             differing = np.maximum(differing, here)
-    wrong = (differing > _PATCH_PX) & given.known
+    # More pixels than 25 are a patch as wide as a temple.
+    wrong = (differing > 25) & given.known
 
     # What pictures show: the key points whose surroundings were found there, and the frame's pixels.
     proposed, proposed_px = (np.full((count, len(keypoints), *size), np.nan) for size in ((2,), ()))

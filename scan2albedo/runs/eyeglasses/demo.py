@@ -195,5 +195,5 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
                 if file_sha256(made) not in hashes and not hashes & known:
                     said = "no run of scan2albedo glasses demo wrote it"
                     raise OutputError(f"{there}: {said}; move it away, or choose another folder")
-    skull, made = None if head is None else folder / "head.glb", ("frame.obj", "cameras.json", "labels.json")
-    return read_registration(*(folder / name for name in made), masks=folder / "masks", head=skull)
+    skull, parts = None if head is None else folder / "head.glb", ("frame.obj", "cameras.json", "labels.json")
+    return read_registration(*(folder / name for name in parts), masks=folder / "masks", head=skull)

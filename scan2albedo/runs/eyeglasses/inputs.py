@@ -210,8 +210,8 @@ def read_registration(
         if len(given) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
         elif outside:
-            size, own = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
-            notes.append(f"{outside} of {len(given)} {own} lie outside its picture of {size}")
+            size, whose = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
+            notes.append(f"{outside} of {len(given)} {whose} lie outside its picture of {size}")
     found: list[BoolArray | None] = [None] * len(views)
     if masks is not None:
         for number, camera in enumerate(views):
