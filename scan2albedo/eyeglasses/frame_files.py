@@ -51,9 +51,9 @@ def _layout(rows: str) -> _Layout:
 _CANONICAL = """canonical_from_frame float 4 4; scale float; handle_transforms float K 4 4; residual float;
     unbent bool; converged bool"""
 _REGISTERED = """world_from_glasses float 4 4; handle_transforms float K 4 4; bend float K 3;
-    visible bool C V; deviation float V; observed bool V; keypoint_deviation float K; keypoints_observed bool K;
-    depth_deviation float; depth_observed bool; label_errors_px float C K; inliers bool C K;
-    outline_rms_px float C; iou float C; converged bool; iterations int"""
+    visible bool C V; deviation float V; observed bool V; keypoint_deviation float K;
+    keypoints_observed bool K; depth_deviation float; depth_observed bool; label_errors_px float C K;
+    inliers bool C K; outline_rms_px float C; iou float C; converged bool; iterations int"""
 _KINDS: dict[Callable[..., Any], tuple[str, _Layout]] = {
     CanonicalEyeglasses: ("canonical", _layout(_CANONICAL)),
     RegisteredEyeglasses: ("registered", _layout(_REGISTERED)),
