@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -80,19 +80,19 @@ class RegisteredEyeglasses:
     """(C,) distance of the outline from the mask's, where they can be compared; NaN without a mask."""
     iou: FloatArray
     """(C,) of the frame's mask and the given one; NaN without. Frames millimetres off reach 0.97."""
-    proposed_labels: FloatArray
-    """(C, 20, 2) key points in views whose outline was sought in a picture, where nobody labelled them and
-    it was found around them; NaN elsewhere."""
-    proposed_deviation_px: FloatArray
-    """(C, 20) standard deviation of each along each axis of its picture."""
-    proposed_masks: tuple[BoolArray | None, ...]
-    """(H, W) of the frame in these views, None for the others."""
     converged: bool
     iterations: int
     """Evaluations of the objective; not `converged`: the budget ended first or outlines did not settle."""
     plan: Plan
     trace: Trace = Trace()
     """Errors in pixels; `plan` says which steps ran or were left out, and why."""
+    proposed_labels: FloatArray = field(default_factory=lambda: np.zeros((0, 20, 2)))
+    """(C, 20, 2) key points in views whose outline was sought in a picture, where nobody labelled them and
+    it was found around them; NaN elsewhere. Files do not keep what was proposed: C is 0."""
+    proposed_deviation_px: FloatArray = field(default_factory=lambda: np.zeros((0, 20)))
+    """(C, 20) standard deviation of each along each axis of its picture."""
+    proposed_masks: tuple[BoolArray | None, ...] = ()
+    """(H, W) of the frame in these views, None for the others."""
 
     @property
     def unobserved(self) -> tuple[str, ...]:
