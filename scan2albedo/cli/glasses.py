@@ -209,7 +209,15 @@ def register(
     ],
     out: OutFolder,
     cameras: Annotated[Path, typer.Option(help="JSON file of the cameras.")],
-    labels: Annotated[Path, typer.Option(help="JSON file of key points labelled in their pictures.")],
+    labels: Annotated[
+        Path | None, typer.Option(help="JSON file of key points labelled in their pictures.")
+    ] = None,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of photographs, <camera>.png or .jpg: what is not labelled is proposed from them."
+        ),
+    ] = None,
     masks: Annotated[
         Path | None, typer.Option(help="Folder of masks, <camera>.png: where a picture shows the frame.")
     ] = None,
@@ -247,7 +255,7 @@ def register(
     RunFolder(out, FILES).check()
     with _one_frame(mesh, "glasses", json_summary) as progress:
         progress.say(f"glasses: reading {mesh}")
-        more = {"masks": masks, "head": head, "keypoints": keypoints, "start": start}
+        more = {"pictures": pictures, "masks": masks, "head": head, "keypoints": keypoints, "start": start}
         given = read_registration(mesh, cameras, labels, **more, unit=unit, frame_width_mm=frame_width)
         done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
         figures = write_registration_files(done, out)

@@ -169,9 +169,8 @@ def canonicalize(
 
     Notes
     -----
-    Equation S2 of Li et al., read literally, collapses the frame; R_k = 1 is what it must mean, and turns
-    halve its error. The width of the front, 110 to 170 mm, tells a frame's unit. Frames of different units
-    are brought to that of the mean given, or to mm, by powers of ten (`CanonicalEyeglasses.scale`).
+    Equation S2 of Li et al., read literally, collapses the frame; turns halve the error of R_k = 1. Frames of
+    different units, told by the front's width, are brought to that of the mean, or to mm, by powers of ten.
 
     Examples
     --------
@@ -259,9 +258,7 @@ class _Frame:
         shares = None if weights is None else checked_weights(f"weights {number}", weights, len(xyz))
         for name, array in (("vertices", xyz), ("weights", shares)):
             if array is not None and not np.isfinite(array).all():
-                raise ValueError(
-                    f"frame {number}: {name} hold NaN or infinity; repair the frame or leave it out"
-                )
+                raise ValueError(f"frame {number}: {name} hold NaN or infinity; repair it or leave it out")
         marks = checked_keypoints(f"keypoints {number}", keypoints)
         return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, np.int64), marks, shares)
 
@@ -280,8 +277,8 @@ class _Frame:
             meter.merge(own)
         weights = np.zeros((len(self.vertices), KEY_POINT_COUNT))
         weights[:, seen] = found.weights
-        ended = "cut short by the budget" if own.exhausted else "did not settle"
-        how = "solved" if found.converged else ended
+        how = "cut short by the budget" if own.exhausted else "did not settle"
+        how = "solved" if found.converged else how
         got = f"residual {found.residual.max():.1e} after {own.evaluations} steps on {found.node_count} nodes"
         plan = Plan((PlanStep("eyeglasses.weights", True, how, got),)) + found.plan
         return replace(self, weights=weights, converged=found.converged, plan=plan)
@@ -345,8 +342,7 @@ def _weighted(
 ) -> tuple[list[_Frame], dict[int, str]]:
     """Return the frames with their weights and, with `skip_failed`, why others are left out."""
     anchor = fullest([frame.points for frame in frames]) if reference is None else reference
-    done: list[_Frame] = []
-    failures: dict[int, str] = {}
+    done, failures = list[_Frame](), dict[int, str]()
     called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in frames]
     for i, frame in enumerate(frames):
         # Key points that the reference lacks do not count.
@@ -383,9 +379,8 @@ def _set_steps(
         factors = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
         rows = [PlanStep("eyeglasses.units", True, "widths are those of different units", factors)]
     if not unusual:
-        rows.append(
-            PlanStep("eyeglasses.outliers", False, f"none among {len(frames)} frame{'s' * (len(frames) > 1)}")
-        )
+        among = f"none among {len(frames)} frame{'s' * (len(frames) > 1)}"
+        rows.append(PlanStep("eyeglasses.outliers", False, among))
     for i, why in unusual.items():
         rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
     if single := single_bridges(points, widths, reference) if mode == "mean" else ():

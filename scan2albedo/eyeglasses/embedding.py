@@ -76,25 +76,21 @@ def embed(
     apart = _distances(handles, "chebyshev")
     a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
     if not apart[a, b] > 0:
-        raise EyeglassesError(
-            f"key points {called[a]} and {called[b]} coincide at {np.round(handles[a], 6).tolist()}; each "
-            "needs a place of its own: leave one of them out (null)"
-        )
+        said = f"key points {called[a]} and {called[b]} coincide at {np.round(handles[a], 6).tolist()}"
+        raise EyeglassesError(f"{said}; each needs a place of its own: leave one of them out (null)")
     distance = ClosestPointQuery(vertices, faces).query(handles).distance
     far = int(np.argmax(distance))
     if not distance[far] <= _REACH * size:
-        raise EyeglassesError(
-            f"key point {called[far]} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off the "
-            f"mesh; at most {_REACH * size:.4g} can be bridged: check its place and unit"
-        )
+        said = f"key point {called[far]} at {np.round(handles[far], 4).tolist()} is {distance[far]:.4g} off"
+        most = f"at most {_REACH * size:.4g} can be bridged"
+        raise EyeglassesError(f"{said} the mesh; {most}: check its place and unit")
     low = np.minimum(corners.min(0), handles.min(0))
     if isinstance(spacing, str):
         if spacing != "auto":
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
         # Places two spacings apart along one axis lie in cells with another cell between them.
         closest = float(apart[a, b]) / 2
-        # The thickness that a tenth of the surface's area stays below, across faces on the side where the
-        # mesh is met first; infinite where nothing is met.
+        # The thickness that a tenth of the surface's area stays below; infinite where nothing is met.
         thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
         if area[-1] > 0:
             chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
@@ -125,10 +121,8 @@ def embed(
         limit = 10 * max_nodes
         touched = _cells(vertices, faces, low, used, limit)
         if touched is None:
-            raise EyeglassesError(
-                f"a spacing of {used:.4g} makes more than {limit} lattice nodes; give a larger one, or raise "
-                "max_nodes"
-            )
+            said = f"a spacing of {used:.4g} makes more than {limit} lattice nodes"
+            raise EyeglassesError(f"{said}; give a larger one, or raise max_nodes")
         step = PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
     origin = _origin(low, used)
     owners, handle, merged = _shared_handles((handles - origin) / used, called)
@@ -203,9 +197,8 @@ def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray
     while True:
         middles = np.array([handles[group].mean(0) for group in groups])
         cells = np.floor(middles).astype(np.int64)
-        apart = np.where(
-            _distances(cells.astype(float), "chebyshev") < 2, _distances(middles, "euclidean"), np.inf
-        )
+        touch = _distances(cells.astype(float), "chebyshev") < 2
+        apart = np.where(touch, _distances(middles, "euclidean"), np.inf)
         a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
         if np.isinf(apart[a, b]):
             break

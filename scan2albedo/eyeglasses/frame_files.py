@@ -37,43 +37,26 @@ Value = TypeVar("Value")
 KeyPointName = Annotated[str, WithJsonSchema({"type": "string", "enum": list(KEY_POINT_NAMES)})]
 _Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 """Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
-_FRAME_LAYOUT: _Layout = {
-    "vertices": (float, "V", 3),
-    "faces": (int, "F", 3),
-    "weights": (float, "V", KEY_POINT_COUNT),
-    "keypoints": (float, KEY_POINT_COUNT, 3),
-}
-_CANONICAL_LAYOUT: _Layout = {
-    **_FRAME_LAYOUT,
-    "canonical_from_frame": (float, 4, 4),
-    "scale": (float,),
-    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
-    "residual": (float,),
-    "unbent": (bool,),
-    "converged": (bool,),
-}
-_REGISTERED_LAYOUT: _Layout = {
-    **_FRAME_LAYOUT,
-    "world_from_glasses": (float, 4, 4),
-    "handle_transforms": (float, KEY_POINT_COUNT, 4, 4),
-    "bend": (float, KEY_POINT_COUNT, 3),
-    "visible": (bool, "C", "V"),
-    "deviation": (float, "V"),
-    "observed": (bool, "V"),
-    "keypoint_deviation": (float, KEY_POINT_COUNT),
-    "keypoints_observed": (bool, KEY_POINT_COUNT),
-    "depth_deviation": (float,),
-    "depth_observed": (bool,),
-    "label_errors_px": (float, "C", KEY_POINT_COUNT),
-    "inliers": (bool, "C", KEY_POINT_COUNT),
-    "outline_rms_px": (float, "C"),
-    "iou": (float, "C"),
-    "converged": (bool,),
-    "iterations": (int,),
-}
+
+
+def _layout(rows: str) -> _Layout:
+    """Return the layout that `rows` of "name type length length ..." say, K for the number of key points."""
+    own = "vertices float V 3; faces int F 3; weights float V K; keypoints float K 3; " + rows
+    sizes: dict[str, int] = {"K": KEY_POINT_COUNT, "3": 3, "4": 4}
+    types: dict[str, type] = {"float": float, "int": int, "bool": bool}
+    split = [row.split() for row in own.split(";")]
+    return {name: (types[kind], *(sizes.get(n, n) for n in shape)) for name, kind, *shape in split}
+
+
+_CANONICAL = """canonical_from_frame float 4 4; scale float; handle_transforms float K 4 4; residual float;
+    unbent bool; converged bool"""
+_REGISTERED = """world_from_glasses float 4 4; handle_transforms float K 4 4; bend float K 3;
+    visible bool C V; deviation float V; observed bool V; keypoint_deviation float K;
+    keypoints_observed bool K; depth_deviation float; depth_observed bool; label_errors_px float C K;
+    inliers bool C K; outline_rms_px float C; iou float C; converged bool; iterations int"""
 _KINDS: dict[Callable[..., Any], tuple[str, _Layout]] = {
-    CanonicalEyeglasses: ("canonical", _CANONICAL_LAYOUT),
-    RegisteredEyeglasses: ("registered", _REGISTERED_LAYOUT),
+    CanonicalEyeglasses: ("canonical", _layout(_CANONICAL)),
+    RegisteredEyeglasses: ("registered", _layout(_REGISTERED)),
 }
 _SAME_SIDE = (
     ("rim_top", "rim_bottom"),
@@ -157,10 +140,8 @@ def read_keypoints_with_unit(path: str | Path) -> tuple[FloatArray, LengthUnitIf
     nothing = (np.nan, np.nan, np.nan)
     points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
     if exchanged := "; ".join(exchanged_key_points(points)):
-        raise EyeglassesError(
-            f"key points {path}: names seem exchanged: {exchanged}. `scan2albedo glasses key-points` "
-            "shows where each belongs; temples must be open, not folded"
-        )
+        advice = "`scan2albedo glasses key-points` shows where each belongs; temples must be open, not folded"
+        raise EyeglassesError(f"key points {path}: names seem exchanged: {exchanged}. {advice}")
     return points, entry.unit
 
 
@@ -178,9 +159,8 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     typical, mirror = typical_key_points(), list(MIRROR)
     number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
     pairs = [(0, 1)] + [(k, MIRROR[k]) for k in range(2, 11)]
-    pairs += [
-        (number[f"{side}_{a}"], number[f"{side}_{b}"]) for side in ("left", "right") for a, b in _SAME_SIDE
-    ]
+    for side in ("left", "right"):
+        pairs += [(number[f"{side}_{a}"], number[f"{side}_{b}"]) for a, b in _SAME_SIDE]
 
     def laid(current: FloatArray) -> tuple[FloatArray, float]:
         seen = np.isfinite(current).all(1)
@@ -228,10 +208,8 @@ def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
             for k, side in enumerate(shape)
         )
         if got != wanted or arrays[name].dtype.kind not in "biuf":
-            raise EyeglassesError(
-                f"{what} {path}: {name} has shape {got} of {arrays[name].dtype}, expected numbers of shape "
-                f"({', '.join(map(str, wanted))}); write it again"
-            )
+            said = f"{name} has shape {got} of {arrays[name].dtype}, expected numbers of shape"
+            raise EyeglassesError(f"{what} {path}: {said} ({', '.join(map(str, wanted))}); write it again")
     vertices, faces = arrays["vertices"], arrays["faces"]
     if not np.isfinite(vertices).all():
         raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")

@@ -65,16 +65,12 @@ _RING = ("hinge", "rim_top", "rim_bridge", "rim_inner", "rim_bottom", "rim_outer
 _TEMPLE = ("hinge", "temple_middle", "ear_bend", "temple_tip")
 
 
-def _bones() -> tuple[tuple[int, int], ...]:
-    pairs = [("bridge_top", "bridge_bottom")]
-    for side in ("left", "right"):
-        for chain in (_RING, _TEMPLE):
-            pairs += [(f"{side}_{a}", f"{side}_{b}") for a, b in itertools.pairwise(chain)]
-        pairs += [(f"bridge_{end}", f"{side}_rim_bridge") for end in ("top", "bottom")]
-    return tuple((KEY_POINT_NAMES.index(a), KEY_POINT_NAMES.index(b)) for a, b in pairs)
-
-
-SKELETON: tuple[tuple[int, int], ...] = _bones()
+_BONES = [("bridge_top", "bridge_bottom")]
+for _side in ("left", "right"):
+    for _chain in (_RING, _TEMPLE):
+        _BONES += [(f"{_side}_{a}", f"{_side}_{b}") for a, b in itertools.pairwise(_chain)]
+    _BONES += [(f"bridge_{end}", f"{_side}_rim_bridge") for end in ("top", "bottom")]
+SKELETON = tuple((KEY_POINT_NAMES.index(a), KEY_POINT_NAMES.index(b)) for a, b in _BONES)
 """Pairs of key points that one stretch of the frame joins: both rims, the bridge, both temples."""
 
 
@@ -110,10 +106,8 @@ def checked_points(name: str, values: ArrayLike) -> FloatArray:
         raise ValueError(f"{name} must have shape (N, 3), got {points.shape}")
     bad = np.flatnonzero(~np.isfinite(points).all(1))
     if len(bad):
-        raise EyeglassesError(
-            f"{name}[{bad[0]}] is not finite: {points[bad[0]].tolist()} ({len(bad)} of {len(points)} "
-            "are not); repair the input first"
-        )
+        said = f"{name}[{bad[0]}] is not finite: {points[bad[0]].tolist()}"
+        raise EyeglassesError(f"{said} ({len(bad)} of {len(points)} are not); repair the input first")
     return points
 
 
@@ -139,9 +133,7 @@ def checked_keypoints(name: str, values: ArrayLike) -> FloatArray:
     """Return key points (20, 3) as a new array; raises ValueError for another shape."""
     points = np.array(values, np.float64)
     if points.shape != (KEY_POINT_COUNT, 3):
-        raise ValueError(
-            f"{name} must have shape ({KEY_POINT_COUNT}, 3), got {points.shape}; NaN rows for missing ones"
-        )
+        raise ValueError(f"{name} must have shape (20, 3), got {points.shape}; NaN rows for missing ones")
     return points
 
 

@@ -39,9 +39,8 @@ class Lattice:
         low = cells.min(0)
         shape = tuple(cells.max(0) - low + 2)
         places = (cells - low)[:, None, :] + CORNERS
-        keys, corners = np.unique(
-            np.ravel_multi_index(tuple(np.moveaxis(places, 2, 0)), shape), return_inverse=True
-        )
+        keys = np.ravel_multi_index(tuple(np.moveaxis(places, 2, 0)), shape)
+        keys, corners = np.unique(keys, return_inverse=True)
         nodes = np.stack(np.unravel_index(keys, shape), 1).astype(np.int64) + low
         return cls(cells, nodes, corners.reshape(-1, 8).astype(np.int64))
 
@@ -72,9 +71,8 @@ class Lattice:
         upper = np.clip(points - self.cells[cell], 0.0, 1.0)
         axes = np.stack([1.0 - upper, upper], 1)
         shares = axes[:, CORNERS[:, 0], 0] * axes[:, CORNERS[:, 1], 1] * axes[:, CORNERS[:, 2], 2]
-        rows = np.repeat(np.arange(len(points)), 8)
-        shape = (len(points), len(self.nodes))
-        return sparse.csr_matrix((shares.ravel(), (rows, self.corners[cell].ravel())), shape=shape)
+        places = np.repeat(np.arange(len(points)), 8), self.corners[cell].ravel()
+        return sparse.csr_matrix((shares.ravel(), places), shape=(len(points), len(self.nodes)))
 
 
 def node_volumes(lattice: Lattice) -> FloatArray:
@@ -89,8 +87,7 @@ def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
     p and q that lies in cells, 1 inside.
     """
     ends = lattice.corners[:, np.array(_EDGES)].reshape(-1, 2)
-    count = len(lattice.nodes)
-    shape = (count, count)
+    shape = (len(lattice.nodes),) * 2
     half = sparse.csr_matrix((np.full(len(ends), 1 / 4), (ends[:, 0], ends[:, 1])), shape=shape)
     links = half + half.T
     return (sparse.diags(np.asarray(links.sum(1)).ravel()) - links).tocsr()
@@ -147,9 +144,8 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
     # Every cell is found by the few triangles that touch it; 64 times the limit is beyond any mesh's share.
     room = 64 * limit
     corners = np.floor(triangles.reshape(-1, 3)).astype(np.int64)
-    area = 0.5 * np.linalg.norm(
-        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
-    )
+    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    area = 0.5 * np.linalg.norm(np.cross(first, second), axis=1)
     # A surface of area a touches a / sqrt(3) cells at least, once overlaps are left out of account.
     if area.sum() > room:
         return None

@@ -226,8 +226,7 @@ def single_bridges(
 
     Key points (20, 3), those of the `mean`, and `widths` (n,) of the fronts are in one unit.
     """
-    found = np.array([np.linalg.norm(p[0] - p[1]) for p in keypoints]) / widths
-    others = (
-        found if mean is None else np.append(found, np.linalg.norm(mean[0] - mean[1]) / front_width(mean))
-    )
+    others = found = np.array([np.linalg.norm(p[0] - p[1]) for p in keypoints]) / widths
+    if mean is not None:
+        others = np.append(found, np.linalg.norm(mean[0] - mean[1]) / front_width(mean))
     return tuple(np.flatnonzero(found <= _TWO_BRIDGES).tolist()) if (others > _TWO_BRIDGES).any() else ()

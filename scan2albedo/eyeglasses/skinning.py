@@ -44,11 +44,8 @@ def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> Floa
         raise ValueError(f"vertices must have shape (V, 3), got {xyz.shape}")
     if maps.ndim != 3 or maps.shape[1:] not in ((4, 4), (3, 4)):
         raise ValueError(f"transforms must have shape (K, 4, 4) or (K, 3, 4), got {maps.shape}")
-    if shares.shape != (len(xyz), len(maps)):
-        raise ValueError(
-            f"weights must have shape ({len(xyz)}, {len(maps)}) for {len(xyz)} vertices and {len(maps)} "
-            f"transforms, got {shares.shape}"
-        )
+    if shares.shape != (wanted := (len(xyz), len(maps))):
+        raise ValueError(f"weights must have shape {wanted} of vertices and transforms, got {shares.shape}")
     for name, array in (("vertices", xyz), ("weights", shares), ("transforms", maps)):
         if not np.isfinite(array).all():
             bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))

@@ -29,8 +29,6 @@ _RIMS, _TEMPLES = ((part, _MIRROR[part]) for part in (np.arange(2, 7), np.arange
 """Numbers of the key points of the left and the right side; of a temple from the hinge to the tip."""
 _OWN = 0.9
 """Share of a rim's key points in a vertex's weights from which it moves with the rim."""
-_SAMPLES = 1000
-"""Vertices of a rim that are laid on the other one, at most."""
 _LABEL_SHARE = 1e-3
 """Weight of a rim's key points beside its surface: they hold what a surface leaves free."""
 _FARTHEST = 0.15
@@ -91,7 +89,7 @@ def front_halves(
     # With fewer vertices or faces than key points, these alone are compared.
     if min(len(surface), len(moving)) < len(points):
         return FrontHalves(reflection, start, np.nan)
-    moving = moving[:: -(-len(moving) // _SAMPLES)]
+    moving = moving[:: -(-len(moving) // 1000)]
     query, normals = ClosestPointQuery(vertices, surface), face_normals(vertices, surface)
     held = np.repeat([0.0, 1.0], [len(moving), len(source)])
 
@@ -106,15 +104,9 @@ def front_halves(
         return Pairs(goal - placed, normal, np.concatenate([trust, pull]), held)
 
     size, center = float(np.linalg.norm(np.ptp(target, axis=0))), moving.mean(0)
-    found = align(
-        np.concatenate([moving, source]) - center,
-        np.ones(len(held)),
-        pairs,
-        Similarity(start[:3, :3], transform_points(start, center)),
-        steps=30,
-        scale_range=(1.0, 1.0),
-        settled=1e-6 * size,
-    ).pose
+    own, first = np.concatenate([moving, source]) - center, transform_points(start, center)
+    given = own, np.ones(len(held)), pairs, Similarity(start[:3, :3], first)
+    found = align(*given, steps=30, scale_range=(1.0, 1.0), settled=1e-6 * size).pose
     pose = compose(found.rotation, found.translation - found.rotation @ center)
     moved = np.linalg.norm(transform_points(pose, source) - transform_points(start, source), axis=1)
     if moved.max() > _FARTHEST * size:
@@ -172,10 +164,9 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
     said, temple = [], _TEMPLES[0][np.isfinite(even[_TEMPLES[0]]).all(1)]
     if np.isfinite(wrap):
-        said.append(
-            f"the rims are turned back by {wrap:.1f} degrees, of designs {usual[0]:.1f} +- "
-            f"{deviation[0]:.1f}, so the bend is {wrap - usual[0]:+.1f} +- {deviation[0]:.1f} degrees"
-        )
+        spread, bend = f"+- {deviation[0]:.1f}", f"so the bend is {wrap - usual[0]:+.1f}"
+        designs = f"of designs {usual[0]:.1f} {spread}, {bend} {spread} degrees"
+        said.append(f"the rims are turned back by {wrap:.1f} degrees, {designs}")
     if len(temple) > 1:
         place, way = even[temple], side * (out[temple] - out[temple[0]])
         length = float(np.linalg.norm(place[-1] - place[0]))

@@ -43,14 +43,9 @@ class Camera:
         rows = np.linalg.norm(matrix[:, :3], axis=1)
         # The volume that the rows' unit vectors span: 0 where space is mapped onto a line.
         if not (rows.min() > 0 and abs(np.linalg.det(matrix[:, :3] / rows[:, None])) > 1e-9):
-            raise ValueError(
-                f"camera {self.name!r}: the left 3x3 part of its matrix is singular, which no pinhole camera "
-                "is; give K [R | t]"
-            )
+            raise ValueError(f"camera {self.name!r}: its matrix's left 3x3 part is singular; give K [R | t]")
         if len(self.shape) != 2 or min(self.shape) < 1:
-            raise ValueError(
-                f"camera {self.name!r}: its picture's shape is {self.shape}, expected (H, W) >= 1"
-            )
+            raise ValueError(f"camera {self.name!r}: its picture's shape is {self.shape}, not (H, W) >= 1")
         object.__setattr__(self, "matrix", matrix)
 
 
@@ -178,10 +173,9 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
         except ScanError as error:
             raise EyeglassesError(f"mask {path}: {error}") from error
         if mask.shape != camera.shape:
-            (height, width), (wanted_height, wanted_width) = mask.shape, camera.shape
+            here, wanted = (f"{width} x {height}" for height, width in (mask.shape, camera.shape))
             raise EyeglassesError(
-                f"mask {path} is {width} x {height} pixels, its camera's picture {wanted_width} x "
-                f"{wanted_height}; give the mask of that picture"
+                f"mask {path} is {here} pixels, its camera's picture {wanted}; give its mask"
             )
         masks.append(mask)
     return tuple(masks)
@@ -200,10 +194,8 @@ class ViewLabels:
         Raises EyeglassesError when there are labels of a camera that is not among them.
         """
         if strange := sorted(set(self.camera_names) - set(names)):
-            raise EyeglassesError(
-                f"there are labels of a camera {strange[0]!r}, but the cameras are {', '.join(names)}; "
-                "add it to them, or take its labels out"
-            )
+            said = f"there are labels of a camera {strange[0]!r}, but the cameras are {', '.join(names)}"
+            raise EyeglassesError(f"{said}; add it to them, or take its labels out")
         at = {name: i for i, name in enumerate(self.camera_names)}
         nothing = np.full((KEY_POINT_COUNT, 2), np.nan)
         return np.array([self.pixels[at[name]] if name in at else nothing for name in names])
@@ -235,11 +227,9 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
     path, labels, camera_names
     """
     pixels = np.asarray(labels, np.float64)
-    if pixels.shape != (len(camera_names), KEY_POINT_COUNT, 2):
-        raise ValueError(
-            f"labels must have shape ({len(camera_names)}, {KEY_POINT_COUNT}, 2) for {len(camera_names)} "
-            f"cameras, got {pixels.shape}"
-        )
+    if pixels.shape != (count := len(camera_names), KEY_POINT_COUNT, 2):
+        wanted = f"({count}, {KEY_POINT_COUNT}, 2) for {count} cameras"
+        raise ValueError(f"labels must have shape {wanted}, got {pixels.shape}")
     require_distinct_names(camera_names)
     views = {
         name: {

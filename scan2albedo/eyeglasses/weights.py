@@ -20,8 +20,6 @@ from scan2albedo.eyeglasses.lattice import Lattice, biharmonic_energy, unique_ce
 
 TOLERANCE = 1e-7
 """Scaled residual of the optimality conditions at which a handle's weights are done."""
-_COARSE_NODES = 1500
-"""Lattices of more nodes start from the weights of a lattice of twice the spacing."""
 
 
 @dataclass(frozen=True)
@@ -141,16 +139,14 @@ def solve_weights(
     if meter is None:
         meter = Meter("eyeglasses.weights", "scaled KKT residual", Budget.of(budget), on_progress)
     xyz, index = checked_mesh(vertices, faces)
-    embedding = embed(
-        xyz, index, checked_points("handles", handles), spacing, max_nodes=max_nodes, names=names
-    )
+    marks = checked_points("handles", handles)
+    embedding = embed(xyz, index, marks, spacing, max_nodes=max_nodes, names=names)
     solution = solve_lattice(embedding.lattice, embedding.handle_cells, tolerance=tolerance, meter=meter)
     total = solution.x.sum(1)
     # Dividing by less would amplify rounding.
     if not total.min() > TOLERANCE:
-        raise EyeglassesError(
-            f"no key point holds {int((total <= TOLERANCE).sum())} of {len(total)} lattice nodes"
-        )
+        lost = int((total <= TOLERANCE).sum())
+        raise EyeglassesError(f"no key point holds {lost} of {len(total)} lattice nodes")
     weights = np.clip(embedding.interpolation @ (solution.x / total[:, None]), 0.0, 1.0)
     weights = embedding.shares * weights[:, embedding.handle]
     weights /= weights.sum(1, keepdims=True)
@@ -175,13 +171,12 @@ def solve_lattice(
     They are not normalised. Each lattice starts from the one of twice the spacing and its nodes at 0 or 1.
     """
     levels = [lattice]
-    while len(levels[0].nodes) > _COARSE_NODES:
+    while len(levels[0].nodes) > 1500:
         coarse = Lattice.of_cells(unique_cells(levels[0].cells // 2))
         if len(coarse.nodes) >= len(levels[0].nodes):
             break
         levels.insert(0, coarse)
-    count = len(handle_cells)
-    found: BoundedMinimum | None = None
+    count, found = len(handle_cells), None
     for number, level in enumerate(levels):
         finer = len(levels) - 1 - number
         # The handles' nodes hold 1 and 0, shared where coarse cells share nodes.
@@ -222,10 +217,9 @@ def minimize_bounded(
     """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
 
     Projected Newton [1]_: entries at a bound that are pushed outward stay, the others take the Newton step
-    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. A column is
-    done when its scaled residual is at most `tolerance`, or after `max_steps`; the meter counts the steps of
-    all columns. Entries of `start` (N, K), in [0, 1], at a bound stay there in the first step. Without one it
-    is A^-1 b, clipped. Raises numpy.linalg.LinAlgError when A is not positive definite.
+    A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. Columns are
+    done at scaled residuals of `tolerance`, or after `max_steps`. The start (N, K) is A^-1 b, clipped, when
+    omitted. Raises numpy.linalg.LinAlgError when A is not positive definite.
 
     .. [1] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints",
        SIAM J. Control and Optimization 20(2), 1982, section 2.

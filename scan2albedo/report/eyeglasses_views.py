@@ -41,10 +41,8 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
 
     drawn = frames[:MOST_SHOWN]
     before = [transform_points(c.canonical_from_frame, c.scale * given) for _, given, c in drawn]
-    moved = [
-        np.linalg.norm(canonical.vertices - placed, axis=1)
-        for (_, _, canonical), placed in zip(drawn, before, strict=True)
-    ]
+    pairs = zip(drawn, before, strict=True)
+    moved = [np.linalg.norm(canonical.vertices - placed, axis=1) for (_, _, canonical), placed in pairs]
     most = max(float(m.max()) for m in moved)
     views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
     panels = []
@@ -58,9 +56,8 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
         states = ((f"{name}\nas given", placed, canonical.weights @ hues), (how, canonical.vertices, heat))
         for view, side in zip(views, ("front", "above"), strict=True):
             for title, vertices, color in states:
-                picture = render_mesh(
-                    vertices, canonical.faces, vertex_color_srgb=color, view=view, size=_SIZE
-                )
+                mesh = vertices, canonical.faces
+                picture = render_mesh(*mesh, vertex_color_srgb=color, view=view, size=_SIZE)
                 panels.append(Panel(f"{title}; {side}", picture, view.pixels(dots, _SIZE)))
     return panels
 
@@ -70,8 +67,7 @@ def registration_panels(
 ) -> list[Panel]:
     """Return a panel for each view, two of the frame's standard deviation, and one on the head if any.
 
-    Orange is the registered frame's outline, blue where the head hides it; green labels fit, red ones are
-    outliers, as are vertices that are not observed.
+    Orange is the frame's outline, blue where the head hides it; red are outliers and what is not observed.
     """
     from matplotlib.colors import to_rgb
 
@@ -126,9 +122,8 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     # The mask grey on black, the outside of the picture white.
     mask = np.zeros(given_camera.shape, bool) if given_mask is None else given_mask
     shift, size = zoom[[1, 0], 2], (_SIZE, _SIZE)
-    gray = affine_transform(
-        0.5 * mask, [1 / scale] * 2, -shift / scale, size, order=1, mode="grid-constant", cval=1.0
-    )
+    map_back = [1 / scale] * 2, -shift / scale, size
+    gray = affine_transform(0.5 * mask, *map_back, order=1, mode="grid-constant", cval=1.0)
     picture = np.repeat(np.round(255 * gray).astype(np.uint8)[:, :, None], 3, axis=2)
     # Where the frame is seen, and where the head is in front of it.
     shown = seen_samples(frame.vertices, frame.faces, normalized_cameras((zoom @ camera)[None])[0], size)

@@ -89,10 +89,8 @@ def insert_lens(
         rim = replace(rim, normal=axis, center=middle + cx * plane.across + cy * plane.up)
         radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
         if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
-            raise EyeglassesError(
-                f"its mean radius is {radius:.3g} mm, which no lens has; give everything in millimetres, "
-                "for the power in dioptres depends on it"
-            )
+            said = f"its mean radius is {radius:.3g} mm, which no lens has"
+            raise EyeglassesError(f"{said}; give everything in millimetres, as dioptres depend on it")
         plane = LensPlane.at(rim.center, rim.normal)
         outward = plane.directions(plane.angles(rim.points))
         seated = rim.points + seat_mm * rim.measured[:, None] * outward
@@ -113,10 +111,9 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
     marks = keypoints[wanted]
     missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
     if missing:
-        raise EyeglassesError(
-            f"the {SIDES[side]} lens needs the key points of its rim, but {', '.join(missing)} "
-            f"{'is' if len(missing) == 1 else 'are'} missing; give them, or None in place of this lens"
-        )
+        said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        advice = "give them, or None in place of this lens"
+        raise EyeglassesError(f"the {SIDES[side]} lens needs the key points of its rim, but {said}; {advice}")
     return marks
 
 
@@ -172,10 +169,9 @@ def lens_mesh(
         faces, cross, axis = faces[:, [0, 2, 1]], -cross, -axis
     folded = ~(cross @ axis > 0)
     if folded.any():
-        raise EyeglassesError(
-            f"the rim does not go around the lens centre once: {int(folded.sum())} of {len(faces)} triangles "
-            "fold; move the centre inside, or put the points in order"
-        )
+        said = f"{int(folded.sum())} of {len(faces)} triangles fold"
+        advice = "move the centre inside, or put the points in order"
+        raise EyeglassesError(f"the rim does not go around the lens centre once: {said}; {advice}")
     return vertices, faces
 
 
@@ -197,10 +193,10 @@ def without_glass(
             count = int(panes.sum())
             notes.append(f"the {lens.name}: the frame's own glass there, {count} faces, is left out")
         if is_covered(vertices, faces[kept], plane, marks):
-            notes.append(
-                f"the {lens.name}: the frame covers it, it seems by glass of one piece with the rim, which "
-                "may have been taken for the rim; cut it out of the mesh"
+            said = (
+                "the frame covers it, it seems by glass of one piece with the rim, which may have been taken"
             )
+            notes.append(f"the {lens.name}: {said} for the rim; cut it out of the mesh")
     if not kept.all():
         uv = None if frame.uv is None else np.asarray(frame.uv)
         frame = replace(frame, faces=faces[kept], uv=uv[kept] if uv is not None and uv.ndim == 3 else uv)
@@ -276,8 +272,7 @@ def _cross(
     normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
     heading, before = own.directions[rays], own.origins[rays]
     position = before + heading * distance[:, None]
-    # Rims are not flat: the plane of the thin lens is moved along its normal to where each ray meets the
-    # mesh; otherwise slanting rays would bend far beside it.
+    # Rims are not flat: the thin lens's plane is moved along its normal to where each ray meets the mesh.
     height = ((position - center) @ normal)[:, None] * normal
     mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
     alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)
@@ -290,9 +285,8 @@ def _cross(
     if material.tinting == "filter":
         rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)
     arriving = paths.share[rays]
-    paths.crossings.append(
-        LensCrossings(rays, lens, position, heading, mirrored, arriving * tint, arriving * beta[:, None])
-    )
+    shares = arriving * tint, arriving * beta[:, None]
+    paths.crossings.append(LensCrossings(rays, lens, position, heading, mirrored, *shares))
     paths.share[rays] = arriving * rest
     paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
     if lens.optics.dioptres != 0:

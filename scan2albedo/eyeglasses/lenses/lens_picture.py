@@ -39,8 +39,6 @@ _SEAT_MM = 0.3
 """How far lenses reach into their rims: outlines are exact to 0.2 mm, and no light shall pass between."""
 _BAND = 2**15
 """Rays that are followed at once: a bound on memory."""
-_JUMP_PX = 8.0
-"""Step in depth between neighbouring pixels, in sizes of a pixel there, that is an edge."""
 
 
 @dataclass(frozen=True)
@@ -133,11 +131,9 @@ def insert_lenses(
 
     Notes
     -----
-    - A painted tint is a matte surface in the same light; in a photograph it is taken as it is.
-    - In drawn scenes surfaces and lenses cast shadows (a lens according to its shares, without bending
-      light); in photographs none do, whose shadows stay, and whose background counts as far away.
-    - What lenses mirror is seen past all lenses. Light does not bounce otherwise.
-    - 256 lights are 1 % rms off a reference of 8,192 directions, 64 are 2.5 %; cost grows with them.
+    A painted tint is a matte surface in the same light; in a photograph it is taken as it is. In drawn scenes
+    surfaces and lenses cast shadows; in photographs none do, whose background counts as far away. Light does
+    not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
 
     Examples
     --------
@@ -173,12 +169,9 @@ def insert_lenses(
         middles = list(np.asarray(lens_centers, np.float64))
         if np.shape(lens_centers) != (2, 3):
             raise ValueError(f"lens_centers must have shape (2, 3), got {np.shape(lens_centers)}")
-    mesh = np.asarray(frame.vertices), np.asarray(frame.faces)
-    placed = tuple(
-        insert_lens(*mesh, marks, side, material, center=middles[side], seat_mm=_SEAT_MM)
-        for side, material in enumerate(materials)
-        if material is not None
-    )
+    given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
+    sides = [(side, material) for side, material in enumerate(materials) if material is not None]
+    placed = tuple(insert_lens(*given, k, own, center=middles[k], seat_mm=_SEAT_MM) for k, own in sides)
     bare, glass_notes = without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
     # The rows and columns of the pixels that may see a lens, with one to spare around them.
@@ -276,8 +269,9 @@ class _View:
         edges = np.zeros(shape, bool)
         for axis in (0, 1):
             across, kinds, mark = (np.moveaxis(a, axis, 0) for a in (distance, kind, edges))
-            pixel_mm = np.minimum(across[1:], across[:-1]) / focal
-            step = (kinds[1:] != kinds[:-1]) | (np.abs(across[1:] - across[:-1]) > _JUMP_PX * pixel_mm)
+            # A step in depth of eight pixels' sizes there.
+            least = 8.0 * (np.minimum(across[1:], across[:-1]) / focal)
+            step = (kinds[1:] != kinds[:-1]) | (np.abs(across[1:] - across[:-1]) > least)
             mark[1:] |= step
             mark[:-1] |= step
         edge = np.flatnonzero(edges)

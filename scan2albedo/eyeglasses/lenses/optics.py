@@ -79,9 +79,7 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         if not np.isfinite(array).all():
             raise EyeglassesError(f"{name} holds numbers that are not finite; leave such rays out")
     if not np.isfinite(lens.dioptres):
-        raise EyeglassesError(
-            f"the lens has {lens.dioptres} dioptres, which is not finite; plane glass has 0"
-        )
+        raise EyeglassesError(f"the lens has {lens.dioptres} dioptres, not finite; plane glass has 0")
     if not normal.any():
         raise EyeglassesError("the lens's normal is zero; give the direction of its optical axis")
     normal = normal / np.linalg.norm(normal)
@@ -89,18 +87,16 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     height = from_center @ normal
     flat = np.abs(height) <= _GRAZING * np.linalg.norm(from_center, axis=1)
     if flat.any():
+        share = f"{int(flat.sum())} of {len(flat)} rays"
         raise EyeglassesError(
-            "the camera lies in the plane of the lens, which shows it nothing; move the camera, or leave "
-            f"this lens out of the picture ({int(flat.sum())} of {len(flat)} rays)"
+            f"the camera lies in the plane of the lens ({share}); move it, or leave this lens out"
         )
     heading = normalized(through - origins)
     approach = -np.sign(height) * (heading @ normal)
     astray = np.flatnonzero(approach <= _GRAZING)
     if len(astray):
-        raise EyeglassesError(
-            f"{len(astray)} of {len(through)} rays (the first: {astray[0]}) never reach the lens plane from "
-            "the camera's side; refract only rays that hit the lens"
-        )
+        share = f"{len(astray)} of {len(through)} rays (the first: {astray[0]})"
+        raise EyeglassesError(f"{share} never reach the lens plane from the camera's side; leave them out")
     u = np.abs(height)
     offset = from_center + heading * (u / approach)[:, None]
     bent = offset * (1 - u * float(lens.dioptres) / 1000)[:, None] - from_center
@@ -160,9 +156,7 @@ class LensMaterial:
             if not (share := getattr(self, name)) >= 0:
                 raise EyeglassesError(f"{name} must be 0 or more, got {share}")
         if not self.alpha + self.beta <= 1 + _GRAZING:
-            raise EyeglassesError(
-                f"alpha + beta must be at most 1, got {self.alpha + self.beta:.6g}: lower one of them"
-            )
+            raise EyeglassesError(f"alpha + beta must be at most 1, got {self.alpha + self.beta:.6g}")
 
     @property
     def clear(self) -> bool:

@@ -202,11 +202,6 @@ def find_lens_rim(
     ValueError
         When an array has the wrong shape.
 
-    Notes
-    -----
-    MEGANE's supplement subdivides from the key points throughout; here that is the fallback. Cost: some 130
-    rays a point.
-
     Examples
     --------
     >>> from scan2albedo.synthetic import eyeglasses
@@ -241,10 +236,9 @@ def find_lens_rim(
         runs = np.diff(np.append(hits, hits[:1] + _POINTS)) - 1
         small = len(hits) > 0 and runs.max() * 2 * np.pi / _POINTS <= _LONGEST_GAP_RAD
         if not small and marks is None:
-            raise EyeglassesError(
-                f"no closed rim around the centre {middle.round(2).tolist()}: {(~measured).sum()} of "
-                f"{_POINTS} rays meet nothing near; give rim_points, or check centre and normal"
-            )
+            said = f"{(~measured).sum()} of {_POINTS} rays meet nothing near"
+            where = f"no closed rim around the centre {middle.round(2).tolist()}"
+            raise EyeglassesError(f"{where}: {said}; give rim_points, or check centre and normal")
         gaps, filled = "interpolated", np.zeros((2, _POINTS))
         if not small and marks is not None:
             gaps, filled = "subdivided", subdivide_rim(xyz, plane, marks, angles)
@@ -262,17 +256,16 @@ def shoot_rim(
 ) -> FloatArray:
     """Return the profile (2, R) of the inner edge at ascending even angles (R,), NaN where there is none.
 
-    Of rays at several heights the one that meets the rim first meets its inner edge; then the heights next to
-    it are searched. The lens radius is roughly known, or the median of what rays in the plane hit.
+    Of rays at several heights the one that meets the rim first meets its inner edge; its surroundings are
+    searched then. The lens radius is roughly known, or the median of what rays in the plane hit.
     """
     if lens_radius is None:
         flat = caster.first_hit(np.tile(plane.center, (len(angles), 1)), plane.directions(angles)).distance
         if not np.isfinite(flat).any():
             return np.full((2, len(angles)), np.nan)
         lens_radius = float(np.median(flat[np.isfinite(flat)]))
-    count = len(angles)
+    count, level = len(angles), np.zeros(len(angles))
     half = max(1, round(_WINDOW_RAD * count / (2 * np.pi)))
-    level = np.zeros(count)
     radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH)
     # A plane some degrees off leaves the rim on two sides: sweep again around the tilt that was found.
     known = np.isfinite(radius)

@@ -68,9 +68,7 @@ class Surface:
             if fields[name].shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {fields[name].shape}")
             if not np.isfinite(fields[name]).all():
-                raise EyeglassesError(
-                    f"a surface's {name} hold numbers that are not finite; repair the input first"
-                )
+                raise EyeglassesError(f"a surface's {name} are not finite; repair the input first")
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 

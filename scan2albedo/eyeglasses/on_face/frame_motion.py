@@ -203,9 +203,8 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     shared = 1 - _STRETCH / np.hypot(_STRETCH, np.sqrt(len(bones)) * _SCALE)
     stretch, stretch_rows = stretch - shared * stretch.mean(), stretch_rows - shared * stretch_rows.mean(0)
     # Relative turns R_j R_k^T as axes times angles; derivatives to first order in them.
-    turn_rad = np.select(
-        [_TEMPLE[bones].any(1), _BRIDGE[bones].all(1)], [_TEMPLE_TURN_RAD, _BRIDGE_TURN_RAD], _RIM_TURN_RAD
-    )[:, None]
+    turn_rad = np.where(_BRIDGE[bones].all(1), _BRIDGE_TURN_RAD, _RIM_TURN_RAD)
+    turn_rad = np.where(_TEMPLE[bones].any(1), _TEMPLE_TURN_RAD, turn_rad)[:, None]
     rotations = motion.handles[:, :3, :3]
     relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])
     turn = Rotation.from_matrix(relative).as_rotvec() / turn_rad
@@ -265,9 +264,8 @@ def _point_covariances(rest, weights, positions, turns, keypoints, rotation, ori
     for n in range(count):
         spread[:] = 0.0
         for i in range(3):
-            used = _row(
-                rest[n], weights[n], positions[n], axes[i], turns, keypoints, rotation, origin, row, place
-            )
+            here, way = positions[n], axes[i]
+            used = _row(rest[n], weights[n], here, way, turns, keypoints, rotation, origin, row, place)
             for a in range(used):
                 for p in range(parameters):
                     spread[i, p] += row[a] * root[place[a], p]

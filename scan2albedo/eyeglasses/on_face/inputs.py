@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -86,6 +86,13 @@ class RegisteredEyeglasses:
     plan: Plan
     trace: Trace = Trace()
     """Errors in pixels; `plan` says which steps ran or were left out, and why."""
+    proposed_labels: FloatArray = field(default_factory=lambda: np.zeros((0, 20, 2)))
+    """(C, 20, 2) key points in views whose outline was sought in a picture, where nobody labelled them and
+    it was found around them; NaN elsewhere. Files do not keep what was proposed: C is 0."""
+    proposed_deviation_px: FloatArray = field(default_factory=lambda: np.zeros((0, 20)))
+    """(C, 20) standard deviation of each along each axis of its picture."""
+    proposed_masks: tuple[BoolArray | None, ...] = ()
+    """(H, W) of the frame in these views, None for the others."""
 
     @property
     def unobserved(self) -> tuple[str, ...]:
@@ -108,6 +115,7 @@ class RegistrationInputs:
     weights: FloatArray | None
     views: tuple[ObservedView, ...]
     masks: tuple[BoolArray | None, ...]
+    pictures: tuple[NDArray[Any] | None, ...]
     head: tuple[FloatArray, IntArray] | None
     start: FloatArray | None
     unit: float
@@ -132,6 +140,7 @@ def checked_inputs(
     head: Any | None,
     start: ArrayLike | None,
     shapes: Sequence[tuple[int, int]] | None = None,
+    pictures: Sequence[ArrayLike | None] | None = None,
 ) -> RegistrationInputs:
     """Return the inputs of `register_on_face`, checked; see there for what is raised."""
     if hasattr(glasses, "vertices"):
@@ -162,12 +171,12 @@ def checked_inputs(
             f"{labels.shape} and {matrices.shape}"
         )
     given_masks: list[Any] = [None] * count if masks is None else list(masks)  # type: ignore[arg-type]
-    for name, listed in (("masks", given_masks), ("shapes", shapes)):
+    for name, listed in (("masks", given_masks), ("shapes", shapes), ("pictures", pictures)):
         if listed is not None and len(listed) != count:
             raise ValueError(f"{name} must have one entry for each of {count} cameras, got {len(listed)}")
     unit = 1 / usual_size_factor(keypoints)
     matrices = normalized_cameras(matrices * np.array([unit, unit, unit, 1.0]))
-    views, checked, plan = [], [], []
+    views, checked, shown, plan = [], [], [], []
     for number, (camera, marks, given) in enumerate(zip(matrices, labels, given_masks, strict=True)):
         mask = None if given is None else np.asarray(given) != 0
         shape = None if shapes is None else (int(shapes[number][0]), int(shapes[number][1]))
@@ -176,6 +185,15 @@ def checked_inputs(
         found = marks[labelled]
         if (np.abs(found) > 1e6).any():
             raise EyeglassesError(f"labels of view {number} reach {np.abs(found).max():.3g}: expected pixels")
+        picture = None if pictures is None or pictures[number] is None else np.asarray(pictures[number])
+        if picture is not None:
+            if picture.ndim != 3 or picture.shape[2] != 3 or shape not in (None, picture.shape[:2]):
+                raise ValueError(
+                    f"picture {number} has shape {picture.shape}, expected its view's (H, W, 3): {shape}"
+                )
+            if not np.isfinite(picture).all():
+                raise EyeglassesError(f"picture {number} holds numbers that are not finite")
+            shape = picture.shape[:2]
         if mask is not None:
             if mask.ndim != 2 or min(mask.shape) < 2:
                 raise ValueError(
@@ -197,6 +215,7 @@ def checked_inputs(
                 reason = f"the mask of view {number} {what}: it does not count"
                 plan.append(PlanStep("glasses.mask", False, reason))
         views.append(ObservedView(camera, np.where(labelled[:, None], marks, np.nan), distance, shape))
+        shown.append(picture)
         checked.append(mask)
     skull = None
     if head is not None:
@@ -212,4 +231,6 @@ def checked_inputs(
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
     frame = vertices / unit, faces, keypoints / unit, weights
-    return RegistrationInputs(*frame, tuple(views), tuple(checked), skull, pose, unit, tuple(plan))
+    return RegistrationInputs(
+        *frame, tuple(views), tuple(checked), tuple(shown), skull, pose, unit, tuple(plan)
+    )

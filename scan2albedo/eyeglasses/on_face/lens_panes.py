@@ -20,9 +20,6 @@ from scan2albedo.eyeglasses.on_face.outline import FrameMesh, hidden_by
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 
-_FEWEST = 40
-"""Places of an opening, of 264, that a view must show to say something about it."""
-
 
 @dataclass(frozen=True)
 class RimOpening:
@@ -84,7 +81,8 @@ def fit_lenses_to_masks(
                 pixels, depth = project(camera, places[~hidden_by(head, camera, places)])
                 column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64).T
                 inside = (row >= 0) & (column >= 0) & (row < mask.shape[0]) & (column < mask.shape[1])
-                if inside.sum() >= _FEWEST:
+                # Fewer of the 264 places say nothing.
+                if inside.sum() >= 40:
                     shares[view] = mask[row[inside], column[inside]].mean()
         if np.isnan(shares).all():
             continue
@@ -98,10 +96,8 @@ def fit_lenses_to_masks(
             reason = f"{_views(~shown)} no {name}: the mesh's own is left out of the outline"
             steps.append(PlanStep("glasses.lenses", True, reason, evidence))
         elif opening.sealed and not shown.all():
-            reason = (
-                f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim, which stays; "
-                "cut it out of the mesh"
-            )
+            reason = f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim"
+            reason += ", which stays; cut it out of the mesh"
             steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
         elif shown.any() and not opening.sealed and not len(opening.panes):
             reason = f"{_views(shown)} a {name} that the mesh does not have"

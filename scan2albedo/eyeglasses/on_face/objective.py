@@ -33,7 +33,7 @@ _OFFSET_MM = 0.5
 """How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
 _BIAS_PX = 1.0
 """How far a mask usually reaches beyond the frame, or falls short of it, all around."""
-_VOTE = 1 / 20
+VOTE = 1 / 20
 """Of a pixel of the outline: a mask's errors are alike over 20 pixels, which share one vote."""
 _REWEIGHTINGS = 3
 """Times that offsets and biases are found with the weights of robust errors."""
@@ -208,7 +208,7 @@ class RegistrationObjective:
         return errors
 
     def _add_outlines(self, samples: OutlineSamples, sums: _Sums) -> FloatArray:
-        motion, noise = sums.motion, self.options.outline_noise_px
+        motion, noise = sums.motion, np.hypot(self.options.outline_noise_px, samples.noise_px)
         place = motion.positions(samples.points)
         pixels, slopes, _ = projected(self._cameras[samples.view], place)
         error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
@@ -223,30 +223,31 @@ class RegistrationObjective:
         slope[sought] = np.einsum("ni,nij->nj", outward, slopes[sought])
         lost = ~np.isfinite(error)
         residual, slope[lost] = np.where(lost, 0.0, error) / noise, 0
-        tight = (noise / _BIAS_PX) ** 2
+        slope /= noise[:, None]
         for number in range(len(self.views)):
             mine = np.flatnonzero((samples.view == number) & ~lost)
             if not len(mine):
                 continue
-            bias = 0.0
+            bias, along = 0.0, 1 / noise[mine]
             for _ in range(_REWEIGHTINGS):
-                weight = _VOTE * _huber_weights(residual[mine] - bias)
-                bias = float(weight @ residual[mine] / (weight.sum() + tight))
-            residual[mine] -= bias
-            weight = _VOTE * _huber_weights(residual[mine])
-            error[mine] -= noise * bias
-            sums.cost += tight * bias**2
+                weight = VOTE * _huber_weights(residual[mine] - bias * along)
+                tight = float(weight @ along**2) + 1 / _BIAS_PX**2
+                bias = float((weight * along) @ residual[mine]) / tight
+            residual[mine] -= bias * along
+            weight = VOTE * _huber_weights(residual[mine])
+            error[mine] -= bias
+            sums.cost += (bias / _BIAS_PX) ** 2
             if sums.with_matrix:
                 # What the bias takes from the matrix: all values may be off by one amount.
-                terms = slope[mine] / noise, np.ones(len(weight)), weight
+                terms = slope[mine], along, weight
                 common, _ = motion.raw_sums(samples.points[mine], place[mine], *terms, with_matrix=False)
-                sums.matrix -= np.outer(common, common) / (weight.sum() + tight)
+                sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / _BIAS_PX**2)
         size = np.abs(residual)
         cost = np.where(size > _ROBUST, _ROBUST * (2 * size - _ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
-        cost[lost] = _ROBUST * 2 * REACH_PX / noise
-        sums.add(samples.points, place, slope / noise, residual, _VOTE * _huber_weights(residual))
-        sums.cost += float(_VOTE * cost.sum())
+        cost[lost] = _ROBUST * 2 * REACH_PX / noise[lost]
+        sums.add(samples.points, place, slope, residual, VOTE * _huber_weights(residual))
+        sums.cost += float(VOTE * cost.sum())
         return error
 
 

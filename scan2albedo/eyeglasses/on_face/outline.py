@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.cluster.vq import vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.special import expit, logsumexp
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
@@ -19,18 +22,16 @@ from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
-_NEAR_PX = 5.0
-"""Nearer ones are left out where the frame's place is known better: beyond this and three deviations."""
 _MARGIN_PX = 96
 """How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
 """Pixels each way whose uncovered ones show where outside is."""
 _FACING = 0.3
 """Least cosine between where outside is for the frame's outline and for the observed one."""
-_ABOVE_SKIN_MM = 1.0
-"""The head hides points more than this behind its surface: frames rest on the skin."""
-_HEAD_MARGIN_PX = 4.0
-"""Pixels of the outline this near to where the head hides the frame are left out."""
+_SIDE_PX = 12
+"""How much of both sides of an outline is compared with a picture."""
+_ALIKE_PX = 3.0
+"""Over which a picture's pixels are alike: together they say as much as one."""
 
 
 @dataclass(frozen=True)
@@ -99,13 +100,23 @@ def search_edges(
 class ObservedView:
     """One picture: its camera (3, 4), normalised, labels (K, 2), NaN for missing ones, and shape (H, W).
 
-    `distance` is None without a usable mask, `shape` where neither a mask nor the caller says.
+    `distance` is None without a usable mask, `shape` where neither a mask nor the caller says. `colors`
+    (H, W) are groups of colours, only where a picture stands in for a mask.
     """
 
     camera: FloatArray
     labels: FloatArray
     distance: MaskDistance | None
     shape: tuple[int, int] | None
+    colors: IntArray | None = None
+
+    @property
+    def outlined(self) -> bool:
+        """Whether a mask or a picture shows where the frame ends."""
+        return self.distance is not None or self.colors is not None
+
+
+Views = tuple[ObservedView, ...]
 
 
 @dataclass(frozen=True)
@@ -113,13 +124,17 @@ class OutlineSamples:
     """Points of the frame that make its outlines, and the `view` (N,) of each.
 
     `edges` (N, 2) are pixels where the mask ends beside the sample, NaN where its distance to the mask
-    counts, `outward` (N, 2) unit vectors away from the frame.
+    counts, `outward` (N, 2) unit vectors away from the frame. `noise_px` (N,) are standard deviations of
+    edges that were found in a picture, 0 for masks; `share` (C, K) is that of the outline nearest to each key
+    point that was found, of what the head does not hide.
     """
 
     view: IntArray
     points: SkinnedPoints
     edges: FloatArray
     outward: FloatArray
+    noise_px: FloatArray
+    share: FloatArray
 
     def __len__(self) -> int:
         return len(self.view)
@@ -138,7 +153,8 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
     if head is None:
         return np.zeros(len(points), bool)
     toward = camera_centers(camera[None])[0] - points
-    return head.occluded(points + _ABOVE_SKIN_MM * normalized(toward), toward)
+    # From 1 mm above, for frames rest on the skin.
+    return head.occluded(points + normalized(toward), toward)
 
 
 def trace_outline(seen: SeenSamples) -> tuple[IntArray, FloatArray]:
@@ -159,15 +175,81 @@ def trace_outline(seen: SeenSamples) -> tuple[IntArray, FloatArray]:
     return which[some], normalized(outward[some].astype(np.float64))
 
 
+def grouped_colors(picture: NDArray[Any], around: FloatArray) -> IntArray:
+    """Return (H, W) groups of the colours of a picture (H, W, 3), made for those near pixels (N, 2).
+
+    k-means in the picture's own values, 24 means: frame, skin, eyes and hair, each in light and in shadow.
+    """
+    height, width = picture.shape[:2]
+    inside = np.isfinite(around).all(1)
+    if not inside.any():
+        return np.zeros((height, width), np.int64)
+    box = [around[inside].min(0), around[inside].max(0)]
+    low, high = np.clip(box, 0, [width - 1, height - 1]).astype(int)
+    values = np.asarray(picture, np.float64).reshape(-1, 3)
+    near = np.asarray(picture[low[1] : high[1] + 1, low[0] : high[0] + 1], np.float64).reshape(-1, 3)
+    some = near[:: max(1, len(near) // 8000)]
+    some = some[np.argsort(some.sum(1), kind="stable")]
+    centers = some[np.linspace(0, len(some) - 1, 24).astype(int)]
+    for _ in range(10):
+        group = vq(some, centers)[0]
+        counts = np.bincount(group, minlength=len(centers))
+        sums = np.stack([np.bincount(group, some[:, k], len(centers)) for k in range(3)], 1)
+        centers = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], centers)
+    return vq(values, centers)[0].reshape(height, width).astype(np.int64)
+
+
+def color_odds(colors: IntArray, frame: BoolArray, part: BoolArray | None = None) -> FloatArray:
+    """Return (H, W) log odds that a pixel of its colour shows the frame rather than what is around it.
+
+    Both are learned from the picture: from pixels where the `frame` (H, W) is projected to, and from those
+    around it, or around a `part` (H, W) of it.
+    """
+    near = binary_dilation(frame if part is None else part, iterations=2 * _SIDE_PX) & ~frame
+    counts = [1.0 + np.bincount(colors[where], minlength=colors.max() + 1) for where in (frame, near)]
+    inside, outside = (np.log(count / count.sum()) for count in counts)
+    return np.asarray((inside - outside)[colors])
+
+
+def search_colors(
+    odds: FloatArray, frame: BoolArray, pixels: FloatArray, outward: FloatArray, reach_px: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return where along `outward` (N, 2) a picture has the outline that the projection has at `pixels`.
+
+    The frame's profile m(s) across the outline, 1 where it is seen, is laid on log odds o of the picture:
+
+        p(d) ~ N(d; 0, reach / 3) exp(sum over |s| <= 12 px of (m(s) - 1/2) o(s + d)),
+
+    so that a rim is met by both its sides. Returns mean and standard deviation (N,) of d in px, and the
+    probability (N,) that the frame is there at all, as likely beforehand as that something hides it: the odds
+    of the two are the mean over d of exp(sum of m(s) o(s + d)).
+    """
+    farthest = int(np.ceil(reach_px.max(initial=1.0)))
+    side, ways = np.arange(-_SIDE_PX, _SIDE_PX + 1.0), np.arange(-farthest, farthest + 1.0)
+    along = np.arange(ways[0] + side[0], ways[-1] + side[-1] + 1)
+
+    def across(image: NDArray[np.floating], where: FloatArray) -> FloatArray:
+        places = pixels[:, None] + where[:, None] * outward[:, None]
+        return bilinear(image[..., None], places.reshape(-1, 2)).reshape(len(pixels), -1)
+
+    profile, seen = across(frame.astype(np.float64), side), across(odds / _ALIKE_PX, along)
+    windows = np.lib.stride_tricks.sliding_window_view(seen, len(side), axis=1)
+    prior = -((ways / np.maximum(reach_px / 3, 0.5)[:, None]) ** 2) / 2
+    prior -= np.log(np.exp(prior).sum(1, keepdims=True))
+    # All in the frame's colours or all in others is no edge, and every frame is one against its surroundings.
+    place, there = (np.einsum("ns,nds->nd", profile - less, windows) + prior for less in (0.5, 0.0))
+    chance = np.exp(place - place.max(1, keepdims=True))
+    chance /= chance.sum(1, keepdims=True)
+    mean = chance @ ways
+    spread = np.sqrt(np.maximum(chance @ ways**2 - mean**2, 0.0) + 1 / 12)
+    return mean, spread, np.asarray(expit(logsumexp(there, axis=1)))
+
+
 class OutlineSampler:
     """Traces the outlines of a moving frame, with the head, if any, in front of it."""
 
     def __init__(
-        self,
-        mesh: FrameMesh,
-        views: tuple[ObservedView, ...],
-        head: RayCaster | None,
-        shown: tuple[IntArray, ...] | None = None,
+        self, mesh: FrameMesh, views: Views, head: RayCaster | None, shown: tuple[IntArray, ...] | None = None
     ) -> None:
         """`shown` are the faces that each view's mask shows, all of them when omitted."""
         self.mesh, self.views, self.head = mesh, views, head
@@ -181,48 +263,77 @@ class OutlineSampler:
         points = self.mesh.points
         vertices = motion.positions(points)
         # View, places at rest, weights, edges, outward.
-        none = np.zeros(0, np.int64), np.zeros((0, 3)), points.weights[:0], *np.zeros((2, 0, 2))
+        none = np.zeros(0, np.int64), np.zeros((0, 3)), points.weights[:0], *np.zeros((2, 0, 2)), np.zeros(0)
         parts: list[tuple[NDArray[Any], ...]] = [none]
+        count = points.weights.shape[1]
+        share = np.full((len(self.views), count), np.nan)
         for number, (view, faces) in enumerate(zip(self.views, self.shown, strict=True)):
-            if view.distance is None or view.shape is None:
+            if not view.outlined or view.shape is None:
                 continue
-            camera = view.camera
+            camera, behind = view.camera, BEHIND[points.weights.argmax(1)]
             seen = seen_samples(vertices, faces, camera, view.shape)
+            shown = seen
             which, outward = trace_outline(seen)
             seen = seen.chosen(which)
             foremost = seen.corners[:, 0]
             px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
             reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
-            reach = np.minimum(_NEAR_PX + reach, REACH_PX)
-            # Where the nearest border of the mask has its outside on the same side, its distance counts;
-            # elsewhere, such as at the end of a temple that is too short, a search across the outline does.
+            reach = np.minimum(5.0 + reach, REACH_PX)
+            # Where the mask's nearest border faces the same way its distance counts, else a search across it.
             place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
-            distance, slope = view.distance.sample(place)
-            facing = np.einsum("ni,ni->n", slope, outward)
-            # Points nearer to the picture's border than to the observed outline may have it outside.
             border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
             limit = np.minimum(reach, border + 0.5)
-            with np.errstate(invalid="ignore"):
-                near = np.abs(distance) <= limit
-                near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
-            edges, lost = np.full((len(place), 2), np.nan), np.flatnonzero(~near)
-            way = search_edges(view.distance, place[lost], outward[lost], limit[lost])
-            edges[lost] = place[lost] + way[:, None] * outward[lost]
-            kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
-            # Points that the head hides, or a ray some pixels beside them.
-            if self.head is not None and len(kept):
-                world = seen.chosen(kept).interpolated(vertices)
+            edges, noise = np.full((len(place), 2), np.nan), np.zeros(len(place))
+            if view.distance is None and view.colors is not None:
+                # Skin is around the front, hair around the temples: the same colour says another thing.
+                shown = shown.chosen(~hidden_by(self.head, camera, shown.interpolated(vertices)))
+                frame, chance = np.zeros(view.shape, bool), np.zeros(len(place))
+                frame.flat[shown.index] = True
+                for side in (False, True):
+                    mine, part = np.flatnonzero(behind[foremost] == side), np.zeros(view.shape, bool)
+                    part.flat[shown.index[behind[shown.corners[:, 0]] == side]] = True
+                    if len(mine) and part.any():
+                        odds = color_odds(view.colors, frame, part)
+                        given = frame, place[mine], outward[mine], limit[mine]
+                        edges[mine, 0], noise[mine], chance[mine] = search_colors(odds, *given)
+                way = edges[:, 0].copy()
+                kept = np.flatnonzero(chance > 0.5)
+                edges = place + way[:, None] * outward
+            elif view.distance is not None:
+                distance, slope = view.distance.sample(place)
+                facing = np.einsum("ni,ni->n", slope, outward)
+                # Points nearer to the picture's border than to the observed outline may have it outside.
+                with np.errstate(invalid="ignore"):
+                    near = np.abs(distance) <= limit
+                    near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
+                lost = np.flatnonzero(~near)
+                way = search_edges(view.distance, place[lost], outward[lost], limit[lost])
+                edges[lost] = place[lost] + way[:, None] * outward[lost]
+                kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
+            # Points that the head hides, or a ray four pixels beside them.
+            owner = owner_of = points.weights.argmax(1)[foremost]
+            if self.head is not None and len(place):
+                world = seen.interpolated(vertices)
                 hidden = hidden_by(self.head, camera, world)
                 center = camera_centers(camera[None])[0]
                 far = np.linalg.norm(world - center, axis=1)[:, None]
                 for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                    ray = pixel_directions(camera, place[kept] + _HEAD_MARGIN_PX * np.array(step))
+                    ray = pixel_directions(camera, place + 4.0 * np.array(step))
                     hidden |= hidden_by(self.head, camera, center + far * ray)
-                kept = kept[~hidden]
+                kept = kept[~hidden[kept]]
+                owner = owner[~hidden]
+            of_each = [np.bincount(which, minlength=count) for which in (owner_of[kept], owner)]
+            with np.errstate(invalid="ignore"):
+                share[number] = of_each[0] / of_each[1]
+            if view.distance is None:
+                # A stretch of the frame is there or hidden: what is found of a hidden one is something else.
+                kept = kept[share[number, owner_of[kept]] > 0.5]
             rest, weights = (seen.chosen(kept).interpolated(a) for a in (points.rest, points.weights))
-            parts.append((np.full(len(kept), number), rest, weights, edges[kept], outward[kept]))
-        number_of, rest, weights, edges, outward = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward)
+            own = np.full(len(kept), number), rest, weights, edges[kept], outward[kept], noise[kept]
+            parts.append(own)
+        columns = zip(*parts, strict=True)
+        number_of, rest, weights, edges, outward, noise = (np.concatenate(part) for part in columns)
+        return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward, noise, share)
 
     def mask(self, motion: FrameMotion, number: int) -> tuple[BoolArray, IntArray]:
         """Return (H, W) True where a view should show the frame, the head in front, and a vertex there."""

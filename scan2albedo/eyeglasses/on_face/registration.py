@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
     FaceRegistrationOptions,
@@ -27,11 +28,25 @@ from scan2albedo.eyeglasses.on_face.objective import (
     RegistrationObjective,
     descend,
 )
-from scan2albedo.eyeglasses.on_face.outline import REACH_PX, FrameMesh, OutlineSampler
+from scan2albedo.eyeglasses.on_face.outline import (
+    REACH_PX,
+    FrameMesh,
+    ObservedView,
+    OutlineSampler,
+    color_odds,
+    grouped_colors,
+)
 from scan2albedo.eyeglasses.on_face.report import WORN_MM, depth_open, mark_deviations, report
-from scan2albedo.eyeglasses.on_face.start_poses import require_unmirrored, starting_poses
+from scan2albedo.eyeglasses.on_face.start_poses import (
+    LEANS_RAD,
+    place_in_pictures,
+    poses_on_face,
+    require_unmirrored,
+    starting_poses,
+    states_of,
+)
 from scan2albedo.eyeglasses.weights import solve_weights
-from scan2albedo.geometry.pinhole import camera_centers
+from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
@@ -39,6 +54,10 @@ from scan2albedo.geometry.thinning import thinned
 _RESOLUTION_MM = 2.0
 """Deviation of depth up to which a frame need not rest on the nose, and cells in which the head's vertices
 are joined."""
+
+_FOUND = 0.9
+"""Share of the front's outline from which a frame counts as found in pictures: they show .96 and more of one
+that is there, .4 to .77 where the frame was painted out."""
 
 
 def register_on_face(
@@ -51,6 +70,7 @@ def register_on_face(
     head: Any | None = None,
     start: ArrayLike | None = None,
     shapes: Sequence[tuple[int, int]] | None = None,
+    pictures: Sequence[ArrayLike | None] | None = None,
     options: FaceRegistrationOptions = FaceRegistrationOptions(),
     on_progress: ProgressCallback | None = None,
 ) -> RegisteredEyeglasses:
@@ -82,9 +102,13 @@ def register_on_face(
         What may hide the frame, such as the fitted face: an object with vertices and faces, or a tuple of
         them, in the cameras' frame.
     start : (4, 4) array_like, optional
-        `world_from_glasses`, about; needed only where the labels fix no pose.
+        `world_from_glasses`, about; needed only where the labels fix no pose, and there is no head in the
+        face model's frame with pictures or masks, on which the frame is put otherwise.
     shapes : sequence of C (H, W), optional
         Of the pictures: where a view has no mask, they determine which of the frame's points lie outside.
+    pictures : sequence of C (H, W, 3) array_like, or None, optional
+        Photographs, in sRGB values; of views without a mask they show where the frame ends, and
+        `proposed_labels` and `proposed_masks` of the result come from them.
     options : FaceRegistrationOptions
     on_progress : callable, optional
         Called with each row of the trace.
@@ -99,10 +123,9 @@ def register_on_face(
 
     Notes
     -----
-    Deviations hold for a mesh of the frame itself, true to about a percent. They count labels that miss the
-    key point alike in all views (0.5 mm) and masks that are too wide or too narrow throughout (1 px). Masks
-    that contradict good labels are left aside. Li et al. (supplement, equation S3) minimise a rendered
-    segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
+    Deviations hold for a mesh true to about a percent, labels that miss the key point alike in all views
+    (0.5 mm) and masks too wide or too narrow throughout (1 px). Li et al. (supplement, equation S3) minimise
+    a rendered segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
 
     Examples
     --------
@@ -116,7 +139,7 @@ def register_on_face(
     True
     """
     meter = Meter("glasses", "px", Budget.of(budget), on_progress)
-    given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes)
+    given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes, pictures)
     with threadpool_limits(1, "blas"):
         # Matrices of 66 rows: more threads only wait for each other.
         return _Registration(given, options, meter).run()
@@ -129,6 +152,7 @@ class _Registration:
         self.given, self.options, self.meter = given, options, meter
         self.steps: list[PlanStep] = list(given.plan)
         self.bend_found = True
+        self.unseen: FrameEstimate | None = None
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         if given.weights is not None:
             self._note("weights", False, "the glasses bring their own")
@@ -159,26 +183,33 @@ class _Registration:
 
     def run(self) -> RegisteredEyeglasses:
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
-        return report(
-            self.given,
-            self.sampler,
-            self.objective,
-            replace(found, converged=found.converged and not self.meter.out_of_time),
-            bend_found=self.bend_found,
-            meter=self.meter,
-            plan=Plan(tuple(self.steps)),
-        )
+        found = replace(found, converged=found.converged and not self.meter.out_of_time)
+        rest: Any = {"bend_found": self.bend_found, "meter": self.meter, "plan": Plan(tuple(self.steps))}
+        return report(self.given, self.sampler, self.objective, found, **rest)
 
     def _note(self, step: str, ran: bool, reason: str, evidence: str = "") -> None:
         self.steps.append(PlanStep(f"{self.meter.stage}.{step}", ran, reason, evidence))
 
     def _find_pose(self) -> FrameEstimate:
         given, options = self.given, self.options
-        starts = starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
         rigid = partial(self.objective.linearize, samples=None, rigid=True)
         if not given.labelled:
-            self._note("pose", False, "no key point is labelled: the start is taken as given")
-            return FrameEstimate(starts[0], rigid(starts[0]), True)
+            if given.start is None:
+                starts, where = poses_on_face(given), "the head puts it on its nose"
+            else:
+                starts, where = states_of([given.start], given.keypoints), "the start is taken as given"
+            self._note("pose", False, f"no key point is labelled: {where}")
+            unseen = FrameEstimate(starts[len(starts) // 2], rigid(starts[len(starts) // 2]), True)
+            self._look_at_pictures(unseen.state)
+            if not any(view.colors is not None for view in self.objective.views):
+                return unseen
+            self.unseen = unseen
+            seen = given.keypoints, self.objective.views, self.sampler.head
+            state, spread_mm, gain = place_in_pictures(starts, self.sampler.mesh, *seen)
+            evidence = f"{gain:.0f} nats a view; known to {', '.join(f'{s:.1f}' for s in spread_mm)} mm"
+            self._note("pictures", True, "placed where its projection parts the colours best", evidence)
+            return FrameEstimate(state, rigid(state), True)
+        starts = starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
         first = min(starts, key=lambda state: rigid(state).cost)
         self.meter.count(len(starts))
         found = self._fit_labels("pose", rigid, first)
@@ -189,10 +220,35 @@ class _Registration:
             require_unmirrored(given, options, error_px)
         return found
 
+    def _look_at_pictures(self, state: FrameState) -> None:
+        """Let pictures stand in for masks, their colours grouped around where the frame is about."""
+        motion, views = self.objective.motion(state), []
+        place = motion.positions(self.sampler.mesh.points)
+        for view, picture in zip(self.given.views, self.given.pictures, strict=True):
+            colors = None
+            if view.distance is None and picture is not None:
+                colors = grouped_colors(picture, project(view.camera, place)[0])
+            views.append(replace(view, colors=colors))
+        self._watch(tuple(views))
+
+    def _unfound(self, evidence: str) -> FrameEstimate | None:
+        """Leave pictures aside that do not show the frame; return where it was before they were looked at."""
+        reason = "the frame is not found in the pictures: nothing is proposed; label key points"
+        self.steps.append(PlanStep.doubt("glasses.pictures", reason, evidence))
+        self._watch(tuple(replace(view, colors=None) for view in self.given.views))
+        return self.unseen
+
+    def _watch(self, views: tuple[ObservedView, ...]) -> None:
+        """Take other views from here on."""
+        given, sampler = self.given.keypoints, self.sampler
+        self.given = replace(self.given, views=views)
+        self.objective = RegistrationObjective(given, views, self.options, self.objective.contact)
+        self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
+
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
         if not (self.options.bend and self.given.labelled):
-            reason = "no key point is labelled" if self.options.bend else "the frame stays as it is"
-            self._note("key_points", False, reason)
+            why = "no key point is labelled" if self.options.bend else "the frame stays as it is"
+            self._note("key_points", False, why)
             return before
         if self.meter.exhausted and not self.meter.out_of_time:
             self._note("key_points", False, "the budget has ended")
@@ -239,16 +295,21 @@ class _Registration:
         return found
 
     def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
-        if not any(view.distance is not None for view in self.given.views):
-            self._note("outlines", False, "no view has a mask")
+        if self.given.labelled and any(picture is not None for picture in self.given.pictures):
+            self._look_at_pictures(before.state)
+        if not any(view.outlined for view in self.given.views):
+            self._note("outlines", False, "no view has a mask or a picture")
             return before
         if self.meter.exhausted:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
         # Lenses are taken out of the outline, or put in, as each view's mask shows them.
         views = self.given.views
-        masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
         motion, cameras = self.objective.motion(before.state), [view.camera for view in views]
+        masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
+        for number, view in enumerate(views):
+            if view.colors is not None:
+                masks[number] = color_odds(view.colors, self.sampler.mask(motion, number)[0]) > 0
         given = self.sampler.mesh, motion, cameras, masks, self.sampler.head
         mesh, shown, steps = fit_lenses_to_masks(*given)
         self.steps += steps
@@ -258,6 +319,10 @@ class _Registration:
         known = self.given.known
         # What labels leave open: outlines that have found a wrong place would call it certain.
         deviation_mm = mark_deviations(self.given, motion, before.at)
+        if not self.given.labelled and any(view.colors is not None for view in views):
+            lever = np.linalg.norm(np.nan_to_num(self.given.keypoints - motion.center), axis=1)
+            # Half the step between the slopes that were tried.
+            deviation_mm = float(np.diff(LEANS_RAD).max()) / 2 * lever
         # One clock for all tracings: the rows of a stage count from its start.
         meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
         while len(moves) < 10 and not settled and not meter.exhausted:
@@ -266,17 +331,18 @@ class _Registration:
                 self.meter.merge(meter)
                 reach = f"{REACH_PX:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
-                return found
+                lost = self._unfound(reach) if any(view.colors is not None for view in views) else None
+                return lost or found
             start = found.state
-            found = descend(
-                partial(self.objective.linearize, samples=samples, rigid=not self.options.bend),
-                start,
-                meter,
-                steps=6,
-                tolerance=1e-3,
-                error="mean_outline_px",
-            )
+            # Without labels the first outlines may be beside the true ones: bends would follow them.
+            rigid = not (self.options.bend and (self.given.labelled or len(moves) > 2))
+            linearize = partial(self.objective.linearize, samples=samples, rigid=rigid)
+            found = descend(linearize, start, meter, steps=6, tolerance=1e-3, error="mean_outline_px")
             first = found.at.mean_outline_px if not moves else first
+            if not self.given.labelled and self.options.bend:
+                # What is open to bends so far is looked for farther away.
+                at = self.objective.linearize(found.state, samples)
+                deviation_mm = mark_deviations(self.given, self.objective.motion(found.state), at)
             # The longest way of a key point, in its standard deviations: half of one has settled. It may
             # grow once, for tracing jumps from pixel to pixel.
             places = []
@@ -286,19 +352,24 @@ class _Registration:
             deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
             moves.append(float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max()))
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
-            settled = moves[-1] < 0.5 or increases > 1
+            settled = (moves[-1] < 0.5 or increases > 1) and rigid != self.options.bend
             found = replace(found, converged=settled)
         self.meter.merge(meter)
         evidence = f"{first:.2f} -> {found.at.mean_outline_px:.2f} px"
         self._note("outlines", True, f"traced {len(moves)} times", evidence)
+        watched = [number for number, view in enumerate(views) if view.colors is not None]
+        if watched:
+            share = np.ma.masked_invalid(samples.share[watched][:, ~BEHIND & known])
+            found_of = share.mean(1).filled(0.0)
+            shares = ", ".join(f"view {n} {part:.0%}" for n, part in zip(watched, found_of, strict=True))
+            evidence = f"of the front's outline: {shares}"
+            if float(found_of.mean()) < _FOUND:
+                return self._unfound(evidence) or before
+            self._note("pictures", True, "the frame is found in the pictures", evidence)
         labels = before.at.median_label_px, found.at.median_label_px
         if labels[1] > max(2 * labels[0], self.options.label_noise_px):
             evidence = f"labels {labels[0]:.1f} -> {labels[1]:.1f} px"
             self._note("masks", False, "they disagree with the labels and are left aside", evidence)
-            views = tuple(replace(view, distance=None) for view in views)
-            self.given = replace(self.given, views=views)
-            contact, sampler = self.objective.contact, self.sampler
-            self.objective = RegistrationObjective(self.given.keypoints, views, self.options, contact)
-            self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
+            self._watch(tuple(replace(view, distance=None, colors=None) for view in views))
             return before
         return found

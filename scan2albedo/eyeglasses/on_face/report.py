@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
-from scipy.special import erfinv
+from scipy.special import erfinv, log_ndtr
 
 from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -15,10 +15,10 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion
 from scan2albedo.eyeglasses.on_face.inputs import OBSERVED_MM, RegisteredEyeglasses, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.objective import FrameEstimate, Linearization, RegistrationObjective
-from scan2albedo.eyeglasses.on_face.outline import ObservedView, OutlineSampler, hidden_by
+from scan2albedo.eyeglasses.on_face.outline import ObservedView, OutlineSampler, color_odds, hidden_by
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.pinhole import camera_centers, project
+from scan2albedo.geometry.pinhole import camera_centers, project, projected
 
 _MODEL_MM, _MODEL_BENT = 0.06, 0.21
 """What key points and weights cannot follow: at rest, and where they shift by 1 mm; it grows as the root."""
@@ -32,8 +32,6 @@ WORN_MM = 40.0
 """Distance of the frame from the head beyond which nobody wears it."""
 _LEAST_NOISE_PX = 0.3
 """Below it pixels and the bend's model limit the accuracy, not labels."""
-_PATCH_PX = 25.0
-"""Pixels by which a key point's surroundings may differ: a patch as wide as a temple is more."""
 
 
 def report(
@@ -74,7 +72,7 @@ def report(
     covariances = motion.covariances(marks, root)
     # Pictures from one place leave more open than the matrix says.
     inflation = 1.0
-    if used := [v for v in given.views if v.distance is not None or np.isfinite(v.labels).all(1).any()]:
+    if used := [v for v in given.views if v.outlined or np.isfinite(v.labels).all(1).any()]:
         centers = camera_centers(np.stack([view.camera for view in used]))
         away = np.linalg.norm(keypoints[given.known].mean(0) - centers[0])
         if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
@@ -102,7 +100,33 @@ def report(
         if mask is not None and view.distance is not None:
             iou[number], here = compare_masks(sampler, motion, number, mask, outline_px)
             differing = np.maximum(differing, here)
-    wrong = (differing > _PATCH_PX) & given.known
+    # More pixels than 25 are a patch as wide as a temple.
+    wrong = (differing > 25) & given.known
+
+    # What pictures show: the key points whose surroundings were found there, and the frame's pixels.
+    proposed, proposed_px = (np.full((count, len(keypoints), *size), np.nan) for size in ((2,), ()))
+    masks: list[BoolArray | None] = [None] * count
+    scale = mark_deviation**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12)
+    proposals = []
+    for number, view in enumerate(given.views):
+        if view.colors is None:
+            continue
+        pixels, slopes, _ = projected(view.camera[None], keypoints)
+        spread = np.einsum("kij,kjl,kml->kim", slopes, covariances, slopes)
+        spread *= scale[:, None, None]
+        sought = marks_visible[number] & np.isnan(view.labels).any(1) & (mark_deviation <= OBSERVED_MM)
+        with np.errstate(invalid="ignore"):
+            sought &= samples.share[number] > 0.5
+        proposed[number, sought] = pixels[sought]
+        proposed_px[number, sought] = np.sqrt(scale * np.trace(spread, axis1=1, axis2=2) / 2)[sought]
+        sure = [f"{KEY_POINT_NAMES[k]} {proposed_px[number, k]:.1f}" for k in np.flatnonzero(sought)]
+        reason = f"{len(sure) or 'no'} key points of view {number} are proposed from its picture"
+        evidence = f"standard deviations in px: {', '.join(sure)}" if sure else ""
+        proposals.append(PlanStep("glasses.proposed", bool(sure), reason, evidence))
+        # Bayes: of a pixel's distance from the outline, as sure as the outline is, and of its colour.
+        frame, _ = sampler.mask(motion, number)
+        inward = (distance_transform_edt(frame) - distance_transform_edt(~frame)) / outline_px
+        masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
 
     rows = []
     if depth > OBSERVED_MM:
@@ -127,7 +151,7 @@ def report(
     if wrong.any():
         names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
         rows.append(("contradicted", "masks show them elsewhere or not at all", names))
-    said = [PlanStep.doubt(f"glasses.{step}", reason, evidence) for step, reason, evidence in rows]
+    said = proposals + [PlanStep.doubt(f"glasses.{row[0]}", *row[1:]) for row in rows]
     hidden = given.known & ~marks_visible.any(0)
     uncertain = given.known & ~hidden & (mark_deviation > OBSERVED_MM)
     for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
@@ -159,6 +183,9 @@ def report(
         inliers=at.labels_px <= 3 * options.label_noise_px,
         outline_rms_px=outline_rms,
         iou=iou,
+        proposed_labels=proposed,
+        proposed_deviation_px=proposed_px,
+        proposed_masks=tuple(masks),
         converged=found.converged,
         iterations=meter.evaluations,
         plan=plan + said,

@@ -1,35 +1,169 @@
-"""First poses of a frame, key points triangulated from labels, and whether left and right are exchanged."""
+"""First poses of a frame, from labels, its head or pictures; key points triangulated; sides exchanged."""
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+from scipy.special import xlogy
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError, needs_extra
-from scan2albedo.eyeglasses.keypoints import MIRROR
-from scan2albedo.eyeglasses.mean_keypoints import is_posable
-from scan2albedo.eyeglasses.on_face.frame_motion import FrameState
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
+from scan2albedo.eyeglasses.mean_keypoints import BEHIND, align_key_points, in_own_axes, is_posable
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
-from scan2albedo.eyeglasses.on_face.objective import RegistrationObjective, descend
-from scan2albedo.eyeglasses.on_face.outline import ObservedView
+from scan2albedo.eyeglasses.on_face.lens_panes import rim_openings
+from scan2albedo.eyeglasses.on_face.objective import VOTE, RegistrationObjective, descend
+from scan2albedo.eyeglasses.on_face.outline import FrameMesh, ObservedView, Views, hidden_by
+from scan2albedo.eyeglasses.on_face.report import WORN_MM
+from scan2albedo.face_model import default_model
+from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.pinhole import normalized_cameras, projected
-from scan2albedo.geometry.rigid import compose, procrustes
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
+from scan2albedo.rendering.pictures import seen_samples
 
 _OTHER_UNIT = 3.0
 """Ratio of sizes from which the frame and the cameras cannot be in the same unit."""
 _DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12)
 """It begins low, for the linear start is nearly right, and stays above what rounding leaves of the matrix."""
 
+_SEAT_MM = (2.0, 6.0, 5.0)
+"""How far frames sit from the middle between the eyes: sideways, up or down, forward of where they touch."""
+LEANS_RAD = (-0.1, 0.04, 0.18)
+"""How far a frame's temples may slope: turns about the way to the left that are tried in pictures."""
+
+
+def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
+    """Return states of a frame worn by a head in the face model's frame, one for each slope of its temples.
+
+    It looks ahead as the face does, its rims' middle before that of the model's eyes, and is moved back until
+    its front touches. Raises EyeglassesError without a head, or where the head does not lie in that frame.
+    """
+    advice = "label 4 or more key points in one view, 3 or more in two, or give a start"
+    if given.head is None:
+        raise EyeglassesError(f"no key point is labelled, and there is no head to put the frame on: {advice}")
+    # The model is in mm, the head in the caller's unit, which glasses tell to a power of ten.
+    mm = 10.0 ** -np.round(np.log10(given.unit)) * given.unit
+    landmarks = default_model().landmarks
+    assert landmarks is not None
+    away = ClosestPointQuery(*given.head).query(landmarks / mm).distance
+    if not float(np.median(away)) * mm <= WORN_MM / 2:
+        where = "is not in the face model's frame, mm, looking along +z"
+        raise EyeglassesError(f"no key point is labelled, and the head to put the frame on {where}: {advice}")
+    eyes = landmarks[36:48].mean(0) / mm
+    upright = align_key_points(given.keypoints, in_own_axes(given.keypoints))
+    rims = np.array(["rim_top" in name or "rim_bottom" in name for name in KEY_POINT_NAMES])
+    middle = np.nanmean(given.keypoints[rims if given.known[rims].any() else given.known], axis=0)
+    nearest = cKDTree(given.keypoints[given.known]).query(given.vertices)[1]
+    front = given.vertices[~BEHIND[np.flatnonzero(given.known)[nearest]]]
+    caster, found = RayCaster(*given.head), []
+    far = 2 * float(np.ptp(given.vertices, axis=0).max())
+    for lean in LEANS_RAD:
+        turn = rotation_from_vector(np.array([lean, 0, 0])) @ upright[:3, :3]
+        start = compose(turn, eyes + [0.0, 0.0, far] - turn @ middle)
+        hits = caster.first_hit(transform_points(start, front), np.tile([0.0, 0.0, -1.0], (len(front), 1)))
+        start[2, 3] -= hits.distance.min() if np.isfinite(hits.distance).any() else far
+        found.append(start)
+    return states_of(found, given.keypoints)
+
+
+def place_in_pictures(
+    states: Sequence[FrameState], mesh: FrameMesh, keypoints: FloatArray, views: Views, head: RayCaster | None
+) -> tuple[FrameState, FloatArray, FloatArray]:
+    """Return the state, shifted, whose projections part the pictures' colours best, and how sure that is.
+
+    For each state and shift t the colours where the frame is projected, n_k of group k, and those around it,
+    m_k, have the log likelihood of two materials over one,
+
+        L(t) = sum over k of n_k log(n_k / n) + m_k log(m_k / m) - (n_k + m_k) log((n_k + m_k) / (n + m)),
+
+    summed over the views with `colors`, less t^2 / 2 in the deviations of seats. Rims are taken with and
+    without their openings filled. Also the mean gain (nats a view) and deviations of t (3,), mm.
+    """
+    steps = [np.arange(-round(3 * s), round(3 * s) + 1.0, max(1.0, s / 4)) for s in _SEAT_MM]
+    shifts = np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 3)
+    prior = ((shifts / _SEAT_MM) ** 2).sum(1) / 2
+    openings = rim_openings(mesh.points.rest, mesh.faces, keypoints)
+    rims = np.delete(mesh.faces, np.concatenate([np.zeros(0, int), *(o.panes for o in openings)]), axis=0)
+    # The key points lie behind the mesh's own vertices.
+    fans = [o.rim[[[0, 1, 2], [0, 2, 3], [0, 3, 4]]] + len(mesh.points.rest) for o in openings]
+    filled = np.concatenate([rims, *fans])
+    best: tuple[float, FrameState, FloatArray] | None = None
+    used = [view for view in views if view.colors is not None]
+    for state in states:
+        motion = FrameMotion(keypoints, state)
+        vertices = np.concatenate([motion.positions(mesh.points), motion.positions(motion.marks)])
+        middle = vertices[len(mesh.points.rest) :][motion.known].mean(0)
+        for faces in (rims, filled) if openings else (rims,):
+            gain = np.zeros(len(shifts))
+            for view in used:
+                gain += _color_gain(vertices, faces, view, head, middle, shifts)
+            score = gain - prior
+            top = float(score.max())
+            chance = np.exp(score - top)
+            evidence = top + float(np.log(chance.sum()))
+            if best is None or evidence > best[0]:
+                mean = chance @ shifts / chance.sum()
+                spread = np.sqrt(chance @ (shifts - mean) ** 2 / chance.sum() + 1 / 12)
+                known = np.append(spread, gain[score.argmax()] / len(used))
+                best = evidence, replace(state, origin=state.origin + mean), known
+    assert best is not None
+    return best[1], best[2][:3], best[2][3]
+
+
+def _color_gain(
+    vertices: FloatArray,
+    faces: IntArray,
+    view: ObservedView,
+    head: RayCaster | None,
+    middle: FloatArray,
+    shifts: FloatArray,
+) -> FloatArray:
+    """Return (S,) log likelihoods of `place_in_pictures` in one view, of a frame moved by `shifts` (S, 3)."""
+    assert view.colors is not None
+    pixels, slopes, ahead = projected(view.camera[None], np.concatenate([middle[None], middle + shifts]))
+    # A cell of about a millimetre.
+    scale = float(np.linalg.norm(slopes[0], axis=0).max())
+    step = max(1, round(scale))
+    coarse = np.diag([1 / step, 1 / step, 1.0]) @ view.camera
+    colors = view.colors[::step, ::step]
+    seen = seen_samples(vertices, faces, coarse, colors.shape)
+    seen = seen.chosen(~hidden_by(head, coarse, seen.interpolated(vertices)))
+    if not ahead.all() or len(seen.index) == 0:
+        return np.zeros(len(shifts))
+    frame = np.zeros(colors.shape, bool)
+    frame.flat[seen.index] = True
+    around = binary_dilation(frame, iterations=8) & ~frame
+    way = np.round((pixels[1:] - pixels[0]) / step).astype(int)
+    size = tuple(next_fast_len(n + 2 * int(np.abs(way).max()), real=True) for n in colors.shape)
+    masks = [np.conj(rfft2(where.astype(float), size)) for where in (frame, around)]
+    counts = np.zeros((2, colors.max() + 1, len(shifts)))
+    for k in range(counts.shape[1]):
+        spectrum = rfft2((colors == k).astype(float), size)
+        for count, mask in zip(counts, masks, strict=True):
+            count[k] = np.maximum(irfft2(spectrum * mask, size)[way[:, 1], way[:, 0]], 0.0)
+    both = counts.sum(0)[None]
+
+    def entropy(n: FloatArray) -> FloatArray:
+        return np.asarray((xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0))
+
+    # A cell is several pixels wide, whose colours are alike over the rim's width.
+    return VOTE * (entropy(counts) - entropy(both))
+
 
 def starting_poses(
-    keypoints: FloatArray, views: tuple[ObservedView, ...], noise_px: float, given: FloatArray | None
+    keypoints: FloatArray, views: Views, noise_px: float, given: FloatArray | None
 ) -> list[FrameState]:
     """Return at least one unbent state to start from, of a frame with key points (K, 3) at rest.
 
@@ -42,15 +176,11 @@ def starting_poses(
     good = np.isfinite(placed.points).all(1) & known & (placed.inliers.sum(0) >= 2)
     if good.sum() >= 3:
         world, rest = placed.points[good], keypoints[good]
-        large, small = (
-            float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))
-            for points in (world, rest)
-        )
+        away = (np.linalg.norm(points - np.median(points, axis=0), axis=1) for points in (world, rest))
+        large, small = (float(np.median(distance)) for distance in away)
         if not 1 / _OTHER_UNIT < large / small < _OTHER_UNIT:
-            raise EyeglassesError(
-                f"the labels make a frame {large / small:.3g} times as large as the one given: bring glasses "
-                "and cameras to the same unit"
-            )
+            said = f"the labels make a frame {large / small:.3g} times as large as the one given"
+            raise EyeglassesError(f"{said}: bring glasses and cameras to the same unit")
         # A line of key points leaves a turn open.
         if is_posable(rest):
             poses.append(procrustes(rest, world))
@@ -59,13 +189,15 @@ def starting_poses(
         labelled = [int(np.isfinite(view.labels).all(1).sum()) for view in views]
         remedy = "label 4 or more in one view, 3 or more in two, or give a start"
         if max(labelled) >= 4:
-            remedy = (
-                "they contradict one another or the cameras; check labels, order and cameras, or give a start"
-            )
-        raise EyeglassesError(
-            f"the key points labelled in the views ({', '.join(map(str, labelled))}) fix no pose: {remedy}"
-        )
-    center = keypoints[known].mean(0)
+            remedy = "they contradict one another or the cameras; check labels and cameras, or give a start"
+        said = f"the key points labelled in the views ({', '.join(map(str, labelled))}) fix no pose"
+        raise EyeglassesError(f"{said}: {remedy}")
+    return states_of(poses, keypoints)
+
+
+def states_of(poses: Sequence[FloatArray], keypoints: FloatArray) -> list[FrameState]:
+    """Return the unbent states of poses (4, 4) of a frame with key points (K, 3) at rest."""
+    center = np.nanmean(keypoints, axis=0)
     still = np.zeros_like(keypoints)
     return [FrameState(pose[:3, :3], pose[:3, :3] @ center + pose[:3, 3], still) for pose in poses]
 
@@ -189,7 +321,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         for pair in map(list, itertools.combinations(range(len(seen)), 2)):
             # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
             rows = (own[pair][:, :, None] * cams[pair][:, 2:] - cams[pair][:, :2]).reshape(-1, 4)
-            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), 1e-300)
+            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), np.finfo(float).tiny)
             place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
             if rank == 3 and (cams[pair][:, 2, :3] @ place + cams[pair][:, 2, 3] > 0).all():
                 starts.append(_Point(place, own, cams, noise_px))
@@ -219,9 +351,8 @@ class _Point:
     def normal_equations(self) -> NormalEquations:
         """Return those of the reweighted squares, without cameras that have the point behind them."""
         weighted = self._weights[:, None, None] * self._slopes
-        return NormalEquations(
-            np.einsum("cik,cim->km", weighted, self._slopes), np.einsum("cik,ci->k", weighted, self._errors)
-        )
+        matrix = np.einsum("cik,cim->km", weighted, self._slopes)
+        return NormalEquations(matrix, np.einsum("cik,ci->k", weighted, self._errors))
 
     def moved(self, step: FloatArray) -> _Point:
         """Return the place a step (3,) away."""

@@ -80,16 +80,10 @@ class CanonicalSetRecord(RunRecord):
 
 
 _COMMAND = "scan2albedo glasses canonicalize"
-_FRAME_FILES = OwnFiles(
-    "result.json", CanonicalFrameRecord, ("canonical.glb", "canonical.npz", "keypoints.json"), _COMMAND
-)
-FILES = OwnFiles(
-    "set.json",
-    CanonicalSetRecord,
-    ("mean_keypoints.json", "trace.csv", "error_vs_time.png", "overview.png"),
-    _COMMAND,
-    inside=_FRAME_FILES,
-)
+_MADE = ("canonical.glb", "canonical.npz", "keypoints.json")
+_FRAME_FILES = OwnFiles("result.json", CanonicalFrameRecord, _MADE, _COMMAND)
+_SET_MADE = ("mean_keypoints.json", "trace.csv", "error_vs_time.png", "overview.png")
+FILES = OwnFiles("set.json", CanonicalSetRecord, _SET_MADE, _COMMAND, inside=_FRAME_FILES)
 
 
 @dataclass(frozen=True)
@@ -138,10 +132,8 @@ def canonicalize_frames(
         options=CanonicalizationOptions(mode=mode, handles=handles, widths_mm=widths_mm, skip_failed=True),
         on_progress=on_progress,
     )
-    lost = (
-        FailedFrameRecord(file=frames[i].files["mesh"].file, reason=reason)
-        for i, reason in result.failures.items()
-    )
+    named = ((frames[i].files["mesh"].file, reason) for i, reason in result.failures.items())
+    lost = (FailedFrameRecord(file=file, reason=reason) for file, reason in named)
     options: dict[str, Any] = {"mode": mode, "handles": handles, "widths_mm": widths_mm, "mean": mean}
     options |= {"budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     done = tuple(frames[i] for i in result.numbers)
@@ -193,9 +185,8 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
         staging.figure("error_vs_time.png", result.trace.plot())
         both = zip(done.frames, result.frames, strict=True)
         drawn = [(frame.name, frame.scan.vertices, canonical) for frame, canonical in both]
-        title = f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
-        if len(drawn) > MOST_SHOWN:
-            title = f"{MOST_SHOWN} of {title}"
+        title = f"{MOST_SHOWN} of " * (len(drawn) > MOST_SHOWN)
+        title += f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
         staging.figure("overview.png", overview_figure(title, glasses_panels(drawn), 4), dpi=100)
         staging.write_record(
             options=dict(done.options),

@@ -76,16 +76,12 @@ class GlassesDemoReport:
         errors = self.errors
         ended = "converged" if self.placed.result.converged else "not converged"
         parts = (("visible vertices", "seen"), ("all vertices", "all"), ("key points", "keypoints"))
-        rows = {
-            name: f"{errors[f'{of}_rms_mm']:.3f} mm rms, {errors[f'{of}_max_mm']:.3f} mm at most"
-            for name, of in parts
-        }
+        mm = {name: f"{value:.3f} mm" for name, value in errors.items()}
+        rows = {name: f"{mm[f'{of}_rms_mm']} rms, {mm[f'{of}_max_mm']} at most" for name, of in parts}
         rows["visible vertices"] += f"; {errors['seen_share']:.1%} of the frame"
-        rows["observed"] = (
-            f"{errors['observed_rms_mm']:.3f} mm rms, {errors['observed_deviation_mm']:.3f} mm stated; "
-            f"{errors['observed_share']:.1%} of the frame"
-        )
-        rows["depth"] = f"{errors['depth_error_mm']:.3f} mm rms, {errors['depth_deviation_mm']:.3f} mm stated"
+        rows["observed"] = f"{mm['observed_rms_mm']} rms, {mm['observed_deviation_mm']} stated; "
+        rows["observed"] += f"{errors['observed_share']:.1%} of the frame"
+        rows["depth"] = f"{mm['depth_error_mm']} rms, {mm['depth_deviation_mm']} stated"
         rows["registration"] = f"{self.placed.seconds:.1f} s, {ended}"
         head = "face fitted to a scan" if self.head == "fitted" else "no head"
         lines = [f"  {name:18}{row}" for name, row in rows.items()]
@@ -180,10 +176,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
     """
     folder, glasses = out / INPUT, person.glasses
     _, height, width = person.masks.shape
-    cameras = [
-        Camera(f"camera_{number}", matrix, (height, width))
-        for number, matrix in enumerate(person.cameras, start=1)
-    ]
+    cameras = [Camera(f"camera_{n}", own, (height, width)) for n, own in enumerate(person.cameras, start=1)]
     known: set[str] = set()
     if (out / register_run.FILES.record).is_file():
         known = {file.sha256 for file in RunFolder(out, register_run.FILES).read().inputs.values()}
@@ -200,14 +193,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
             if made.is_file() and there.is_file():
                 hashes = {file_sha256(there), input_sha256(there) if there.suffix in (".obj", ".glb") else ""}
                 if file_sha256(made) not in hashes and not hashes & known:
-                    raise OutputError(
-                        f"{there}: no run of scan2albedo glasses demo wrote it; move it away, or choose "
-                        "another folder"
-                    )
-    return read_registration(
-        folder / "frame.obj",
-        folder / "cameras.json",
-        folder / "labels.json",
-        masks=folder / "masks",
-        head=None if head is None else folder / "head.glb",
-    )
+                    said = "no run of scan2albedo glasses demo wrote it"
+                    raise OutputError(f"{there}: {said}; move it away, or choose another folder")
+    skull, parts = None if head is None else folder / "head.glb", ("frame.obj", "cameras.json", "labels.json")
+    return read_registration(*(folder / name for name in parts), masks=folder / "masks", head=skull)

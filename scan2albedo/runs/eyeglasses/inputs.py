@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -28,6 +29,7 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
 from scan2albedo.eyeglasses.view_files import mask_path
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.load_scan import load_scan, load_scan_with
@@ -90,7 +92,7 @@ class GlassesInput:
     labels: FloatArray | None = None
     masks: tuple[BoolArray | None, ...] = ()
     start: FloatArray | None = None
-    pictures: tuple[FloatArray, ...] | None = None
+    pictures: tuple[Any, ...] | None = None
     environment: FloatArray | None = None
 
 
@@ -174,8 +176,9 @@ def read_frame(
 def read_registration(
     mesh: Path,
     cameras: Path,
-    labels: Path,
+    labels: Path | None = None,
     *,
+    pictures: Path | None = None,
     masks: Path | None = None,
     head: Path | None = None,
     keypoints: Path | None = None,
@@ -185,29 +188,30 @@ def read_registration(
 ) -> GlassesInput:
     """Read the files of a registration.
 
-    `mesh` has key points beside it, or is a `canonical.npz`; `masks` is a folder of masks named after the
-    cameras, `head` a mesh in the cameras' frame, `start` a pose or a `registered.npz`; the unit is that of
-    the mesh. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit;
-    ValueError for an unknown unit, or key points that the frame already has.
+    `mesh` has key points beside it, or is a `canonical.npz`; `masks` and `pictures` are folders of files
+    named after the cameras, `head` a mesh in the cameras' frame, `start` a pose or a `registered.npz`; the
+    unit is that of the mesh. Raises EyeglassesError or ScanError, naming the file, when one cannot be read or
+    does not fit; ValueError for an unknown unit, or key points that the frame already has.
     """
     views = read_cameras(cameras)
-    files = {"cameras": _hashed(cameras), "labels": _hashed(labels)}
+    files = {"cameras": _hashed(cameras)}
     notes: list[str] = []
-    listed = read_labels(labels)
-    try:
-        pixels = listed.of_cameras([camera.name for camera in views])
-    except EyeglassesError as error:
-        raise EyeglassesError(f"labels {labels}: {error}") from error
+    pixels = np.full((len(views), len(KEY_POINT_NAMES), 2), np.nan)
+    if labels is not None:
+        files["labels"] = _hashed(labels)
+        listed = read_labels(labels)
+        try:
+            pixels = listed.of_cameras([camera.name for camera in views])
+        except EyeglassesError as error:
+            raise EyeglassesError(f"labels {labels}: {error}") from error
     for camera, marks in zip(views, pixels, strict=True):
         given, limit = marks[np.isfinite(marks).all(1)], np.array(camera.shape[::-1]) - 0.5
         outside = int(((given < -0.5) | (given > limit)).any(1).sum())
         if len(given) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
         elif outside:
-            notes.append(
-                f"{outside} of {len(given)} labels of {camera.name!r} lie outside its picture of "
-                f"{camera.shape[1]} x {camera.shape[0]} pixels"
-            )
+            size, whose = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
+            notes.append(f"{outside} of {len(given)} {whose} lie outside its picture of {size}")
     found: list[BoolArray | None] = [None] * len(views)
     if masks is not None:
         for number, camera in enumerate(views):
@@ -220,6 +224,18 @@ def read_registration(
         if all(mask is None for mask in found):
             names = ", ".join(f"{camera.name}.png" for camera in views)
             raise EyeglassesError(f"masks {masks}: the folder holds none of {names}")
+    photographs: list[NDArray[np.uint8] | None] = [None] * len(views)
+    if pictures is not None:
+        for number, camera in enumerate(views):
+            named = [pictures / f"{camera.name}{ending}" for ending in (".png", ".jpg", ".jpeg", ".tif")]
+            if file := next((path for path in named if path.is_file()), None):
+                photographs[number] = encode_srgb_bytes(_read_picture(file, camera))
+                files[f"picture {camera.name}"] = _hashed(file)
+            else:
+                notes.append(f"no picture of {camera.name!r} in {pictures}: nothing is proposed there")
+        if all(photograph is None for photograph in photographs):
+            names = ", ".join(f"{camera.name}.png" for camera in views)
+            raise EyeglassesError(f"pictures {pictures}: the folder holds none of {names} (or .jpg, .tif)")
     pose = None
     if start is not None:
         npz = start.suffix.lower() == CANONICAL
@@ -244,9 +260,9 @@ def read_registration(
         files["head"] = _hashed(head, mesh=True)
     # That meshes have no colours does not matter here.
     notes += [f"{name}: {n}" for name, scan in read for n in scan.notes if "geometry only" not in n]
-    return GlassesInput(
-        frame, views, skull, {**files, **frame.files}, tuple(notes), pixels, tuple(found), pose
-    )
+    read_files = {**files, **frame.files}
+    given = frame, views, skull, read_files, tuple(notes), pixels, tuple(found), pose
+    return GlassesInput(*given, None if pictures is None else tuple(photographs))
 
 
 def read_lens_scene(
@@ -269,7 +285,7 @@ def read_lens_scene(
     by_name = {camera.name: camera for camera in read_cameras(cameras)}
     if strange := [name for name in views if name not in by_name]:
         raise EyeglassesError(
-            f"cameras {cameras}: there is no view {strange[0]!r}, only {', '.join(by_name)}"
+            f"cameras {cameras}: no view is named {strange[0]!r}, only {', '.join(by_name)}"
         )
     chosen = tuple(by_name[name] for name in dict.fromkeys(views)) or tuple(by_name.values())
     if keypoints is None and not keypoints_beside(frame).is_file():
@@ -277,10 +293,8 @@ def read_lens_scene(
         keypoints = shared if shared.is_file() else None
     if pictures and len(pictures) != len(chosen):
         names = ", ".join(camera.name for camera in chosen)
-        raise EyeglassesError(
-            f"picture {pictures[0]}: there are {len(pictures)} pictures for {len(chosen)} views ({names}); "
-            "give one a view, and choose views by --view"
-        )
+        said = f"there are {len(pictures)} pictures for {len(chosen)} views ({names})"
+        raise EyeglassesError(f"picture {pictures[0]}: {said}; give one a view, and choose views by --view")
     stems = {picture.stem: picture for picture in pictures}
     if all(camera.name in stems for camera in chosen):
         pictures = [stems[camera.name] for camera in chosen]
@@ -288,14 +302,7 @@ def read_lens_scene(
     files = {**glasses.files, "head": _hashed(head, mesh=True), "cameras": _hashed(cameras)}
     images = []
     for file, camera in zip(pictures, chosen if pictures else (), strict=True):
-        image = np.asarray(read_image_linear(file, upright=True), np.float64)
-        if image.shape[:2] != camera.shape:
-            (height, width), (wanted_height, wanted_width) = image.shape[:2], camera.shape
-            raise EyeglassesError(
-                f"picture {file} is {width} x {height} pixels, the view {camera.name!r} {wanted_width} x "
-                f"{wanted_height}; give the picture that this camera took"
-            )
-        images.append(image)
+        images.append(_read_picture(file, camera))
         files[f"picture {camera.name}"] = _hashed(file)
     light = None
     if environment is not None:
@@ -341,6 +348,18 @@ def material_pair(
             given["alpha"] = 0.5
     given = {name: value for name, value in given.items() if value is not None}
     return replace(glass, dioptres=powers[0], **given), replace(glass, dioptres=powers[-1], **given)
+
+
+def _read_picture(file: Path, camera: Camera) -> FloatArray:
+    """Return the linear picture (H, W, 3) of a camera."""
+    image = np.asarray(read_image_linear(file, upright=True), np.float64)
+    if image.shape[:2] != camera.shape:
+        (height, width), (wanted_height, wanted_width) = image.shape[:2], camera.shape
+        raise EyeglassesError(
+            f"picture {file} is {width} x {height} pixels, the view {camera.name!r} {wanted_width} x "
+            f"{wanted_height}; give the picture that this camera took"
+        )
+    return image
 
 
 def _hashed(path: Path, *, mesh: bool = False) -> FileRecord:

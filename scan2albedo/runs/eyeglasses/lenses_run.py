@@ -100,12 +100,8 @@ class LensesRecord(RunRecord):
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")
 
 
-FILES = OwnFiles(
-    "result.json",
-    LensesRecord,
-    ("*_lenses.exr", "*_lenses.png", "*_unknown.png", "frame_with_lenses.glb", "overview.png"),
-    "scan2albedo glasses lenses",
-)
+_MADE = ("*_lenses.exr", "*_lenses.png", "*_unknown.png", "frame_with_lenses.glb", "overview.png")
+FILES = OwnFiles("result.json", LensesRecord, _MADE, "scan2albedo glasses lenses")
 
 
 @dataclass(frozen=True)
@@ -177,19 +173,15 @@ def render_lenses(
     photographs = [None] * len(cameras) if pictures_linear is None else list(map(np.asarray, pictures_linear))
     for image, camera in zip(photographs, cameras, strict=True):
         if image is not None and image.shape != (*camera.shape, 3):
-            raise ValueError(
-                f"the picture of {camera.name!r} is {image.shape}, expected {(*camera.shape, 3)}"
-            )
+            raise ValueError(f"picture of {camera.name!r} is {image.shape}, expected {(*camera.shape, 3)}")
     marks = checked_keypoints("keypoints", keypoints)
     known = marks[np.isfinite(marks).all(1)]
     if len(known):
         query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
         hits = query.query(known)
         if (apart := float(np.median(hits.distance))) > _WORN_MM:
-            raise EyeglassesError(
-                f"the frame lies {apart:.0f} mm away from the head; give both in the same world, and their "
-                "units"
-            )
+            said = f"the frame lies {apart:.0f} mm away from the head"
+            raise EyeglassesError(f"{said}; give both in the same world, and their units")
         # As in relit pictures, the inside of an open face is not drawn: if it is wound alike, and outward.
         corners = np.asarray(head.faces)
         edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -289,10 +281,8 @@ def run_lenses(
         panels = []
         for view in rendered.views:
             name, picture = view.camera.name, view.picture
-            shown, empty = (
-                encode_srgb_bytes(rendered.exposure * linear)
-                for linear in (picture.image_linear, picture.without_lenses_linear)
-            )
+            both = picture.image_linear, picture.without_lenses_linear
+            shown, empty = (encode_srgb_bytes(rendered.exposure * linear) for linear in both)
             write_exr(staging.folder / f"{name}_lenses.exr", picture.image_linear)
             write_png(staging.folder / f"{name}_lenses.png", shown)
             if rendered.from_photographs:

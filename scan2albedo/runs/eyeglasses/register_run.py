@@ -19,9 +19,11 @@ from scan2albedo.eyeglasses import (
     RegisteredEyeglasses,
     register_on_face,
     write_keypoints,
+    write_labels,
     write_registered,
 )
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
+from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
@@ -38,6 +40,10 @@ class RegisteredViewRecord(Record):
     outliers: int = Field(ge=0, description="Labels farther off than three times their noise.")
     label_rms_px: OptionalNumber = Field(None, description="Of the labels that are not outliers.")
     mask: bool = Field(description="Whether there was one.")
+    proposed: int = Field(0, ge=0, description="Key points that the picture shows and nobody labelled.")
+    proposed_deviation_px: OptionalNumber = Field(
+        None, description="Of these along an axis, median; each one's is in the plan."
+    )
     outline_rms_px: OptionalNumber = Field(None, description="Where outline and mask can be compared.")
     iou: OptionalNumber = Field(
         None, description="Of the frame's mask and the given one; high values are no evidence in space."
@@ -70,12 +76,15 @@ class RegisteredFrameRecord(RunRecord):
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")
 
 
-FILES = OwnFiles(
-    "result.json",
-    RegisteredFrameRecord,
-    ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png", "overview.png"),
-    "scan2albedo glasses register",
+_MADE: tuple[str, ...] = (
+    "registered.glb",
+    "registered.npz",
+    "keypoints.json",
+    "trace.csv",
+    "error_vs_time.png",
 )
+_MADE += ("overview.png", "proposed_labels.json", "*_mask.png")
+FILES = OwnFiles("result.json", RegisteredFrameRecord, _MADE, "scan2albedo glasses register")
 
 
 def _rms(values: FloatArray) -> float | None:
@@ -95,13 +104,15 @@ class PlacedFrame:
     def notes(self) -> tuple[str, ...]:
         """What reading said, what was done about lenses, and what a person should check."""
         plan, doubts = self.result.plan, set(self.result.plan.doubts())
-        rows = (step for step in plan if step in doubts or (step.ran and step.stage == "glasses.lenses"))
+        found = ("glasses.lenses", "glasses.proposed")
+        rows = (step for step in plan if step in doubts or (step.ran and step.stage in found))
         return (*self.given.notes, *(step.text for step in rows))
 
     @property
     def views(self) -> tuple[RegisteredViewRecord, ...]:
         """Figures of each view."""
         result, given = self.result, ~np.isnan(self.result.label_errors_px)
+        proposed = result.proposed_deviation_px
         return tuple(
             RegisteredViewRecord(
                 camera=camera.name,
@@ -109,11 +120,13 @@ class PlacedFrame:
                 outliers=int((given[number] & ~result.inliers[number]).sum()),
                 label_rms_px=_rms(result.label_errors_px[number][result.inliers[number]]),
                 mask=self.given.masks[number] is not None,
+                proposed=int(np.isfinite(px).sum()),
+                proposed_deviation_px=float(np.nanmedian(px)) if np.isfinite(px).any() else None,
                 outline_rms_px=float(result.outline_rms_px[number]),
                 iou=float(result.iou[number]),
                 visible_share=float(result.visible[number].mean()),
             )
-            for number, camera in enumerate(self.given.cameras)
+            for number, (camera, px) in enumerate(zip(self.given.cameras, proposed, strict=True))
         )
 
     def figures(self) -> dict[str, Any]:
@@ -166,11 +179,12 @@ def register_frame(
             head=given.head,
             start=given.start,
             shapes=[camera.shape for camera in given.cameras],
+            pictures=given.pictures,
             options=FaceRegistrationOptions(bend=bend),
             on_progress=on_progress,
         )
     except EyeglassesError as error:
-        names = " with ".join(given.files[part].file for part in ("mesh", "labels"))
+        names = " with ".join(given.files[part].file for part in ("mesh", "labels") if part in given.files)
         raise EyeglassesError(f"{names}: {error}") from error
     options = {"bend": bend, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     return PlacedFrame(given, result, options, time.perf_counter() - begun)
@@ -184,10 +198,20 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
         written = write_frame_glb(folder / "registered.glb", result)
         write_registered(folder / "registered.npz", result)
         write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
+        # What was found in pictures, as files that a person may correct and give back.
+        if any(mask is not None for mask in result.proposed_masks):
+            assert given.labels is not None
+            marks = np.where(np.isnan(given.labels), result.proposed_labels, given.labels)
+            write_labels(folder / "proposed_labels.json", marks, [camera.name for camera in given.cameras])
+            for camera, mask in zip(given.cameras, result.proposed_masks, strict=True):
+                if mask is not None:
+                    write_png(folder / f"{camera.name}_mask.png", mask)
         result.trace.to_csv(folder / "trace.csv")
         staging.figure("error_vs_time.png", result.trace.plot())
         assert given.labels is not None
-        views = list(zip(given.cameras, given.masks, given.labels, strict=True))
+        pairs = zip(given.masks, result.proposed_masks, strict=True)
+        masks = [proposed if mask is None else mask for mask, proposed in pairs]
+        views = list(zip(given.cameras, masks, given.labels, strict=True))
         title = f"{done.summary()}\norange: its outline, blue: behind the head; dots: labels, red: outliers"
         if len(views) > MOST_SHOWN:
             title += f"; {MOST_SHOWN} of {len(views)} views"

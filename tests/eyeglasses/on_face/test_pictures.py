@@ -1,0 +1,116 @@
+"""Frames found in pictures: edges by colour, the frame put on a head, what is proposed, and what is not."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import bounded_biharmonic_weights, register_on_face
+from scan2albedo.eyeglasses.on_face.outline import color_odds, grouped_colors, search_colors
+from scan2albedo.synthetic import wearer
+
+
+@cache
+def person():
+    return wearer(1, picture_size=512, focal_px=900, label_noise_px=0.0, mask_noise_px=0.0)
+
+
+@cache
+def glasses():
+    worn = person().glasses
+    mesh = worn.rest_vertices, worn.faces
+    return (*mesh, worn.rest_keypoints, bounded_biharmonic_weights(*mesh, worn.rest_keypoints))
+
+
+def pictures(shown=True):
+    """Dark frames before mottled skin."""
+    rng, made = np.random.default_rng(0), []
+    for mask in person().masks:
+        mottle = gaussian_filter(rng.normal(size=mask.shape), 4)[..., None]
+        skin = np.array([180.0, 130, 110]) * (1 + 1.5 * mottle)
+        linear = np.where((mask & shown)[..., None], [40.0, 35, 38], skin)
+        made.append(gaussian_filter(linear, (0.7, 0.7, 0)) + rng.normal(0, 4, skin.shape))
+    return made
+
+
+def register(labels=None, **given):
+    worn = person()
+    marks = np.full_like(worn.labels, np.nan) if labels is None else labels
+    given = {"head": (worn.head_vertices, worn.head_faces), "shapes": [(512, 512)] * 3, **given}
+    return register_on_face(glasses(), marks, None, worn.cameras, **given)
+
+
+def front_error_mm(found):
+    worn = person()
+    front = worn.glasses.rest_vertices[:, 2] > worn.glasses.rest_keypoints[:, 2].max() - 20
+    return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[front] ** 2).mean()))
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return register(pictures=pictures())
+
+
+def test_a_bar_is_found_where_it_is_and_missed_where_it_is_not():
+    frame, picture = np.zeros((80, 120), bool), np.full((80, 120, 3), 200.0)
+    frame[:, 50:58] = True
+    picture[:, 52:60] = 30.0  # two pixels farther on
+    colors = grouped_colors(picture, np.array([[0.0, 0], [119, 79]]))
+    odds = color_odds(colors, frame)
+    place, outward = np.array([[57.0, 40]]), np.array([[1.0, 0]])
+    way, noise, chance = search_colors(odds, frame, place, outward, np.array([15.0]))
+    assert way[0] == pytest.approx(2, abs=0.5)
+    assert noise[0] < 1.5
+    assert chance[0] > 0.8
+    hidden = np.where(colors == colors[0, 57], odds.min(), odds)
+    assert search_colors(hidden, frame, place, outward, np.array([15.0]))[2][0] < 0.5
+
+
+def test_pictures_place_a_frame_that_nobody_labelled(seen):
+    assert front_error_mm(seen) < 0.8
+    assert front_error_mm(register()) > 2 * front_error_mm(seen)
+    assert any(step.stage == "glasses.pictures" and step.ran for step in seen.plan)
+
+
+def test_proposals_are_as_good_as_they_say(seen):
+    off = np.linalg.norm(seen.proposed_labels - person().labels, axis=2)
+    judged = np.isfinite(off)
+    assert judged.sum() > 20
+    stated = np.sqrt(2) * seen.proposed_deviation_px[judged]
+    assert np.median(off[judged]) < 1
+    assert (off[judged] <= 3 * stated).mean() > 0.9
+    for mask, true in zip(seen.proposed_masks, person().masks, strict=True):
+        assert (mask & true).sum() / (mask | true).sum() > 0.75
+    said = " ".join(step.evidence for step in seen.plan if step.stage == "glasses.proposed")
+    assert "left_rim_top" in said
+
+
+def test_labels_and_masks_that_somebody_made_go_first():
+    worn = person()
+    found = register(worn.labels, pictures=pictures())
+    assert not (np.isfinite(found.proposed_labels) & np.isfinite(worn.labels)).any()
+    both = register_on_face(glasses(), worn.labels, worn.masks, worn.cameras, pictures=pictures())
+    assert both.proposed_masks == (None, None, None)
+
+
+def test_nothing_is_proposed_where_there_is_no_frame():
+    found = register(pictures=pictures(shown=False))
+    assert np.isnan(found.proposed_labels).all()
+    assert found.proposed_masks == (None, None, None)
+    doubts = [step.reason for step in found.plan.doubts()]
+    assert any("not found in the pictures" in reason for reason in doubts)
+
+
+def test_without_labels_a_head_in_the_face_models_frame_is_needed():
+    worn = person()
+    with pytest.raises(EyeglassesError, match="no head to put the frame on"):
+        register(pictures=pictures(), head=None)
+    aside = worn.head_vertices + [0.0, 500, 0], worn.head_faces
+    with pytest.raises(EyeglassesError, match="not in the face model's frame"):
+        register(pictures=pictures(), head=aside)
+    with pytest.raises(ValueError, match="picture 0 has shape"):
+        register(pictures=[np.zeros((5, 5, 3))] * 3)
+    with pytest.raises(EyeglassesError, match="picture 0 holds numbers"):
+        register(pictures=[np.full((512, 512, 3), np.nan)] * 3)

@@ -1,0 +1,68 @@
+"""Frames registered by the command from photographs alone."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from typer.testing import CliRunner
+
+from scan2albedo.cli import glasses as glasses_cli
+from scan2albedo.cli.commands import app
+from scan2albedo.eyeglasses import read_cameras, read_labels, read_registered
+from scan2albedo.io.images import write_png
+from scan2albedo.runs.eyeglasses.demo import write_wearer
+from scan2albedo.synthetic import wearer
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def person():
+    return wearer(1, picture_size=512, focal_px=900, label_noise_px=0.0, mask_noise_px=0.0)
+
+
+@pytest.fixture(scope="module")
+def inputs(person, tmp_path_factory):
+    """A folder with the wearer's files, and photographs of a dark frame before mottled skin."""
+    out = tmp_path_factory.mktemp("wearer")
+    write_wearer(person, (person.head_vertices, person.head_faces), out)
+    rng, folder = np.random.default_rng(0), out / "input" / "photographs"
+    folder.mkdir()
+    for camera, mask in zip(read_cameras(out / "input" / "cameras.json"), person.masks, strict=True):
+        skin = np.array([180.0, 130, 110]) * (
+            1 + 1.5 * gaussian_filter(rng.normal(size=mask.shape), 4)[..., None]
+        )
+        shown = gaussian_filter(np.where(mask[..., None], [40.0, 35, 38], skin), (0.7, 0.7, 0))
+        noisy = shown + rng.normal(0, 4, skin.shape)
+        write_png(folder / f"{camera.name}.png", np.clip(noisy, 0, 255).astype(np.uint8))
+    return out / "input"
+
+
+def run(monkeypatch, folder, out, *more):
+    monkeypatch.setattr(glasses_cli, "stop_cleanly_on_interrupt", lambda out: None)
+    arguments = [folder / "frame.obj", "-o", out, "--cameras", folder / "cameras.json", *more]
+    return CliRunner().invoke(app, ["glasses", "register", *map(str, arguments)])
+
+
+def test_photographs_alone_place_a_frame_and_give_labels_to_correct(monkeypatch, person, inputs, tmp_path):
+    out = tmp_path / "out"
+    made = run(monkeypatch, inputs, out, "--pictures", inputs / "photographs", "--head", inputs / "head.glb")
+    assert made.exit_code == 0, made.output
+    off = np.linalg.norm(read_registered(out / "registered.npz").vertices - person.vertices, axis=1)
+    front = person.glasses.rest_vertices[:, 2] > person.glasses.rest_keypoints[:, 2].max() - 20
+    assert np.sqrt((off[front] ** 2).mean()) < 1
+    names = [camera.name for camera in read_cameras(inputs / "cameras.json")]
+    proposed = read_labels(out / "proposed_labels.json").of_cameras(names)
+    far = np.linalg.norm(proposed - person.labels, axis=2)
+    assert np.nanmedian(far) < 2
+    views = json.loads((out / "result.json").read_text())["views"]
+    assert sum(view["proposed"] for view in views) > 20
+    assert all((out / f"{name}_mask.png").is_file() for name in names)
+
+
+def test_a_folder_without_the_cameras_photographs_is_refused(monkeypatch, inputs, tmp_path):
+    made = run(monkeypatch, inputs, tmp_path / "out", "--pictures", tmp_path)
+    assert made.exit_code == 2
+    assert "holds none of" in made.output
+    assert not (tmp_path / "out" / "registered.npz").exists()
