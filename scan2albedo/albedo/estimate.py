@@ -61,7 +61,10 @@ def estimate_albedo(
     own shadows; one bounce B at the mean albedo rho; and Phong's highlights I_s. log M_A has the prior of a
     face, or a stationary one (`prior`), each parameter of the light its own; lamps are counted by their
     evidence, and explanations that it cannot separate are averaged. Each part of I has its own colour. Where
-    light ends, the albedo goes to what the prior and its surroundings say.
+    light ends, the albedo goes to what the prior and its surroundings say. Raises LightingError for an image
+    without texture, with an empty mask, or with too few usable texels; ValueError for an unknown `brdf`,
+    `lights` that is neither "auto" nor 1 to 4, a zero `view_direction`, or roughness asked of a Lambertian
+    surface; TypeError for another object than a geometry image.
 
     Parameters
     ----------
@@ -88,16 +91,6 @@ def estimate_albedo(
     Returns
     -------
     AlbedoEstimate
-
-    Raises
-    ------
-    LightingError
-        For an image without texture, with an empty mask, or with too few usable texels.
-    ValueError
-        For an unknown `brdf`, `lights` that is neither "auto" nor 1 to 4, a zero `view_direction`, or
-        roughness asked of a Lambertian surface.
-    TypeError
-        For another object than a geometry image.
 
     Notes
     -----

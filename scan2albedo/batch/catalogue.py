@@ -80,7 +80,6 @@ def load_catalogue(out: str | Path) -> pyarrow.Table:
     with needs_extra("batch"):
         import pyarrow as pa
         import pyarrow.parquet as parquet
-
     path = Path(out)
     path = path / CATALOGUE if path.is_dir() else path
     try:
@@ -98,6 +97,9 @@ def load_albedos(
 ) -> tuple[list[str], NDArray[np.float32], NDArray[np.bool_]]:
     """Return the albedos of all scans of a batch that are done and have one.
 
+    Raises BatchError when there is no such batch, no albedo, scans of several models or sizes, or a file is
+    missing; ScanError when an albedo is damaged.
+
     Parameters
     ----------
     out : path
@@ -113,13 +115,6 @@ def load_albedos(
         Texels correspond between scans of one face model; those of scans without a model do not.
     masks : (N, size, size) bool
         Texels that the scanner saw; others have the colour of the closest point of the scan.
-
-    Raises
-    ------
-    BatchError
-        When there is no such batch, no albedo, scans of several models or sizes, or a file is missing.
-    ScanError
-        When an albedo is damaged.
     """
     table, anew = load_catalogue(out), "`batch --resume` makes it anew"
     columns = ("name", "model", "status", "path_albedo_exr")

@@ -79,6 +79,9 @@ def read_manifest(
     - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
     - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
 
+    Raises BatchError when it is missing, at fault or empty, or two scans have one name; the message names the
+    lines.
+
     Parameters
     ----------
     path : path
@@ -86,11 +89,6 @@ def read_manifest(
         Folder to skip: that of the results.
     name_columns : tuple of str
         Columns of a table whose cells stand before the name of results that would have one name.
-
-    Raises
-    ------
-    BatchError
-        When it is missing, at fault or empty, or two scans have one name; the message names the lines.
     """
     source = Path(path)
     if source.is_dir():

@@ -106,7 +106,6 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
 
     KeyboardInterrupt would unwind through compilers and ray tracers in any state; numba has crashed on that.
     """
-
     there = out is None or out.exists()
 
     def stop(signum: int, frame: object) -> None:

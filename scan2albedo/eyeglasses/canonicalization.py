@@ -139,7 +139,9 @@ def canonicalize(
     follows by its bounded biharmonic weights w, v' = sum over k of w_k (R_k (v - p_k) + x_k). In mode
     "unbend" each half of the frame is moved half the way to the other, which leaves a bend that both sides
     share. In mode "mean" (equation S2) the targets are the mean's key points and R_k the skeleton's turn at
-    each, or 1 for v' = v + W (x - p): rims and temples take the mean's widths, heights and lengths.
+    each, or 1 for v' = v + W (x - p): rims and temples take the mean's widths, heights and lengths. Raises
+    EyeglassesError when there is no frame; or, named, one without a pose, of another width, or without
+    weights; ValueError when shapes do not fit together.
 
     Parameters
     ----------
@@ -153,19 +155,10 @@ def canonicalize(
         Where frames are placed and, in mode "mean", what they are brought to; their own mean otherwise.
     spacing : "auto" or float
         Of the weights' lattice, in the meshes' unit.
-    budget : Budget or float, optional
+    budget, on_progress : optional
         Seconds, or evaluations: Newton steps of the weights and rounds of the mean. Frames share it evenly;
-        when it ends, weights and mean so far are used, with `converged` False.
+        when it ends, weights and mean so far are used, with `converged` False; called with each row of the trace.
     options : CanonicalizationOptions
-    on_progress : callable, optional
-        Called with each row of the trace.
-
-    Raises
-    ------
-    EyeglassesError
-        When there is no frame; or, named, one without a pose, of another width, or without weights.
-    ValueError
-        When shapes do not fit together.
 
     Notes
     -----
@@ -213,7 +206,6 @@ def canonicalize(
         place = symmetric_key_points(place)
         place = in_own_axes(place) if reference is None else place
     done = [f.moved(place, float(s), options) for f, s in zip(frames, scales, strict=True)]
-
     steps = {f.number: frame.plan for f, frame in zip(frames, done, strict=True)}
     steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
     rows = [replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part]

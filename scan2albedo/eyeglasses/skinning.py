@@ -18,6 +18,8 @@ straight bone shows in no key point."""
 def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> FloatArray:
     """Return vertices moved by the weighted mean of affine transforms, v' = sum over k of w_k T_k v.
 
+    Raises ValueError when shapes do not fit together, or numbers are not finite.
+
     Parameters
     ----------
     vertices : (V, 3) array_like of float
@@ -25,11 +27,6 @@ def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> Floa
         Rows sum to 1.
     transforms : (K, 4, 4) or (K, 3, 4) array_like of float
         `deformed_from_rest` of each handle, acting on column vectors.
-
-    Raises
-    ------
-    ValueError
-        When shapes do not fit together, or numbers are not finite.
 
     Examples
     --------

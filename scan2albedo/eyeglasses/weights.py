@@ -97,7 +97,10 @@ def solve_weights(
         min over w of  w^T L M^-1 L w / 2,  w = 1 at its key point, 0 at the others', 0 <= w <= 1,
 
     on the nodes of a lattice around (and inside) the surface; then the weights are divided by their sum and
-    interpolated trilinearly at the vertices. The mesh may have parts, holes and bad faces of any kind.
+    interpolated trilinearly at the vertices. The mesh may have parts, holes and bad faces of any kind. Raises
+    EyeglassesError when the mesh is empty or not finite, a key point lies far off the mesh, two of them
+    coincide, or a given spacing makes too large a lattice; ValueError when an array has the wrong shape, or
+    `spacing` is not positive.
 
     Parameters
     ----------
@@ -107,8 +110,8 @@ def solve_weights(
         Key points, on the mesh or near it.
     spacing : "auto" or float
         Of the lattice, in the mesh's unit; parts closer together than that become one.
-    budget : Budget or float, optional
-        Seconds, or evaluations: Newton steps. When it ends the weights so far are returned.
+    budget, on_progress : optional
+        Seconds, or evaluations: Newton steps. When it ends the weights so far are returned; called with rows.
     max_nodes : int
         Lattice nodes that the automatic spacing may use; a given spacing may use ten times as many.
     tolerance : float
@@ -117,16 +120,6 @@ def solve_weights(
         What messages call the key points; their numbers when omitted.
     meter : Meter, optional
         One that runs already, instead of `budget` and `on_progress`.
-    on_progress : callable, optional
-        Called with each row of the trace.
-
-    Raises
-    ------
-    EyeglassesError
-        When the mesh is empty or not finite, a key point lies far off the mesh, two of them coincide, or a
-        given spacing makes too large a lattice.
-    ValueError
-        When an array has the wrong shape, or `spacing` is not positive.
 
     Notes
     -----

@@ -124,14 +124,12 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
             f"{folder}: is one result; give the folder that holds the folders of results, or a CSV file with "
             "the columns person and result"
         )
-
     # The persons of a batch's catalogue by the scan's name, where it has that column.
     named, catalogue = None, folder / CATALOGUE_FILE
     if catalogue.is_file():
         with needs_extra("batch"):
             import pyarrow
             import pyarrow.parquet as parquet
-
         try:
             if {"name", "person"} <= set(parquet.read_schema(catalogue).names):
                 rows = parquet.read_table(catalogue, columns=["name", "person"]).to_pylist()

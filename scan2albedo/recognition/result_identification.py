@@ -168,7 +168,6 @@ def identify_results(
     persons = [person if person in known.persons else None for person in shown.persons]
     matches = identify_by_similarity(np.nan_to_num(total, nan=0.0), names, persons, combine=combine)
     by_kind = {kind: similarities_by_person(values, names, combine)[1] for kind, values in scores.items()}
-
     # What limits the comparison. First probes that are compared by one of two kinds alone, see `fused`.
     notes = [*known.notes, *shown.notes]
     for kind, other in zip(kinds, reversed(kinds), strict=True):

@@ -352,7 +352,6 @@ def coarsest_bands(image: FloatArray) -> NDArray[np.complex128]:
 def _coarsest_filters(shape: tuple[int, int]) -> NDArray[np.complex128]:
     with needs_extra("recognition"):
         from pyrtools.pyramids import SteerablePyramidFreq
-
     point = np.zeros(shape)
     point[0, 0] = 1.0
     bands = SteerablePyramidFreq(point, height=SCALES, order=ORIENTATIONS - 1, is_complex=True).pyr_coeffs

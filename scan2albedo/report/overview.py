@@ -91,7 +91,6 @@ def result_panels(
         mean = np.mean(known) if len(known) else np.nan
         heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)"
         panels.append(Panel(heat, residual))
-
     # On the chart: texture, skin, light, albedo, normals.
     texture_linear, mask = image.texture_linear, image.mask
     if texture_linear is not None:
@@ -107,7 +106,6 @@ def result_panels(
             panels.append(Panel(title, _chart(linear_to_srgb(light / white_level(light, mask)), mask)))
         panels.append(Panel("albedo", albedo_srgb))
     panels.append(Panel("normals", _chart((image.normal + 1) / 2, mask)))
-
     if fitted is not None and view is not None:
         if texture_linear is not None and albedo_srgb is not None:
             uv = fitted.uv[fitted.faces]

@@ -37,7 +37,9 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
 
     Position and normal come from the fitted limit surface, the texture from the closest point of the raw
     scan, low-pass filtered over each texel's footprint; `skin` and `labels` from the chart, the texture and
-    the fit's residual. O(size^2 log F) for F scan faces.
+    the fit's residual. O(size^2 log F) for F scan faces. Raises GeometryImageError when `size` is below 8,
+    the fitted face holds NaN, or its chart covers no texel or leaves the unit square; TypeError for other
+    objects than a fitted face and a scan.
 
     Parameters
     ----------
@@ -52,14 +54,6 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     -------
     GeometryImage
         In the model's frame; `texture_linear` and `texture_valid` are None when the scan has no colour.
-
-    Raises
-    ------
-    GeometryImageError
-        When `size` is below 8, the fitted face holds NaN, or its chart covers no texel or leaves the unit
-        square.
-    TypeError
-        For other objects than a fitted face and a scan.
 
     .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
     """

@@ -238,7 +238,7 @@ def blend_text(a: ProcessedFace, b: ProcessedFace, made: ProcessedFace) -> str:
             overlap = [2 * np.sum(t & s) / (t.sum() + s.sum()) for t, s in (texels[:2], texels[2:])]
             alike = [np.corrcoef(shown[i][around], shown[i + 1][around])[0, 1] for i in (0, 2)]
             parts.append(f"{name} {overlap[0]:.2f} to {overlap[1]:.2f} ({alike[0]:.2f} to {alike[1]:.2f})")
-    edges = [seam_figures(*pair, made).invented for pair in ((a, b), moved)]
+    edges = [seam_figures(pair[0], pair[1], made).invented for pair in ((a, b), moved)]
     return (
         f"features overlap (and agree): {', '.join(parts)}; "
         f"edges of neither face {edges[0]:.2f} %, of neither as moved {edges[1]:.2f} %"

@@ -96,8 +96,10 @@ def insert_lenses(
 
     as in the supplement of Li et al., section 6.3 and equations S11 to S15.
 
-    With `shape` the scene is drawn under distant lights. With `picture_linear` colours come from a
-    photograph of it with empty rims: where a bent ray meets a surface, that point is looked up in it.
+    With `shape` the scene is drawn under distant lights. With `picture_linear` colours come from a photograph
+    of it with empty rims: where a bent ray meets a surface, that point is looked up in it. Raises
+    EyeglassesError when no lens fits into a rim, numbers are not finite, or sizes are not millimetres;
+    ValueError when shapes do not fit together, or it is not clear what to draw under which light.
 
     Parameters
     ----------
@@ -121,13 +123,6 @@ def insert_lenses(
     lens_centers : (2, 3) array_like of float, optional
         Optical centres, left and right, moved into the lens planes; otherwise the outlines' centroids.
     options : LensPictureOptions
-
-    Raises
-    ------
-    EyeglassesError
-        When no lens fits into a rim, numbers are not finite, or sizes are not millimetres.
-    ValueError
-        When shapes do not fit together, or it is not clear what to draw under which light.
 
     Notes
     -----

@@ -42,7 +42,9 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         d' ~ (p - o) (1 + u P) - (c - o).
 
     This is the ray to the conjugate image of c (Hecht, "Optics", 5th ed., section 5.2.3; equations S11 and
-    S12 of Li et al., with f = 1 / P) times 1 + u P, so that it holds for P = 0 and 1 + u P = 0 too.
+    S12 of Li et al., with f = 1 / P) times 1 + u P, so that it holds for P = 0 and 1 + u P = 0 too. Raises
+    EyeglassesError when numbers are not finite, the normal is zero, or a camera or ray lies along the lens
+    plane; ValueError when an array has the wrong shape.
 
     Parameters
     ----------
@@ -51,13 +53,6 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         Centre of projection, or one origin a ray; mm.
     points : (N, 3) array_like of float
         Where each ray is heading, mm: any point on it but its origin.
-
-    Raises
-    ------
-    EyeglassesError
-        When numbers are not finite, the normal is zero, or a camera or ray lies along the lens plane.
-    ValueError
-        When an array has the wrong shape.
 
     Examples
     --------

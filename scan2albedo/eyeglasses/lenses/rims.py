@@ -181,7 +181,8 @@ def find_lens_rim(
 
     Rays from the axis outward meet the rim's inner edge. Gaps of up to 30 degrees are bridged between their
     ends; wider ones take their shape from the rim's key points. Lenses that are parts of their own are looked
-    through.
+    through. Raises EyeglassesError when the mesh is empty or not finite, or rim points are needed and not
+    given; ValueError when an array has the wrong shape.
 
     Parameters
     ----------
@@ -194,13 +195,6 @@ def find_lens_rim(
         Three or more key points on or at the rim, in any order.
     normal : (3,) array_like of float, optional
         Of the lens plane, towards the viewer; otherwise of the plane nearest to the rim points.
-
-    Raises
-    ------
-    EyeglassesError
-        When the mesh is empty or not finite, or rim points are needed and not given.
-    ValueError
-        When an array has the wrong shape.
 
     Examples
     --------

@@ -81,7 +81,9 @@ def register_on_face(
         sum rho(project(x_k) - l_ck) + sum rho(d_c(project(y_i))) + bend's prior,
 
     l_ck the labels, y_i the points that make the frame's outline in view c, d_c the distance from the outline
-    of its mask; first the pose alone on the labels, then bent, then with the outlines.
+    of its mask; first the pose alone on the labels, then bent, then with the outlines. Raises EyeglassesError
+    when labels fix no pose, lie outside their pictures, or have left and right exchanged, units differ,
+    weights cannot be solved, or numbers are not finite; ValueError when shapes do not fit together.
 
     Parameters
     ----------
@@ -95,9 +97,9 @@ def register_on_face(
         also for a single view, where there is no segmentation. An empty one does not count.
     cameras : (C, 3, 4) array_like of float
         Projection matrices of any scale and sign.
-    budget : Budget or float, optional
+    budget, on_progress : optional
         Seconds, or evaluations of the objective. When it ends the best pose and bend so far are returned;
-        labels are always used.
+        labels are always used; called with each row of the trace.
     head : optional
         What may hide the frame, such as the fitted face: an object with vertices and faces, or a tuple of
         them, in the cameras' frame.
@@ -110,16 +112,6 @@ def register_on_face(
         Photographs, in sRGB values; of views without a mask they show where the frame ends, and
         `proposed_labels` and `proposed_masks` of the result come from them.
     options : FaceRegistrationOptions
-    on_progress : callable, optional
-        Called with each row of the trace.
-
-    Raises
-    ------
-    EyeglassesError
-        When labels fix no pose, lie outside their pictures, or have left and right exchanged, units differ,
-        weights cannot be solved, or numbers are not finite.
-    ValueError
-        When shapes do not fit together.
 
     Notes
     -----

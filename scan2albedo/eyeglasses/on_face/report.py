@@ -54,7 +54,6 @@ def report(
     samples = sampler.sample(motion, mark_deviations(given, motion, found.at))
     rigid = not options.bend
     at = objective.linearize(state, samples, rigid=rigid)
-
     # Deviations from the Gauss-Newton matrix, labels and outlines weighted by the noise that they show.
     labels = at.labels_px[np.isfinite(at.labels_px)]
     outline = np.abs(at.outline_px[np.isfinite(at.outline_px)])
@@ -86,7 +85,6 @@ def report(
         stated.append(np.hypot(inflation * distance, unmodelled))
     deviation, mark_deviation = stated
     depth = inflation * _depth_deviation(given.views, keypoints, covariances, marks_visible)
-
     # With more than a third of the labels off, which are the right ones is a guess.
     errors = at.labels_px[~np.isnan(at.labels_px)]
     misfit = float((errors > 3 * options.label_noise_px).mean()) if len(errors) else 0.0
@@ -102,7 +100,6 @@ def report(
             differing = np.maximum(differing, here)
     # More pixels than 25 are a patch as wide as a temple.
     wrong = (differing > 25) & given.known
-
     # What pictures show: the key points whose surroundings were found there, and the frame's pixels.
     proposed, proposed_px = (np.full((count, len(keypoints), *size), np.nan) for size in ((2,), ()))
     masks: list[BoolArray | None] = [None] * count
@@ -127,7 +124,6 @@ def report(
         frame, _ = sampler.mask(motion, number)
         inward = (distance_transform_edt(frame) - distance_transform_edt(~frame)) / outline_px
         masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
-
     rows = []
     if depth > OBSERVED_MM:
         rows.append(("depth", "the views do not see depth", f"{depth:.1f} mm standard deviation"))
@@ -159,7 +155,6 @@ def report(
             worst = f"up to {mark_deviation[lost].max():.1f} mm standard deviation"
             reason = f"{int(lost.sum())} key points are {why}"
             said.append(PlanStep("glasses.unobserved", False, reason, worst))
-
     world, transforms = motion.world_from_frame.copy(), motion.transforms.copy()
     world[:3, 3] *= unit
     transforms[:, :3, 3] *= unit

@@ -276,7 +276,8 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         sum over c of rho(|project(P_c, x) - l_c|),  rho(r) = log(1 + (r / 2 s)^2),
 
     the Cauchy loss. Of the linear solutions of all pairs of views (Hartley, Zisserman, "Multiple View
-    Geometry", section 12.2) the one of least loss is refined by damped Gauss-Newton steps.
+    Geometry", section 12.2) the one of least loss is refined by damped Gauss-Newton steps. Raises ValueError
+    when shapes do not fit together, or `noise_px` is not positive.
 
     Parameters
     ----------
@@ -286,11 +287,6 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         Projection matrices, pixels from points, of any scale and sign.
     noise_px : float
         s, how far labels are usually off.
-
-    Raises
-    ------
-    ValueError
-        When shapes do not fit together, or `noise_px` is not positive.
 
     Notes
     -----

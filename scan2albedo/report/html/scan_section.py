@@ -120,7 +120,6 @@ def _figures(record: ResultRecord) -> dict[str, Any]:
     if error is not None:
         headline.append(f"albedo ± {number_text(100 * error, 2)} % a texel")
     headline.append(seconds_text(sum(record.timings_s.values())))
-
     # (label, value, unit) of each stage's figures, without those that are shown elsewhere.
     warnings, groups = [], {}
     for stage, figures in record.metrics.items():
@@ -136,7 +135,6 @@ def _figures(record: ResultRecord) -> dict[str, Any]:
         title: [(label_of(key), value_text(key, value), unit_of(key)) for key, value in figures.items()]
         for title, figures in groups.items()
     }
-
     albedo = record.metrics.get("albedo")
     found = albedo.get("uncertainty") if isinstance(albedo, Mapping) else None
     uncertainty: Mapping[str, Any] = found if isinstance(found, Mapping) else {}
@@ -163,7 +161,6 @@ def _figures(record: ResultRecord) -> dict[str, Any]:
             f"{number_text(light.radius_deg, 2)}°" if light.radius_deg > 0 else "point",
         )
         lights.append({"number": k + 1, "cells": cells, "color": color})
-
     # Other lights that explain the image nearly as well: where they are, and the odds against them.
     others, alternatives = uncertainty.get("alternatives"), []
     for other in others if isinstance(others, list) else []:

@@ -128,7 +128,6 @@ def write_report(
             if single:
                 raise
             not_shown.append((scan, one_line(error)))
-
     # The page's policy forbids all but its own style and script.
     style, scripts = _static("report.css"), "\n".join(_static(f"{file}.js") for file in _SCRIPTS)
     script = f'\n(() => {{\n"use strict";\n{scripts}}})();\n'
@@ -170,7 +169,6 @@ def _environment() -> Environment:
     with needs_extra("report"):
         from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
         from markupsafe import Markup
-
     environment = Environment(
         loader=PackageLoader("scan2albedo.report.html", "templates"),
         autoescape=select_autoescape(default=True, default_for_string=True),

@@ -154,7 +154,6 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
 
 def default_model() -> FaceModels:
     """Return `synthetic_model(200)`, rounded, from what tools/build_reflectance_model.py makes."""
-
     advice = "install the package anew"
     arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)
 
