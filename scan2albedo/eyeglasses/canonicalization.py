@@ -157,7 +157,7 @@ def canonicalize(
         Of the weights' lattice, in the meshes' unit.
     budget, on_progress : optional
         Seconds, or evaluations: Newton steps of the weights and rounds of the mean. Frames share it evenly;
-        when it ends, weights and mean so far are used, with `converged` False; called with each row of the trace.
+        when it ends, weights and mean so far are used, with `converged` False; called with each row.
     options : CanonicalizationOptions
 
     Notes
