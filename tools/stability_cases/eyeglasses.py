@@ -444,14 +444,14 @@ def _chance_labels() -> str:
 
 
 @CASES.extreme(STAGE, "registration: no labels", "named error")
-@naming("fix no pose.*give a start")
+@naming("no key point is labelled.*no head.*give a start")
 def _no_labels() -> str:
-    return str(_registered(keypoints_2d=np.full_like(_worn().labels, math.nan)).converged)
+    return str(_registered(keypoints_2d=np.full_like(_worn().labels, math.nan), head=None).converged)
 
 
 @CASES.extreme(STAGE, "registration: labels infinite", "named error")
 def _infinite_labels() -> str:
-    return str(_registered(keypoints_2d=np.full_like(_worn().labels, math.inf)).converged)
+    return str(_registered(keypoints_2d=np.full_like(_worn().labels, math.inf), head=None).converged)
 
 
 @CASES.extreme(STAGE, "registration: one camera", "measured warning", slow=True)
