@@ -285,7 +285,7 @@ def read_lens_scene(
     by_name = {camera.name: camera for camera in read_cameras(cameras)}
     if strange := [name for name in views if name not in by_name]:
         raise EyeglassesError(
-            f"cameras {cameras}: no view is named {strange[0]!r}, only {', '.join(by_name)}"
+            f"cameras {cameras}: there is no view {strange[0]!r}, only {', '.join(by_name)}"
         )
     chosen = tuple(by_name[name] for name in dict.fromkeys(views)) or tuple(by_name.values())
     if keypoints is None and not keypoints_beside(frame).is_file():
