@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import softmax
 
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -222,8 +223,7 @@ def fit_face(
         radiance[used] = observation.response(used).shade(part, fit.light).radiance_linear
         observed = np.asarray(observation.observed_linear)[used]
         rmse = float(np.linalg.norm(radiance[used] - observed) / np.linalg.norm(observed))
-    evidence = (details, person)
-    better = person.accepted or details.accepted
+    evidence, better = (details, person), person.accepted or details.accepted
     plan = Plan((*(one.plan_step() for one in evidence), toning))
     return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
 
@@ -291,16 +291,15 @@ def _judged(
 def skin_hue(received: FloatArray) -> FloatArray:
     """Return factors (3,) on the channels of the mean face's albedo, from the light (V, 3) that it receives.
 
-    A photograph shows the sum of two hues, the skin's and the light's: of the logarithms, less their mean,
-    the skin's part is the posterior mean under normal priors of both, that of the light being a mixture.
+    Of the log hue of a photograph, skin's plus light's, it is the posterior mean; the light's is a mixture.
     """
     cast = np.log(np.maximum(received.mean(0), _TINY))
     cast -= cast.mean()
     deviations, often = np.array(tuple(_LIGHT_HUES.items())).T
     variance = deviations**2 + PEOPLE_DIFFER**2
     # Two numbers of the three are free.
-    odds = often / variance * np.exp(-cast @ cast / (2 * variance))
-    return np.asarray(np.exp(np.average(PEOPLE_DIFFER**2 / variance, weights=odds + _TINY) * cast))
+    odds = softmax(np.log(often / variance) - cast @ cast / (2 * variance))
+    return np.asarray(np.exp(odds @ (PEOPLE_DIFFER**2 / variance) * cast))
 
 
 _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}

@@ -150,6 +150,7 @@ def test_a_weak_cast_is_the_skins_and_a_strong_one_the_lights():
     np.testing.assert_allclose(skin_hue(np.full((4, 3), 7.0)), 1.0)
     assert 0.5 < share(0.1) < 1
     assert 0 < share(0.8) < 0.2
+    assert 0 < share(10.0) < 0.2
 
 
 def test_the_mean_face_gets_the_hue_of_its_skin(model, lighting):
