@@ -94,7 +94,7 @@ def register_on_face(
         Labels in pixels (column, row), centres of pixels at integers; NaN for missing ones.
     masks : sequence of C (H, W) array_like, or None
         Nonzero where a view shows the frame, with lenses or without, whether the mesh has them or not. None,
-        also for a single view, where there is no segmentation. Empty or against good labels, it does not count.
+        also for a single view, where there is no segmentation. Empty or against labels, it does not count.
     cameras : (C, 3, 4) array_like of float
         Projection matrices of any scale and sign.
     budget, on_progress : optional
