@@ -5,11 +5,14 @@ python tools/bench_applications.py expression    expressions of measured and syn
 python tools/bench_applications.py people        how far apart fits of one person, and of two, are where still
 python tools/bench_applications.py swap          real faces with each other's skin: figures, and swap.png
 python tools/bench_applications.py blend         real faces blended half way: figures, and blend.png
+python tools/bench_applications.py seams         the same: edges that neither face has, as a table
+python tools/bench_applications.py rims          texels beside the charts of every texture that is exported
 python tools/bench_applications.py relit         real faces under a lamp from three sides: relit.png
 python tools/bench_applications.py environment   real faces under environment maps: figures, environment.png
 
-The last four take processed scans from `--results FOLDER` (what is not there is processed into it first) and
-write pictures to `-o FOLDER`.
+The last six take processed scans from `--results FOLDER` (what is not there is processed into it first) and
+write pictures, or faces, to `-o FOLDER`. `--pairs A,B ...` swaps, blends or measures other pairs, among them
+of one's own results in that folder.
 """
 
 from __future__ import annotations
@@ -19,8 +22,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from benchmarks.real_applications import bench_blend, bench_environment, bench_relit, bench_swap
+from benchmarks.real_applications import (
+    bench_blend,
+    bench_environment,
+    bench_relit,
+    bench_seams,
+    bench_swap,
+)
 from benchmarks.scan_files import face_data
+from benchmarks.texture_rims import bench_rims
 
 import scan2albedo as s2a
 from scan2albedo.applications import FaceMesh, ProcessedFace, TransferOptions, personal_model, relight
@@ -270,12 +280,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    real = {"swap": bench_swap, "blend": bench_blend, "relit": bench_relit, "environment": bench_environment}
+    real = {
+        "swap": lambda: bench_swap(given.results, given.out, given.pairs),
+        "blend": lambda: bench_blend(given.results, given.out, given.pairs),
+        "seams": lambda: bench_seams(given.results, given.pairs),
+        "rims": lambda: bench_rims(given.results, given.out, given.pairs),
+        "relit": lambda: bench_relit(given.results, given.out),
+        "environment": lambda: bench_environment(given.results, given.out),
+    }
     parser.add_argument(
         "what", choices=["relight", "expression", "people", *real, "all"], nargs="?", default="all"
     )
     parser.add_argument("--results", type=Path, default=Path("real_results"))
     parser.add_argument("-o", "--out", type=Path, default=Path("real_pictures"))
+    parser.add_argument("--pairs", type=lambda text: tuple(text.split(",")), nargs="+")
     given = parser.parse_args()
     what = given.what
     if what in ("relight", "all"):
@@ -287,7 +305,7 @@ def main() -> None:
     for name, bench in real.items():
         if what in (name, "all"):
             given.out.mkdir(parents=True, exist_ok=True)
-            bench(given.results, given.out)
+            bench()
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
+from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.albedo.levels import Level, build_level, cell_field, usable_texels, with_every_normal
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
@@ -185,6 +186,8 @@ def _divide(
             "specular_exponent": reflectance.exponent,
             "light_distance_mm": distance if math.isfinite(distance) else None,
         }
+    if not late:
+        color = continued_smoothly(color, mask & ~image.seen, image.seen)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lit.lights,

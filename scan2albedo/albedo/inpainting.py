@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -78,6 +79,15 @@ def resynthesize(
     new = np.exp(filled[inside], dtype=np.float64)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
     return result
+
+
+def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> NDArray[np.float32]:
+    """Return an albedo (H, W, 3) whose logarithm goes on from `known` into `gaps` by Laplace's equation."""
+    floor = max(FAINT * float(albedo.mean()), float(np.finfo(np.float32).tiny))
+    field = np.log(np.maximum(albedo.astype(np.float64), floor))
+    still = np.zeros_like(field)
+    filled = integrate_gradients(field, gaps, known, still[:, 1:], still[1:])
+    return np.where(gaps[..., None], np.exp(filled), albedo).astype(np.float32)
 
 
 def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:

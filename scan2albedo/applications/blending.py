@@ -63,17 +63,14 @@ def blend_faces(
     mesh = replace(nearer.mesh, vertices=_between(a.mesh.vertices, b.mesh.vertices, weight))
     position = _between(a.image.position[mask], b.image.position[mask], weight)
     shaped_a, shaped_b = (face.reshaped(mesh, position, face.name) for face in (a, b))
-    shaped, scales = (shaped_a if nearer is a else shaped_b), [f.image.specular_scale for f in (a, b)]
-    if scales[0] is not None and scales[1] is not None:
-        scale: NDArray | None = _between(scales[0], scales[1], weight)
-    else:
-        scale = scales[0] if scales[1] is None else scales[1]
+    shaped = shaped_a if nearer is a else shaped_b
+    scales = [scale for face in (a, b) if (scale := face.image.specular_scale) is not None]
     image = replace(
         shaped.image,
         normal=normalized(_between(shaped_a.image.normal, shaped_b.image.normal, weight)),
         texture_linear=None,
         texture_valid=a.image.seen & b.image.seen,
-        specular_scale=scale,
+        specular_scale=_between(scales[0], scales[-1], weight) if scales else None,
         labels=nearer.image.labels if weight in (0, 1) else None,
     )
     skins, beside = matched_skins(a, b, weight, model=model)
@@ -85,9 +82,8 @@ def blend_faces(
         albedo = _between(warped(first, -weight * beside), warped(second, (1 - weight) * beside), weight)
     # The reflectance is the nearer one's where the models do not blend.
     ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
-    levels = [float(np.exp(np.log(gain).mean())) for gain in gains]
-    strengths = levels[0] * ours.specular_strength, levels[1] * theirs.specular_strength
-    strength = (1 - weight) * strengths[0] + weight * strengths[1]
+    own, other = (float(np.exp(np.log(gain).mean())) for gain in gains)
+    strength = (1 - weight) * own * ours.specular_strength + weight * other * theirs.specular_strength
     if (ours.brdf == "minnaert") == (theirs.brdf == "minnaert"):
         exponent = float(ours.exponent ** (1 - weight) * theirs.exponent**weight)
         if 0 < weight < 1 and 0 in (ours.specular_strength, theirs.specular_strength):
@@ -134,5 +130,5 @@ def matched_skins(
     return skins, beside * free[..., None]
 
 
-def _between(a: NDArray, b: NDArray, weight: float) -> NDArray[np.float64]:
+def _between(a: NDArray, b: NDArray, weight: float) -> NDArray:
     return np.asarray((1 - weight) * a + weight * b, np.float64)

@@ -9,11 +9,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, grey_opening, label, maximum_filter
 from skimage.morphology import disk
 
+from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.appearance import CLASSES
-from scan2albedo.optimization.poisson import integrate_gradients
 
 FEATURES = {
     "eyes": ("eye", "left_eye", "right_eye"),
@@ -131,16 +131,11 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = No
 
 def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> ProcessedFace:
     """Return the face with Laplace's smooth log albedo where none was seen, and on `dark_sides`."""
-    features = feature_texels(face, model)
-    kept = np.logical_or.reduce([features[name] for name in features if name != "nostrils"] or [~face.mask])
+    kept = np.logical_or.reduce([named_texels(face, FEATURES[n], model) for n in ("eyes", "brows", "mouth")])
     gaps = (face.mask & ~face.image.seen & ~kept) | dark_sides(face, model)
     if not gaps.any() or not (known := face.mask & ~gaps).any():
         return face
-    floor = FLOOR * max(face.level(), 1e-12)
-    field = np.log(np.maximum(face.albedo_linear.astype(np.float64), floor))
-    across, down = np.zeros_like(field[:, 1:]), np.zeros_like(field[1:])
-    filled = np.exp(integrate_gradients(field, gaps, known, across, down))
-    return replace(face, albedo_linear=np.where(gaps[..., None], filled, face.albedo_linear))
+    return replace(face, albedo_linear=continued_smoothly(face.albedo_linear, gaps, known))
 
 
 def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:

@@ -212,9 +212,8 @@ def write_face(
         parameters = {}
         if face.has_albedo:
             write_exr(staging.folder / "albedo.exr", face.albedo_linear)
-            factor = auto_exposure(face.albedo_linear[face.mask])
-            filled = filled_from_nearest(face.albedo_linear, face.mask)
-            preview = encode_srgb_bytes(np.clip(factor * filled, 0, 1))
+            exposed = auto_exposure(face.albedo_linear[face.mask]) * face.albedo_linear
+            preview = encode_srgb_bytes(np.clip(filled_from_nearest(exposed, face.mask), 0, 1))
             alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
             write_png(staging.folder / "albedo.png", np.dstack([preview, alpha]))
             parameters = {

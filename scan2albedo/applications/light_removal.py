@@ -98,13 +98,14 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         raise ApplicationError(
             f"{scan.name}: no part of the scan lies at the fitted face; give the scan it was fitted to"
         )
-    # The light that divided the texture, with all repairs.
+    # The light that divided the texture, with all repairs; where it was not seen none was divided.
     assert image.texture_linear is not None
     albedo = estimate.albedo_linear.astype(np.float64)
     usual = float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else mask]))
     # The light of black texels is that of the estimate, not the quotient of two colours.
     black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
     light = (image.texture_linear + black * estimate.shading) / (albedo + black)
+    light[~image.seen] = estimate.shading[~image.seen]
     log_light = np.log(np.maximum(light, DARKEST * usual))
     log_light = _without_dark_spots(filled_from_nearest(log_light, mask))
     log_beyond, steps = np.full((len(scan.vertices), 3), math.log(usual)), np.zeros((len(scan.vertices), 2))

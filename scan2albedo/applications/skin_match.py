@@ -32,9 +32,7 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
     """
     for texels in (source.bare & target.bare, source.image.seen & target.image.seen):
         if texels.sum() >= _LEAST_TEXELS:
-            ours, theirs = (
-                np.median(face.albedo_linear[texels], axis=0).astype(np.float64) for face in (source, target)
-            )
+            ours, theirs = (np.median(f.albedo_linear[texels], 0).astype(float) for f in (source, target))
             if min(*ours, *theirs) > 0:
                 return np.asarray(theirs / ours)
     return np.ones(3)
@@ -53,7 +51,7 @@ def without_light_left(albedo: FloatArray, face: ProcessedFace, other: Processed
         return albedo
     more, sigma = np.zeros(albedo.shape), LOCAL * max(both.shape)
     more[both] = np.log(skin_gains(other, face) * other.albedo_linear[both] / albedo[both])
-    d = np.dstack([blurred_inside(channel, both, sigma) for channel in np.moveaxis(more, -1, 0)])
+    d = blurred_inside(more, both, sigma)
     ours, others = (blurred_inside(error.astype(np.float64) ** 2, both, sigma) for error in errors)
     people = max(np.mean(d[both] ** 2) - np.mean((ours + others)[both]), 0.0)
     share = np.divide(ours, ours + others + people, out=np.zeros_like(ours), where=ours > 0)
@@ -69,15 +67,12 @@ def displacement(
     The fields f are the local contrast of log V and the `marks`, texels (H, W) of one feature in either face.
     From coarse to fine, the most probable u of |f_a(x) - f_b(x + u)|^2 / s^2 + |u|^2 / t^2 over a
     neighbourhood is found by Gauss-Newton steps: s^2 is what a field differs by where it has slopes, t the
-    reach of features. Albedos are (H, W, 3), 0 outside `mask`.
+    reach of features (B. Lucas, T. Kanade, "An iterative image registration technique", IJCAI 1981).
 
     Parameters
     ----------
     a, b, mask, marks : (H, W, 3) float64, (H, W, 3) float64, (H, W) bool, sequence of pairs of (H, W) bool
-
-    References
-    ----------
-    .. [1] B. Lucas, T. Kanade, "An iterative image registration technique", IJCAI 1981.
+        Albedos, 0 outside `mask`; texels of features.
     """
     contrasts = [np.clip(local_contrast(skin, mask) / _CONTRASTS, -1, 1) for skin in (a, b)]
     pairs = [contrasts, *(pair for pair in marks if pair[0].any() and pair[1].any())]
@@ -124,7 +119,7 @@ def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
 
 
 def blurred_inside(field: NDArray[np.floating], mask: BoolArray, sigma: float) -> FloatArray:
-    """Return the Gaussian means of a field (H, W) over the texels of `mask` (H, W) alone."""
-    inside = mask.astype(np.float64)
-    weight = np.maximum(gaussian_filter(inside, sigma, mode="mirror"), 1e-6)
-    return np.asarray(gaussian_filter(field * inside, sigma, mode="mirror") / weight)
+    """Return the Gaussian means of a field (H, W) or (H, W, C) over the texels of `mask` (H, W) alone."""
+    inside = mask.reshape(*mask.shape, *[1] * (field.ndim - 2)).astype(np.float64)
+    parts = [gaussian_filter(part, sigma, mode="mirror", axes=(0, 1)) for part in (field * inside, inside)]
+    return np.asarray(parts[0] / np.maximum(parts[1], 1e-6))

@@ -122,8 +122,7 @@ def continued_skin(
 
 
 def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
-    """Return (H, W) texels that were seen, without those close to one that was not, and without hair at the
-    sides."""
+    """Return (H, W) texels that were seen, but for those close to others and for hair at the sides."""
     near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")
     return np.asarray(face.mask & ~near & ~dark_sides(face, model))
 
@@ -136,7 +135,7 @@ def continued(
     Gradients of log albedo are integrated from the border of the known texels; they are 0 where `source`
     (H, W) is 0, not known, or changes. A feature of one face alone at the border, such as a wrinkle's end,
     would continue as a stain: its difference from its surroundings fades out within a few texels, but for
-    that of `whole` (H, W) features.
+    that of `whole` (H, W) features. Detail of a sharper face is weakened to the contrast of the known texels.
     """
     missing = other.mask & ~known
     if not missing.any() or not known.any():
@@ -145,13 +144,13 @@ def continued(
     field = np.log(np.maximum(albedo, floor))
     log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
     distance, (row, column) = distance_transform_edt(~known, return_indices=True)
-    # What the border would cut in two fades in from there.
+    # What the border would cut in two fades in from there; detail gets no stronger than the face's own is.
     sigma = AROUND * max(known.shape)
-    mean = np.dstack(
-        [blurred_inside(channel, other.mask, sigma) for channel in np.moveaxis(log_other, -1, 0)]
-    )
-    cut = np.exp(-((distance / sigma) ** 2)) * ~grown(whole, AROUND)
-    log_other -= cut[..., None] * (log_other - mean)
+    fine = log_other - blurred_inside(log_other, other.mask, sigma)
+    own = np.abs(field - blurred_inside(field, known, sigma))[known]
+    share = np.median(own) / max(np.median(np.abs(fine[known])), np.finfo(np.float64).tiny)
+    cut = 1 - min(share, 1.0) * (1 - np.exp(-((distance / sigma) ** 2)))
+    log_other -= (cut * ~grown(whole, AROUND))[..., None] * fine
     across, down = forward_differences(log_other)
     across[(source[:, 1:] != source[:, :-1]) | (source[:, 1:] == 0)] = 0
     down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0

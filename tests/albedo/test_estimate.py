@@ -107,6 +107,22 @@ def test_saturated_texels_get_an_albedo_but_no_vote(scenes):
     assert _error(estimate, scene).mse_percent < 0.1
 
 
+@pytest.mark.parametrize("brdf", ["oren-nayar", "spherical-harmonics"])
+def test_streaks_where_nothing_was_seen_stay_out_of_the_albedo(frontal, brdf):
+    """Beyond a scan's edge the nearest colours are stripes; the albedo goes on smoothly instead."""
+    image, streaked = frontal.image, frontal.image.texture_linear.copy()
+    hidden = image.mask & (np.indices(image.shape)[0] < 30)
+    streaked[hidden] = (streaked[30] * (1 + np.arange(len(hidden)) % 2)[:, None])[np.nonzero(hidden)[1]]
+    image = dataclasses.replace(image, texture_linear=streaked, texture_valid=image.mask & ~hidden)
+    albedo = estimate_albedo(image, 1, brdf).albedo_linear
+    beside = hidden[:, 1:] & hidden[:, :-1]
+    assert (
+        np.abs(np.diff(np.log(np.maximum(albedo.max(-1), 1e-9)), axis=1, prepend=0)[:, 1:][beside]).max()
+        < 0.1
+    )
+    assert albedo[hidden].mean() == pytest.approx(albedo[image.seen].mean(), rel=0.15)
+
+
 @pytest.mark.parametrize("brdf", ["lambert", "minnaert", "spherical-harmonics"])
 def test_other_reflectances_by_name(frontal, brdf):
     estimate = estimate_albedo(frontal.image, 1, brdf)

@@ -6,9 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-import trimesh
-from PIL import Image
-from scipy.ndimage import distance_transform_edt, maximum_filter
+from benchmarks.texture_rims import LIMIT, exported_textures, rim_step
 
 import scan2albedo as s2a
 from scan2albedo.applications import light_removal, load_result, swap_texture, write_face
@@ -17,7 +15,6 @@ from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
-from scan2albedo.geometry.rasterization import rasterize_uv
 from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
@@ -309,29 +306,14 @@ def test_filling_goes_on_smoothly_and_keeps_what_is_known():
     np.testing.assert_allclose(filled_smoothly(tall, some), turned, atol=1e-6)
 
 
-def rim_step(picture, covered):
-    """Largest difference (sRGB, 0 to 1) of texels up to two beside the charts from the nearest inside."""
-    beside = maximum_filter(covered, 5) & ~covered
-    row, column = distance_transform_edt(~covered, return_distances=False, return_indices=True)
-    step = np.abs(picture.astype(float) - picture[row, column]).max(-1)
-    return float(step[beside].max()) / np.iinfo(picture.dtype).max
-
-
 def test_no_exported_texture_has_a_fringe_at_the_rim_of_its_charts(result, tmp_path):
     face = load_result(result.out)
     write_face(swap_texture(face, face), tmp_path / "swap", application="swap", inputs=[face, face])
-    inside = result.geometry_image.mask
-    steps = {"swap": rim_step(np.asarray(Image.open(tmp_path / "swap" / "albedo.png"))[..., :3], inside)}
-    steps["chart"] = rim_step(np.asarray(Image.open(result.out / "albedo.png"))[..., :3], inside)
-    files = [result.out / name for name in ("fitted.glb", "unlit.glb", "template.glb")]
-    for file in [*files, tmp_path / "swap" / "fitted.glb"]:
-        scene = trimesh.load(file, process=False)
-        for name, mesh in getattr(scene, "geometry", {"": scene}).items():
-            picture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
-            # Coordinates of a template's tiles beyond the first go on from tile to tile.
-            uv = np.asarray(mesh.visual.uv) - np.floor(np.asarray(mesh.visual.uv).mean(0))
-            steps[file.name + name] = rim_step(
-                picture, rasterize_uv(uv, mesh.faces, picture.shape[:2]).covered
-            )
+    folders = result.out, tmp_path / "swap"
+    steps = {
+        (folder, name): rim_step(picture, covered)
+        for folder in folders
+        for name, picture, covered in exported_textures(folder)
+    }
     assert len(steps) >= 6
-    assert max(steps.values()) < 0.05, steps
+    assert max(steps.values()) < LIMIT, steps
