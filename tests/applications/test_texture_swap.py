@@ -76,6 +76,24 @@ def test_the_detail_of_the_filling_is_as(person):
     assert np.corrcoef(np.diff(logs[0]).ravel(), np.diff(logs[1]).ravel())[0, 1] > 0.95
 
 
+def test_a_blurred_skin_is_not_continued_with_a_sharp_ones_grain(person):
+    a, b = (replace(person(seed), model_name="of mine") for seed in (0, 1))
+    grain = np.exp(np.random.default_rng(0).normal(0, 1, a.mask.shape))[..., None]
+    hole = np.zeros(b.mask.shape, bool)
+    hole[20:44, 20:44] = True
+
+    def roughness(weight_a, weight_b):
+        faces = [
+            replace(f, albedo_linear=f.albedo_linear * grain**w) for f, w in ((a, weight_a), (b, weight_b))
+        ]
+        made = swap_texture(faces[0], with_hole(faces[1], hole))
+        return np.median(np.abs(np.diff(np.log(made.albedo_linear[26:38, 26:38].max(-1)))))
+
+    # The other way round a blurred face's filling is all there is.
+    assert roughness(0.2, 0.02) < 0.5 * roughness(0.2, 0.2)
+    assert roughness(0.02, 0.2) < 1.2 * roughness(0.02, 0.02)
+
+
 def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
     """A dark line of A crosses the border of the hole, which is no known feature; on B there is none."""
     a, b = (replace(person(seed), model_name="of mine") for seed in (0, 1))
