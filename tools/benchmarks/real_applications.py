@@ -61,7 +61,7 @@ SEAM_PAIRS = (
     ("james", "d_sun_sky"),
     ("d_emily_pods", "d_window_lamp"),
 )
-"""Of real faces, some with shut eyes; the last four were not looked at while swaps and blends were made."""
+"""Of real faces, some with shut eyes."""
 FEATURES = {
     "left eye": ("left_eye",),
     "right eye": ("right_eye",),
