@@ -47,7 +47,7 @@ def exported_textures(folder: Path) -> Iterator[tuple[str, NDArray[np.integer], 
                 if picture is not None:
                     values = np.asarray(picture.convert("RGB"))
                     covered = rasterize_uv(uv - np.floor(uv.mean(0)), mesh.faces, values.shape[:2]).covered
-                    yield f"{file.name} {name if len(parts) > 1 else ''}{kind}".strip(), values, covered
+                    yield f"{file.name}{' ' + name if len(parts) > 1 else ''}{kind}", values, covered
 
 
 def bench_rims(results: Path, out: Path, pairs: Sequence[tuple[str, str]] | None) -> None:
