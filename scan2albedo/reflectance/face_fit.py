@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import sparse
 from scipy.special import softmax
 
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import edges_with_faces
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.environment_shading import diffuse_response, shading_gradient
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_image
@@ -23,16 +25,17 @@ from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
 _BLOCK_MM = 12.0
-"""Edge of the cubes whose vertices are left out together."""
+"""Edge of the cubes whose vertices are left out together: errors of a shape are alike within. Positions are
+off by it times the angle that normals are off, in shapes from landmarks by 2 mm along each axis."""
 _LEAST_BLOCKS = 12
 """With fewer cubes there is no evidence."""
 _LEAST_GAIN = 0.07
 """A gain must exceed this share of the error: light that skin reflects onto skin is coloured, and gains a
 little."""
-_LIGHT_HUES = {0.15: 0.8, 0.5: 0.2}
-"""Standard deviations of the logarithms of a light's channels, less their mean, in photographs with balanced
-white and in any, and how many there are of each: white balance errs by two degrees (Cheng, Prasad, Brown,
-JOSA A 2014), and what is reflected and glossy adds as much; from daylight to a bulb it is 0.5."""
+_LIGHT_HUES = ((0.75, 0.0, 0.1), (0.2, 0.3, 0.2), (0.05, 0.0, 1.0))
+"""Light in photographs: how often, how warm (logarithm of red, and of blue with the other sign, less their
+mean), and standard deviation. White balance errs by two degrees (Cheng, Prasad, Brown, JOSA A 2014), 0.05,
+and what is reflected adds as much; of a bulb's 0.6 cameras leave about half; few lights are of any colour."""
 
 
 @dataclass(frozen=True)
@@ -149,8 +152,9 @@ def fit_face(
         Millimetres.
     lighting : LightingModel, optional
     normal_error : float
-        Root mean square angle, in radians, by which the normals may be wrong. Their light is then noise: what
-        a normal could explain is left out of the details, and the person's coefficients are not tried.
+        Usual angle, in radians, by which the normals may be wrong. Their light is then noise: what a normal,
+        or the position that is off with it, could explain is left out of the details, and the person's
+        coefficients are not tried.
     budget, on_progress : optional
         Of each of the fits, see `fit_image`.
 
@@ -204,7 +208,7 @@ def fit_face(
         why = "the person's coefficients have it"
     elif details.accepted:
         why = "the photograph's white is probably balanced"
-        hue = skin_hue(observation.response(used).diffuse @ fit.light)
+        hue = skin_hue(observation.response(np.flatnonzero(divided.lit)).diffuse @ fit.light)
         fit = fit_image(observation, model.mean_only(hue), lighting, budget=budget)
         fit = replace(fit, face=replace(fit.face, coefficients=mean.face.coefficients))
         divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
@@ -292,14 +296,16 @@ def skin_hue(received: FloatArray) -> FloatArray:
     """Return factors (3,) on the channels of the mean face's albedo, from the light (V, 3) that it receives.
 
     Of the log hue of a photograph, skin's plus light's, it is the posterior mean; the light's is a mixture.
+    White lies between the hues of the lights that meet on a face, as sun and sky: dark parts count as bright.
     """
-    cast = np.log(np.maximum(received.mean(0), _TINY))
+    cast = np.log(np.maximum(received, _TINY)).mean(0)
     cast -= cast.mean()
-    deviations, often = np.array(tuple(_LIGHT_HUES.items())).T
-    variance = deviations**2 + PEOPLE_DIFFER**2
+    often, warm, deviation = np.array(_LIGHT_HUES).T
+    variance = deviation**2 + PEOPLE_DIFFER**2
+    off = cast - np.outer(warm, [1, 0, -1])
     # Two numbers of the three are free.
-    odds = softmax(np.log(often / variance) - cast @ cast / (2 * variance))
-    return np.asarray(np.exp(odds @ (PEOPLE_DIFFER**2 / variance) * cast))
+    odds = softmax(np.log(often / variance) - (off**2).sum(1) / (2 * variance))
+    return np.asarray(np.exp(odds * PEOPLE_DIFFER**2 / variance @ off))
 
 
 _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
@@ -332,6 +338,8 @@ class ShadingDivided:
     by_tilt: FloatArray
     """(V, 3, 3): covariance of the logarithms of the channels' light by a normal's tilt of one radian; 0
     where not usable."""
+    log_received: FloatArray
+    """(V, 3): logarithm of the light that arrives; NaN where not seen."""
 
     @classmethod
     def from_observation(
@@ -370,6 +378,8 @@ class ShadingDivided:
         slopes = by_normal / np.maximum(diffuse + np.maximum(highlight, 0), floor)[..., None]
         by_tilt = np.zeros((len(model.known), 3, 3))
         by_tilt[usable] = (slopes @ slopes.transpose(0, 2, 1) / 2)[usable[used]]
+        log_received = np.full((len(model.known), 3), np.nan)
+        log_received[used] = np.log(np.maximum(received, floor))
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),
             usable=usable,
@@ -377,12 +387,24 @@ class ShadingDivided:
             highlight_share=share,
             log_whole=log_ratio(observed, diffuse + highlight),
             by_tilt=by_tilt,
+            log_received=log_received,
         )
 
     def left_over(self, field: FloatArray | float = 0.0) -> FloatArray:
         """Return the logarithm (V, 3) of the observed over the predicted light with details (V, 3)."""
         share = self.highlight_share
         return np.asarray(self.log_whole - np.log(share + (1 - share) * np.exp(field)))
+
+    def by_shift(self, vertices: FloatArray, faces: IntArray) -> FloatArray:
+        """Return (V, 3, 3) as `by_tilt`, by a shift of positions (V, 3) of one unit along each axis."""
+        edges, _ = edges_with_faces(faces)
+        ends = edges[np.isfinite(self.log_received[edges]).all((1, 2))].T
+        entry, shape = (ends.ravel(), np.tile(np.arange(ends.shape[1]), 2)), (len(vertices), ends.shape[1])
+        at = sparse.csr_matrix((np.ones(ends.size), entry), shape=shape)
+        change, length = (values[ends[0]] - values[ends[1]] for values in (self.log_received, vertices))
+        steep = at @ (2 * change[:, :, None] * change[:, None, :]).reshape(-1, 9)
+        square = np.where(self.usable, np.maximum(at @ (length**2).sum(1), _TINY), np.inf)
+        return np.asarray((steep / square[:, None]).reshape(-1, 3, 3))
 
 
 def detail_field(
@@ -393,21 +415,23 @@ def detail_field(
     Blurs of growing width divide the residual of the photograph into bands. In each, with R the residual's
     covariance (3, 3) over the channels and S that of the light's error, the best linear estimate of the
     albedo's part is (R - S) R^-1 times the residual (Wiener); R - S is cut at 0. Normals that are off by an
-    angle (radians, root mean square) add an equal part of what that does to the light to S of each band. Both
-    are means over the usable vertices around each one, within the last blur. What is wider than that is left
-    to the light, and the field fades far from usable vertices (V, 3), mm.
+    angle (radians), and positions with them, add an equal part of what that does to the light to S of each
+    band. Both are means over the usable vertices around each one, within the last blur. What is wider than
+    that is left to the light, and the field fades far from usable vertices (V, 3), mm.
     """
     usable = divided.usable
     field = np.zeros_like(divided.log_ratio)
     if not usable.any():
         return field
-    blurs = [surface_diffusion(np.asarray(vertices, np.float64), faces, width) for width in _BANDS]
+    xyz = np.asarray(vertices, np.float64)
+    blurs = [surface_diffusion(xyz, faces, width) for width in _BANDS]
     near = np.maximum(blurs[-1](usable.astype(float)), _TINY)
 
     def around(covariance: FloatArray) -> FloatArray:
         return blurs[-1](np.where(usable[:, None, None], covariance, 0.0)) / near[:, None, None]
 
-    tilted = normal_error**2 / len(_BANDS) * around(divided.by_tilt)
+    wrong = divided.by_tilt + (_BLOCK_MM**2 * divided.by_shift(xyz, faces) if normal_error else 0.0)
+    tilted = normal_error**2 / len(_BANDS) * around(wrong)
     cover = blurs[0](usable.astype(float))
     coarser = blurs[0](np.where(usable[:, None], divided.log_ratio, 0.0)) / np.maximum(cover, 1e-6)[:, None]
     finer = np.where(usable[:, None], divided.log_ratio, coarser)

@@ -147,10 +147,31 @@ def test_a_weak_cast_is_the_skins_and_a_strong_one_the_lights():
         log = cast * np.array([1.0, 0.0, -1.0])
         return float(np.log(skin_hue(np.exp(log)[None])) @ log / (log @ log))
 
-    np.testing.assert_allclose(skin_hue(np.full((4, 3), 7.0)), 1.0)
+    assert np.abs(skin_hue(np.full((4, 3), 7.0)) - 1).max() < 0.01
     assert 0.5 < share(0.1) < 1
-    assert 0 < share(0.8) < 0.2
-    assert 0 < share(10.0) < 0.2
+    assert share(0.3) < share(-0.3) - 0.1  # a bulb's light, which is warm
+    assert 0 < share(1.6) < 0.1
+    assert 0 < share(10.0) < 0.1
+
+
+def test_white_lies_between_the_hues_of_two_lights():
+    """Sun and sky, or a window and a coloured room: the bright part counts no more than the dark one."""
+    warm = np.exp(0.1 * np.array([1.0, 0.0, -1.0]))
+    assert np.abs(skin_hue(np.stack([5 * warm, 0.5 / warm])) - 1).max() < 0.01
+    assert skin_hue(np.stack([5 * warm, 0.5 * warm]))[0] > 1.05
+
+
+def test_light_changes_by_its_slope_where_positions_are_off():
+    slopes = np.array([[0.02, 0.01, 0.0], [0.0, 0.03, 0.0], [-0.01, 0.0, 0.01]])  # a mm, by channel
+    along = slopes[:, None] - (slopes @ NORMALS.T)[..., None] * NORMALS
+    nothing, there = np.zeros((len(VERTICES), 3)), SEEN & (NORMALS[:, 2] > 0.4)
+    light = np.where(SEEN[:, None], VERTICES @ slopes.T, np.nan)
+    divided = ShadingDivided(nothing, there, there, nothing, nothing, np.zeros((len(VERTICES), 3, 3)), light)
+    found = divided.by_shift(VERTICES, FACES)
+    assert (found[~there] == 0).all()
+    expected = np.einsum("cvi,dvi->vcd", along, along)[there]
+    assert np.linalg.norm(found[there] - expected) < 0.5 * np.linalg.norm(expected)
+    np.testing.assert_allclose(found[there].mean(0), expected.mean(0), atol=0.12 * expected.max())
 
 
 def test_the_mean_face_gets_the_hue_of_its_skin(model, lighting):
