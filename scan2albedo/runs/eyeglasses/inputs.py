@@ -81,7 +81,8 @@ class GlassesInput:
     """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm.
 
     `files` are named "mesh", "cameras", "mask <camera>", "picture <camera>" and others; `labels` (C, 20, 2)
-    are NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` and `environment` are linear.
+    are NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` and `environment` are linear,
+    `rim_masks` camera matrices (3, 4) and masks of `refine_lens_rim`.
     """
 
     frame: GlassesFrame
@@ -94,6 +95,7 @@ class GlassesInput:
     start: FloatArray | None = None
     pictures: tuple[Any, ...] | None = None
     environment: FloatArray | None = None
+    rim_masks: tuple[tuple[FloatArray, BoolArray], ...] = ()
 
 
 def keypoints_beside(mesh: Path) -> Path:
@@ -212,18 +214,7 @@ def read_registration(
         elif outside:
             size, whose = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
             notes.append(f"{outside} of {len(given)} {whose} lie outside its picture of {size}")
-    found: list[BoolArray | None] = [None] * len(views)
-    if masks is not None:
-        for number, camera in enumerate(views):
-            path = mask_path(masks, camera)
-            if path.is_file():
-                found[number] = read_masks(masks, [camera])[0]
-                files[f"mask {camera.name}"] = _hashed(path)
-            else:
-                notes.append(f"no mask of {camera.name!r} ({path} is not there): that view has labels only")
-        if all(mask is None for mask in found):
-            names = ", ".join(f"{camera.name}.png" for camera in views)
-            raise EyeglassesError(f"masks {masks}: the folder holds none of {names}")
+    found = _read_masks_in(masks, views, files, notes)
     photographs: list[NDArray[np.uint8] | None] = [None] * len(views)
     if pictures is not None:
         for number, camera in enumerate(views):
@@ -271,6 +262,7 @@ def read_lens_scene(
     cameras: Path,
     *,
     keypoints: Path | None = None,
+    masks: Path | None = None,
     views: Sequence[str] = (),
     pictures: Sequence[Path] = (),
     environment: Path | None = None,
@@ -279,7 +271,8 @@ def read_lens_scene(
     """Read the files of a rendering; the unit is that of both meshes, and "auto" decides for each.
 
     Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
-    name cameras, all when there are none; `pictures`, one a view, are named after them or in their order.
+    name cameras, all when there are none; `pictures`, one a view, are named after them or in their order;
+    `masks` is a folder of masks of the frame, of any of the cameras.
     Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
     """
     by_name = {camera.name: camera for camera in read_cameras(cameras)}
@@ -304,12 +297,15 @@ def read_lens_scene(
     for file, camera in zip(pictures, chosen if pictures else (), strict=True):
         images.append(_read_picture(file, camera))
         files[f"picture {camera.name}"] = _hashed(file)
+    notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
+    seen = zip(by_name.values(), _read_masks_in(masks, tuple(by_name.values()), files, notes), strict=True)
+    rims = tuple((camera.matrix, mask) for camera, mask in seen if mask is not None)
     light = None
     if environment is not None:
         light, files["environment"] = np.asarray(read_image_linear(environment), float), _hashed(environment)
-    notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
     shown = tuple(images) or None
-    return GlassesInput(glasses, chosen, skull, files, tuple(notes), pictures=shown, environment=light)
+    given = glasses, chosen, skull, files, tuple(notes)
+    return GlassesInput(*given, pictures=shown, environment=light, rim_masks=rims)
 
 
 def numbers(name: str, text: str, *counts: int) -> tuple[float, ...]:
@@ -348,6 +344,26 @@ def material_pair(
             given["alpha"] = 0.5
     given = {name: value for name, value in given.items() if value is not None}
     return replace(glass, dioptres=powers[0], **given), replace(glass, dioptres=powers[-1], **given)
+
+
+def _read_masks_in(
+    folder: Path | None, cameras: Sequence[Camera], files: dict[str, FileRecord], notes: list[str]
+) -> list[BoolArray | None]:
+    """Return the masks of a folder, None where it has none, and add files and notes."""
+    found: list[BoolArray | None] = [None] * len(cameras)
+    if folder is None:
+        return found
+    for number, camera in enumerate(cameras):
+        path = mask_path(folder, camera)
+        if path.is_file():
+            found[number] = read_masks(folder, [camera])[0]
+            files[f"mask {camera.name}"] = _hashed(path)
+        else:
+            notes.append(f"no mask of {camera.name!r} ({path} is not there)")
+    if all(mask is None for mask in found):
+        names = ", ".join(f"{camera.name}.png" for camera in cameras)
+        raise EyeglassesError(f"masks {folder}: the folder holds none of {names}")
+    return found
 
 
 def _read_picture(file: Path, camera: Camera) -> FloatArray:
