@@ -51,8 +51,6 @@ _STEP = 0.05
 """Lens radii between neighbouring hits that part two surfaces, such as the outer wall seen in a cut tube."""
 _PULL = 0.25
 """Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
-_CONTROLS = 32
-"""Control points of a refined edge: their curve follows rims of all shapes to 0.05 mm rms."""
 _OPEN, _BEND = 0.12, 0.02
 """Lens radii that an edge which no ray met is off in all (3 mm: a rim's width), and by which a control
 point's error differs from its neighbours' mean."""
@@ -362,17 +360,16 @@ def refine_lens_rim(
     rim_points: ArrayLike | None = None,
     deviation_px: float = 1.0,
 ) -> LensRim:
-    """Return the inner edge of a rim as pictures show it, where the mesh is noisy or full of gaps.
+    """Return the inner edge of a rim as pictures show it, where the mesh lacks pieces of the rim.
 
-    The edge is a closed four-point subdivision curve; radii and heights q of its 32 control points minimise
+    The edge is a closed four-point subdivision curve; radii and heights of its 32 control points minimise
 
-        sum rho((n_ci . (e_ci - project_c(T x_i)) - b_c) / s) + sum rho((ray_j - x_j - a) / r) + priors,
+        sum rho((n_ci . (e_ci - project_c(T x_i)) - b_c) / s) + sum rho((ray_j - x_j) / r) + priors,
 
     x_i the curve, e_ci where along the inward normal n_ci of its image the mask of view c ends, T what the
-    frame's place is off by, left out of the result, b_c by how much the mask is too wide, a the rays' common
-    error, rho Cauchy's, which starts wide. Of the front and the back edge of a rim's inner wall a view shows
-    the one nearer to the lens's middle. Wide gaps start as the curve through the rim points. Where no mask
-    shows half of the edge, as with dark lenses, the rim is returned as it is.
+    frame's place is off by, left out of the result, b_c by how much the mask is too wide, rho Cauchy's. Wide
+    gaps start as the curve through the rim points. Where no mask shows half of the edge, as with dark lenses,
+    the rim is returned as it is.
 
     Parameters
     ----------
@@ -392,79 +389,64 @@ def refine_lens_rim(
     """
     plane, count = LensPlane.at(rim.center, rim.normal), len(rim.points)
     angles, profile = plane.angles(rim.points), plane.profile(rim.points)
-    basis = np.eye(_CONTROLS)
-    while len(basis) < count:
-        basis = np.stack([basis, four_point_middles(basis)], 1).reshape(-1, _CONTROLS)
-    smooth = basis @ np.linalg.pinv(basis)
-    ray_noise = _ROUGH * np.sqrt(((profile - profile @ smooth.T) ** 2).mean(1))
-    outline = profile
+    # A quarter as many control points: their curve follows rims of all shapes to 0.05 mm rms.
+    basis = one = np.eye(count // 4)
+    for _ in range(2):
+        basis = np.stack([basis, four_point_middles(basis)], 1).reshape(-1, len(one))
+    smooth, outline = basis @ np.linalg.pinv(basis), profile
+    noise = _ROUGH * np.sqrt(((profile - profile @ smooth.T) ** 2).mean(1))
     if rim.gaps == "subdivided" and rim_points is not None:
         # What rays met may be other pieces of the frame: the gaps' shape shall not hang on it.
         marks = checked_points("rim_points", rim_points)
         outline = subdivide_rim(marks, plane, marks, angles)
     first, wide = outline @ smooth.T, _OPEN * float(outline[0].mean())
-    # Errors of radii and heights, the rays' common one, shift and turn of T, half the wall's depth, b.
-    sizes = np.array([_CONTROLS, _CONTROLS, 1, 3, 3, 1, len(masks)])
-    ends = np.cumsum(sizes)
-    radii, heights, bias, shift, turn, wall, widths = map(slice, ends - sizes, ends)
-    # A place is known to a quarter of a rim's width, and rims are about as deep as wide.
-    scale = [ray_noise[:1], [wide / 4] * 3, [_OPEN / 4] * 3, [wide / 2], [BIAS_PX] * len(masks)]
-    prior = np.diag(np.concatenate([np.ones(2 * _CONTROLS), *scale]) ** -2.0)
-    bend = np.eye(_CONTROLS) - sum(np.roll(np.eye(_CONTROLS), way, 0) for way in (-1, 1)) / 2
-    stiff = bend.T @ bend * (_OPEN / _BEND / wide) ** 2 + (_CONTROLS * wide) ** -2.0
+    # Errors of radii and heights, shift and turn of T, b. A place is known to a quarter of a rim's width.
+    ends = np.cumsum(sizes := np.array([len(one), len(one), 3, 3, len(masks)]))
+    radii, heights, shift, turn, widths = map(slice, ends - sizes, ends)
+    scale = np.repeat([1, 1, wide / 4, _OPEN / 4, BIAS_PX], sizes)
+    prior, bend = np.diag(scale**-2.0), one - (np.roll(one, 1, 0) + np.roll(one, -1, 0)) / 2
+    stiff = bend.T @ bend * (_OPEN / _BEND / wide) ** 2 + (len(one) * wide) ** -2.0
     prior[radii, radii] = prior[heights, heights] = stiff
-    state = expected = np.where(np.arange(len(prior)) == wall.start, wide / 2, 0.0)
-    # Both edges' points by the unknowns, and how far they may be off beforehand.
+    # Points of the curve by the unknowns, and how far they may be off beforehand.
     start, across = plane.points(angles, first), plane.directions(angles)
-    moves = np.zeros((2, count, 3, len(prior)))
+    moves = np.zeros((count, 3, len(prior)))
     moves[..., radii] = across[:, :, None] * basis[:, None]
     moves[..., heights] = plane.normal[:, None] * basis[:, None]
     moves[..., shift] = np.eye(3)
     moves[..., turn] = np.cross(np.eye(3), (start - plane.center)[:, None]).transpose(0, 2, 1)
-    moves[..., wall] = np.array([1.0, -1.0])[:, None, None, None] * plane.normal[:, None]
     open_mm = np.sqrt(np.einsum("np,pq,nq->n", basis, np.linalg.inv(stiff), basis))
-    views, met, seen = [], np.flatnonzero(rim.measured), False
-    for number, (camera, given) in enumerate(masks):
-        mask = np.asarray(given) != 0
-        if mask.any() and not mask.all():
-            matrix = normalized_cameras(np.asarray(camera)[None])
-            views.append((widths.start + number, matrix, MaskDistance.of(mask)))
-    for softness in 0.5 ** np.arange(12):
-        data: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-        for part, off, noise in zip((radii, heights), (profile - first)[:, met], ray_noise, strict=True):
-            rows = np.zeros((len(met), len(prior)))
-            rows[:, part], rows[:, bias] = basis[met], float(part is radii)
-            soft = ROBUST * np.hypot(noise, softness * wide)
+    met, state, seen = np.flatnonzero(rim.measured), np.zeros(len(prior)), False
+    matrices = normalized_cameras(np.reshape([np.asarray(camera) for camera, _ in masks], (-1, 3, 4)))
+    covered = [np.asarray(mask) != 0 for _, mask in masks]
+    fields = [MaskDistance.of(mask) if mask.any() and not mask.all() else None for mask in covered]
+    for _ in range(12):
+        seen, precision, pull = False, prior.copy(), np.zeros(len(prior))
+        for part, off, deviation in zip((radii, heights), (profile - first)[:, met], noise, strict=True):
             # Rays between two control points err alike.
-            data.append((rows, off, _CONTROLS / count / noise**2 / (1 + ((off - rows @ state) / soft) ** 2)))
-        seen = False
-        for column, matrix, distance in views:
-            front, back = (projected(matrix, start + move @ state)[:2] for move in moves)
-            along = np.roll(front[0], -1, 0) - np.roll(front[0], 1, 0)
-            inward = normalized(np.stack([-along[:, 1], along[:, 0]], 1))
-            inward *= np.sign(((projected(matrix, plane.center[None])[0] - front[0]) * inward).sum(1))[
-                :, None
-            ]
-            nearer = (((back[0] - front[0]) * inward).sum(1) > 0).astype(int)
-            pixels, slopes = (
-                np.stack(both)[nearer, np.arange(count)] for both in zip(front, back, strict=True)
-            )
-            rows = np.einsum("ni,nij,njp->np", inward, slopes, moves[nearer, np.arange(count)])
-            open_px = open_mm * np.linalg.norm(rows[:, shift], axis=1)
-            rows[:, column] = 1.0
-            reach = np.minimum(3 * np.hypot(open_px, deviation_px), REACH_PX)
-            kept, found = np.zeros(count, bool), np.zeros(count)
-            if np.isfinite(pixels).all():
-                found = search_edges(distance, pixels, inward, reach)
-                kept = np.isfinite(found)
-            if kept.mean() < 0.5:
+            weight = len(one) / count / deviation**2
+            weight /= 1 + ((off - basis[met] @ state[part]) / (ROBUST * deviation)) ** 2
+            precision[part, part] += (basis[met] * weight[:, None]).T @ basis[met]
+            pull[part] += basis[met].T @ (weight * off)
+        for column, matrix, field in zip(range(widths.start, len(prior)), matrices, fields, strict=True):
+            pixels, slopes, front = projected(matrix[None], start + moves @ state)
+            if field is None or not front.all():
                 continue
-            seen, off = True, found - state[column]
-            soft = ROBUST * np.hypot(deviation_px, softness * open_px)
-            votes = np.minimum(VOTE * np.linalg.norm(along, axis=1) / 2, 1.0) / deviation_px**2
-            data.append((rows[kept], (off + rows @ state)[kept], (votes / (1 + (off / soft) ** 2))[kept]))
-        precision = prior + sum((rows * weight[:, None]).T @ rows for rows, _, weight in data)
-        state = np.linalg.solve(precision, prior @ expected + sum(r.T @ (w * y) for r, y, w in data))
+            along = np.roll(pixels, -1, 0) - np.roll(pixels, 1, 0)
+            inward = normalized(np.stack([-along[:, 1], along[:, 0]], 1))
+            toward = projected(matrix[None], plane.center[None])[0] - pixels
+            inward *= np.sign((toward * inward).sum(1, keepdims=True))
+            rows = np.einsum("ni,nij,njp->np", inward, slopes, moves)
+            reach = 3 * np.hypot(open_mm * np.linalg.norm(rows[:, shift], axis=1), deviation_px)
+            found = search_edges(field, pixels, inward, np.minimum(reach, REACH_PX))
+            if (kept := np.isfinite(found)).mean() < 0.5:
+                continue
+            seen, rows[:, column] = True, 1.0
+            rows, found = rows[kept], (found - state[column])[kept]
+            weight = np.minimum(VOTE * np.linalg.norm(along[kept], axis=1) / 2, 1.0) / deviation_px**2
+            weight /= 1 + (found / (ROBUST * deviation_px)) ** 2
+            precision += (rows * weight[:, None]).T @ rows
+            pull += rows.T @ (weight * (found + rows @ state))
+        state = np.asarray(np.linalg.solve(precision, pull), np.float64)
     if not seen:
         return rim
     covariance = np.linalg.inv(precision)

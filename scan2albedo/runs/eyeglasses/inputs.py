@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -27,7 +26,6 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
-from scan2albedo.eyeglasses.view_files import mask_path
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
@@ -214,19 +212,8 @@ def read_registration(
         elif outside:
             size, whose = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
             notes.append(f"{outside} of {len(given)} {whose} lie outside its picture of {size}")
-    found = _read_masks_in(masks, views, files, notes)
-    photographs: list[NDArray[np.uint8] | None] = [None] * len(views)
-    if pictures is not None:
-        for number, camera in enumerate(views):
-            named = [pictures / f"{camera.name}{ending}" for ending in (".png", ".jpg", ".jpeg", ".tif")]
-            if file := next((path for path in named if path.is_file()), None):
-                photographs[number] = encode_srgb_bytes(_read_picture(file, camera))
-                files[f"picture {camera.name}"] = _hashed(file)
-            else:
-                notes.append(f"no picture of {camera.name!r} in {pictures}: nothing is proposed there")
-        if all(photograph is None for photograph in photographs):
-            names = ", ".join(f"{camera.name}.png" for camera in views)
-            raise EyeglassesError(f"pictures {pictures}: the folder holds none of {names} (or .jpg, .tif)")
+    found = _read_named("mask", masks, views, files, notes)
+    photographs = _read_named("picture", pictures, views, files, notes)
     pose = None
     if start is not None:
         npz = start.suffix.lower() == CANONICAL
@@ -252,8 +239,8 @@ def read_registration(
     # That meshes have no colours does not matter here.
     notes += [f"{name}: {n}" for name, scan in read for n in scan.notes if "geometry only" not in n]
     read_files = {**files, **frame.files}
-    given = frame, views, skull, read_files, tuple(notes), pixels, tuple(found), pose
-    return GlassesInput(*given, None if pictures is None else tuple(photographs))
+    given = frame, views, skull, read_files, tuple(notes), pixels, found, pose
+    return GlassesInput(*given, None if pictures is None else photographs)
 
 
 def read_lens_scene(
@@ -298,7 +285,9 @@ def read_lens_scene(
         images.append(_read_picture(file, camera))
         files[f"picture {camera.name}"] = _hashed(file)
     notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
-    seen = zip(by_name.values(), _read_masks_in(masks, tuple(by_name.values()), files, notes), strict=True)
+    seen = zip(
+        by_name.values(), _read_named("mask", masks, tuple(by_name.values()), files, notes), strict=True
+    )
     rims = tuple((camera.matrix, mask) for camera, mask in seen if mask is not None)
     light = None
     if environment is not None:
@@ -346,24 +335,27 @@ def material_pair(
     return replace(glass, dioptres=powers[0], **given), replace(glass, dioptres=powers[-1], **given)
 
 
-def _read_masks_in(
-    folder: Path | None, cameras: Sequence[Camera], files: dict[str, FileRecord], notes: list[str]
-) -> list[BoolArray | None]:
-    """Return the masks of a folder, None where it has none, and add files and notes."""
-    found: list[BoolArray | None] = [None] * len(cameras)
-    if folder is None:
-        return found
-    for number, camera in enumerate(cameras):
-        path = mask_path(folder, camera)
-        if path.is_file():
-            found[number] = read_masks(folder, [camera])[0]
-            files[f"mask {camera.name}"] = _hashed(path)
+def _read_named(
+    kind: str, folder: Path | None, cameras: Sequence[Camera], files: dict[str, FileRecord], notes: list[str]
+) -> tuple[Any, ...]:
+    """Return the masks or pictures of a folder, None where it has none, and add files and notes."""
+    found: list[Any] = [None] * len(cameras)
+    for number, camera in enumerate(cameras if folder is not None else ()):
+        assert folder is not None
+        endings = (".png",) if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
+        named = [folder / f"{camera.name}{ending}" for ending in endings]
+        if path := next((path for path in named if path.is_file()), None):
+            mask = kind == "mask"
+            found[number] = (
+                read_masks(folder, [camera])[0] if mask else encode_srgb_bytes(_read_picture(path, camera))
+            )
+            files[f"{kind} {camera.name}"] = _hashed(path)
         else:
-            notes.append(f"no mask of {camera.name!r} ({path} is not there)")
-    if all(mask is None for mask in found):
+            notes.append(f"no {kind} of {camera.name!r} ({named[0]} is not there)")
+    if folder is not None and all(one is None for one in found):
         names = ", ".join(f"{camera.name}.png" for camera in cameras)
-        raise EyeglassesError(f"masks {folder}: the folder holds none of {names}")
-    return found
+        raise EyeglassesError(f"{kind}s {folder}: the folder holds none of {names}")
+    return tuple(found)
 
 
 def _read_picture(file: Path, camera: Camera) -> FloatArray:
