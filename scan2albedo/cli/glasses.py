@@ -304,6 +304,13 @@ def lenses(
         list[Path] | None,
         typer.Option(help="Photograph to put the lenses into, once a view; otherwise the scene is drawn."),
     ] = None,
+    masks: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of masks of the frame without lenses, <camera>.png: rims that the mesh "
+            "has only in part are refined by them."
+        ),
+    ] = None,
     environment: Annotated[
         Path | None,
         typer.Option(
@@ -355,6 +362,7 @@ def lenses(
 
     shares: dict[str, Any] = {"alpha": alpha, "beta": beta}
     files: dict[str, Any] = {"keypoints": keypoints, "views": view or (), "pictures": picture or ()}
+    files |= {"masks": masks, "environment": environment}
     try:
         check_unit(unit)
         materials = material_pair(dioptres, tint=tint, **shares, sunglasses=sunglasses, fresnel=fresnel)
@@ -363,7 +371,7 @@ def lenses(
     stop_cleanly_on_interrupt(out)
     with _one_frame(frame, "lenses", json_summary) as progress:
         RunFolder(out, FILES).check()
-        source = read_lens_scene(frame, head, cameras, **files, environment=environment, unit=unit)
+        source = read_lens_scene(frame, head, cameras, **files, unit=unit)
         check_writable(out)
         options = LensPictureOptions(supersampling=supersampling, light_count=lights)
         record = run_lenses(source, materials, options, out, progress.say)

@@ -24,7 +24,7 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, SKELETON
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.lens_picture import LensPicture, LensPictureOptions, insert_lenses
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, RefractedRays, ThinLens, refract
-from scan2albedo.eyeglasses.lenses.rims import LensRim, find_lens_rim
+from scan2albedo.eyeglasses.lenses.rims import LensRim, find_lens_rim, refine_lens_rim
 from scan2albedo.eyeglasses.lenses.scenes import Surface
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
@@ -77,6 +77,7 @@ __all__ = [
     "read_masks",
     "read_registered",
     "read_start",
+    "refine_lens_rim",
     "refract",
     "register_on_face",
     "skin",

@@ -6,10 +6,20 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.eyeglasses_scenes import (
+    SHAPES,
+    BareFrame,
+    giraut,
+    khronos,
+    photographed,
+    synthetic,
+    without_lenses,
+)
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.eyeglasses import LensRim, find_lens_rim
+from scan2albedo.eyeglasses import KEY_POINT_NAMES, LensRim, find_lens_rim, refine_lens_rim
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_components
+from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.io.images import write_png
 from scan2albedo.rendering.views import View, render_mesh
@@ -117,3 +127,95 @@ def rims_of(vertices: FloatArray, faces: IntArray, axis: int) -> dict[str, tuple
             side = "left" if corners[:, 0].mean() < 0 else "right"
             found[side] = (own, (corners.min(0) + corners.max(0)) / 2)
     return found
+
+
+RIMS = tuple(
+    [i for i, name in enumerate(KEY_POINT_NAMES) if name.startswith(f"{side}_rim")]
+    for side in ("left", "right")
+)
+DAMAGE = ("whole", "gaps", "half", "holes", "none", "noise")
+TUNED = (("drawn 0", 0), ("slab", 0), ("round", 0), ("giraut", 0))
+UNSEEN = (
+    *((f"drawn {seed}", seed) for seed in range(20, 26)),
+    *(("aviator", 21), ("shield", 22), ("khronos", 23), ("giraut", 24)),
+)
+"""Frame and seed of bend, cameras, masks and damage."""
+
+
+def bench_refined(data: Path, *, tuned: bool = False) -> None:
+    """Print errors of the lenses' edges on damaged meshes, without masks and with those of three views."""
+    rows: dict[str, list[FloatArray]] = {}
+    for name, seed in TUNED if tuned else UNSEEN:
+        frame = _frame(name, data)
+        seen = photographed(frame, seed, glass=False)
+        rng = np.random.default_rng([seed, 5])
+        # Where a registration puts the frame, and where somebody puts its key points.
+        turn, middle = rotation_from_vector(np.deg2rad(rng.normal(0, 0.3, 3))), seen.vertices.mean(0)
+        shift = middle + rng.normal(0, 0.3, 3)
+        vertices, marks = ((p - middle) @ turn.T + shift for p in (seen.vertices, seen.keypoints))
+        truth = [_rim(vertices, frame.faces, marks[own], None) for own in RIMS]
+        marks = marks + rng.normal(0, 0.4, marks.shape)
+        for kind in DAMAGE:
+            mesh = damaged(vertices, frame.faces, truth, kind, rng)
+            for own, true in zip(RIMS, truth, strict=True):
+                rim = _rim(*mesh, marks[own], true.normal)
+                refined = refine_lens_rim(
+                    rim, list(zip(seen.cameras, seen.masks, strict=True)), rim_points=marks[own]
+                )
+                before, after = (distances(r.points, true.points) for r in (rim, refined))
+                stated = np.full_like(after, np.nan) if refined.deviation is None else refined.deviation
+                within = [np.mean(after <= k * stated) for k in (1, 2)]
+                rms = [np.sqrt((error**2).mean()) for error in (before, after, stated)]
+                row = np.array([rms[0], before.max(), rms[1], after.max(), rms[2], *within])
+                rows.setdefault(kind, []).append(row)
+                if name in ("khronos", "giraut"):
+                    rows.setdefault(f"{kind}, {name}", []).append(row)
+    print(f"{'mesh':16}{'rims':>5}{'without: rms':>13}{'worst':>7}{'masks: rms':>12}{'worst':>7}", end="")
+    print(f"{'stated':>8}{'in 1 s':>8}{'in 2 s':>8}{'better':>8}{'worse':>7}   (mm; by .02 or more)")
+    for kind in sorted(rows, key=lambda kind: (", " in kind, DAMAGE.index(kind.partition(",")[0]))):
+        table = np.array(rows[kind])
+        rms, worst, within = np.sqrt((table**2).mean(0)), table.max(0), table.mean(0)
+        gain = table[:, 0] - table[:, 2]
+        print(f"{kind:16}{len(table):5}{rms[0]:13.2f}{worst[1]:7.2f}{rms[2]:12.2f}{worst[3]:7.2f}", end="")
+        print(f"{rms[4]:8.2f}{within[5]:8.2f}{within[6]:8.2f}", end="")
+        print(f"{(gain > 0.02).sum():8}{(gain < -0.02).sum():7}", flush=True)
+
+
+def damaged(
+    vertices: FloatArray, faces: IntArray, rims: list[LensRim], kind: str, rng: np.random.Generator
+) -> tuple[FloatArray, IntArray]:
+    """Return a mesh whose rims lack two pieces, a half, every other face or all, or that is rough."""
+    if kind == "noise":
+        return vertices + rng.normal(0, 0.3, vertices.shape), faces
+    kept = np.ones(len(faces), bool)
+    for rim in rims:
+        offset = vertices[faces].mean(1) - rim.points.mean(0)
+        size = np.linalg.norm(rim.points - rim.points.mean(0), axis=1).mean()
+        near = (np.hypot(offset[:, 0], offset[:, 1]) < 1.6 * size) & (np.abs(offset[:, 2]) < 15)
+        lost = np.zeros(len(faces), bool)
+        if kind == "gaps":
+            for at, half in zip(rng.uniform(-np.pi, np.pi, 2), rng.uniform(20, 50, 2), strict=True):
+                angle = np.arctan2(offset[:, 1], offset[:, 0]) - at
+                lost |= np.abs(np.angle(np.exp(1j * angle))) < np.deg2rad(half)
+        elif kind == "half":
+            lost = offset[:, 1] < rng.uniform(-5, 5)
+        elif kind == "holes":
+            lost = rng.random(len(faces)) < 0.5
+        kept &= ~(near & (lost | (kind == "none")))
+    return vertices, faces[kept]
+
+
+def _frame(name: str, data: Path) -> BareFrame:
+    if name.startswith("drawn"):
+        glasses = eyeglasses(int(name.split()[1]))
+        none = np.zeros(len(glasses.faces), bool)
+        return BareFrame(name, glasses.vertices, glasses.faces, none, glasses.keypoints)
+    if name in SHAPES:
+        return without_lenses(synthetic(name))
+    return giraut(data) if name == "giraut" else without_lenses(khronos(data))
+
+
+def _rim(vertices: FloatArray, faces: IntArray, marks: FloatArray, normal: FloatArray | None) -> LensRim:
+    top, bridge, inner, bottom, outer = marks
+    center = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
+    return find_lens_rim(vertices, faces, center, rim_points=marks, normal=normal)

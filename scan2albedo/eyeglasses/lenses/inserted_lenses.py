@@ -19,6 +19,7 @@ from scan2albedo.eyeglasses.lenses.rims import (
     fit_normal,
     is_covered,
     pane_faces,
+    refine_lens_rim,
 )
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, Surface
 from scan2albedo.geometry.mesh import face_cross_products, normalized
@@ -64,11 +65,13 @@ def insert_lens(
     *,
     center: FloatArray | None = None,
     seat_mm: float = 0.0,
+    rim_masks: Sequence[tuple[ArrayLike, ArrayLike]] = (),
 ) -> InsertedLens:
     """Return the lens that fills one rim of a frame, whose key points are needed; lengths in mm.
 
     The optical `center` (3,) is moved into the lens plane along its normal; the outline's centroid when
-    omitted. Points of the outline that were measured move `seat_mm` outward, into the rim. Raises
+    omitted. Points of the outline that were measured move `seat_mm` outward, into the rim. `rim_masks` are
+    cameras and masks for `refine_lens_rim`. Raises
     EyeglassesError, naming the lens, when key points are missing or no rim of a lens's size is found.
     """
     marks = rim_key_points(keypoints, side)
@@ -78,6 +81,8 @@ def insert_lens(
     try:
         normal = _viewers_side(fit_normal(marks, vertices), guess, keypoints)
         rim = find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal)
+        if len(rim_masks):
+            rim = refine_lens_rim(rim, rim_masks, rim_points=marks)
         # The rim's own plane and the area's centroid in it take the place of what they were guessed to be.
         middle = rim.points.mean(0)
         axis = np.linalg.svd(rim.points - middle, full_matrices=False)[2][2]

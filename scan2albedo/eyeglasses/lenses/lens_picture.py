@@ -85,6 +85,7 @@ def insert_lenses(
     environment_linear: ArrayLike | None = None,
     lights: DistantLights | None = None,
     lens_centers: ArrayLike | None = None,
+    rim_masks: Sequence[tuple[ArrayLike, ArrayLike]] = (),
     options: LensPictureOptions = LensPictureOptions(),
 ) -> LensPicture:
     """Return a picture of a pair of glasses with lenses put in.
@@ -122,6 +123,8 @@ def insert_lenses(
         Only with `shape`.
     lens_centers : (2, 3) array_like of float, optional
         Optical centres, left and right, moved into the lens planes; otherwise the outlines' centroids.
+    rim_masks : sequence of ((3, 4), (H, W)) array_like
+        Cameras and masks of the frame without lenses, by which `refine_lens_rim` refines the outlines.
     options : LensPictureOptions
 
     Notes
@@ -166,7 +169,8 @@ def insert_lenses(
             raise ValueError(f"lens_centers must have shape (2, 3), got {np.shape(lens_centers)}")
     given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
-    placed = tuple(insert_lens(*given, k, own, center=middles[k], seat_mm=_SEAT_MM) for k, own in sides)
+    seat: dict[str, Any] = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
+    placed = tuple(insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
     bare, glass_notes = without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
     # The rows and columns of the pixels that may see a lens, with one to spare around them.
@@ -202,6 +206,11 @@ def insert_lenses(
             source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
             share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
             notes.append(f"the {lens.name}: {share} of its rim come from {source}")
+        if lens.rim.deviation is not None:
+            off = np.sqrt((lens.rim.deviation**2).mean())
+            notes.append(f"the {lens.name}: masks refine its outline, to {off:.2f} mm (standard deviation)")
+        elif len(rim_masks):
+            notes.append(f"the {lens.name}: no mask shows half of its outline, which stays as it is")
         if not (seen == lens.side).any():
             notes.append(f"the {lens.name}: no pixel sees it")
     if made.glancing:

@@ -1,8 +1,9 @@
-"""The inner rim of a frame around a lens centre, by rays outward or from its key points."""
+"""The inner rim of a frame around a lens centre: by rays, from its key points, as pictures show it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,8 +13,11 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
+from scan2albedo.eyeglasses.on_face.objective import BIAS_PX, ROBUST, VOTE
+from scan2albedo.eyeglasses.on_face.outline import REACH_PX, MaskDistance, search_edges
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized, vertex_components
+from scan2albedo.geometry.pinhole import normalized_cameras, projected
 from scan2albedo.geometry.rays import RayCaster
 
 _POINTS = 128
@@ -47,6 +51,11 @@ _STEP = 0.05
 """Lens radii between neighbouring hits that part two surfaces, such as the outer wall seen in a cut tube."""
 _PULL = 0.25
 """Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
+_OPEN, _BEND = 0.12, 0.02
+"""Lens radii that an edge which no ray met is off in all (3 mm: a rim's width), and by which a control
+point's error differs from its neighbours' mean."""
+_ROUGH = 3.0
+"""Errors of what rays met over what the curve cannot follow of it."""
 
 
 @dataclass(frozen=True)
@@ -167,6 +176,8 @@ class LensRim:
     center: FloatArray
     normal: FloatArray
     """`center` (3,) and unit `normal` (3,) of the lens plane, towards the viewer."""
+    deviation: FloatArray | None = None
+    """(R,) root mean square distance that each point may be off, of a rim refined by pictures."""
 
 
 def find_lens_rim(
@@ -309,6 +320,12 @@ def _nearest(
     return np.take_along_axis(distance, first, 1)[:, 0], np.take_along_axis(heights, first, 1)[:, 0]
 
 
+def four_point_middles(outline: FloatArray) -> FloatArray:
+    """Return (N, D) middles of a closed curve's edges from its points (N, D): (9 (b + c) - a - d) / 16."""
+    following = np.roll(outline, -1, 0)
+    return (9 * (outline + following) - np.roll(outline, 1, 0) - np.roll(outline, -2, 0)) / 16
+
+
 def subdivide_rim(
     vertices: FloatArray, plane: LensPlane, rim_points: FloatArray, angles: FloatArray
 ) -> FloatArray:
@@ -325,7 +342,7 @@ def subdivide_rim(
     tree = cKDTree(vertices)
     for _ in range(5):
         following = np.roll(outline, -1, 0)
-        middle = (9 * (outline + following) - np.roll(outline, 1, 0) - np.roll(outline, -2, 0)) / 16
+        middle = four_point_middles(outline)
         distance, nearest = tree.query(middle)
         pulled = distance <= _PULL * np.linalg.norm(following - outline, axis=1)
         middle[pulled] = vertices[nearest[pulled]]
@@ -334,3 +351,105 @@ def subdivide_rim(
         outline = outline[np.linalg.norm(outline - np.roll(outline, 1, 0), axis=1) > 0]
     at = plane.angles(outline)
     return np.stack([np.interp(angles, at, own, period=2 * np.pi) for own in plane.profile(outline)])
+
+
+def refine_lens_rim(
+    rim: LensRim,
+    masks: Sequence[tuple[ArrayLike, ArrayLike]],
+    *,
+    rim_points: ArrayLike | None = None,
+    deviation_px: float = 1.0,
+) -> LensRim:
+    """Return the inner edge of a rim as pictures show it, where the mesh lacks pieces of the rim.
+
+    The edge is a closed four-point subdivision curve; radii and heights of its 32 control points minimise
+
+        sum rho((n_ci . (e_ci - project_c(T x_i)) - b_c) / s) + sum rho((ray_j - x_j) / r) + priors,
+
+    x_i the curve, e_ci where along the inward normal n_ci of its image the mask of view c ends, T what the
+    frame's place is off by, left out of the result, b_c by how much the mask is too wide, rho Cauchy's. Wide
+    gaps start as the curve through the rim points. Where no mask shows half of the edge, as with dark lenses,
+    the rim is returned as it is.
+
+    Parameters
+    ----------
+    rim : LensRim
+        From `find_lens_rim`.
+    masks : sequence of ((3, 4), (H, W)) array_like
+        Cameras, in the rim's frame and unit, and masks: nonzero where the view shows the frame, not lenses.
+    rim_points : (K, 3) array_like of float, optional
+        Those that `find_lens_rim` had.
+    deviation_px : float
+        Of the masks' outlines.
+
+    Notes
+    -----
+    Li et al. (supplement, section S4) subdivide between key points. Most of ours are on the rim's outside, so
+    that their labels do not say where its inner edge is; the masks do.
+    """
+    plane, count = LensPlane.at(rim.center, rim.normal), len(rim.points)
+    angles, profile = plane.angles(rim.points), plane.profile(rim.points)
+    # A quarter as many control points: their curve follows rims of all shapes to 0.05 mm rms.
+    basis = one = np.eye(count // 4)
+    for _ in range(2):
+        basis = np.stack([basis, four_point_middles(basis)], 1).reshape(-1, len(one))
+    smooth, outline = basis @ np.linalg.pinv(basis), profile
+    noise = _ROUGH * np.sqrt(((profile - profile @ smooth.T) ** 2).mean(1))
+    if rim.gaps == "subdivided" and rim_points is not None:
+        # What rays met may be other pieces of the frame: the gaps' shape shall not hang on it.
+        marks = checked_points("rim_points", rim_points)
+        outline = subdivide_rim(marks, plane, marks, angles)
+    first, wide = outline @ smooth.T, _OPEN * float(outline[0].mean())
+    # Errors of radii and heights, shift and turn of T, b. A place is known to a quarter of a rim's width.
+    ends = np.cumsum(sizes := np.array([len(one), len(one), 3, 3, len(masks)]))
+    radii, heights, shift, turn, widths = map(slice, ends - sizes, ends)
+    scale = np.repeat([1, 1, wide / 4, _OPEN / 4, BIAS_PX], sizes)
+    prior, bend = np.diag(scale**-2.0), one - (np.roll(one, 1, 0) + np.roll(one, -1, 0)) / 2
+    stiff = bend.T @ bend * (_OPEN / _BEND / wide) ** 2 + (len(one) * wide) ** -2.0
+    prior[radii, radii] = prior[heights, heights] = stiff
+    # Points of the curve by the unknowns, and how far they may be off beforehand.
+    start, across = plane.points(angles, first), plane.directions(angles)
+    moves = np.zeros((count, 3, len(prior)))
+    moves[..., radii] = across[:, :, None] * basis[:, None]
+    moves[..., heights] = plane.normal[:, None] * basis[:, None]
+    moves[..., shift] = np.eye(3)
+    moves[..., turn] = np.cross(np.eye(3), (start - plane.center)[:, None]).transpose(0, 2, 1)
+    open_mm = np.sqrt(np.einsum("np,pq,nq->n", basis, np.linalg.inv(stiff), basis))
+    met, state, seen = np.flatnonzero(rim.measured), np.zeros(len(prior)), False
+    matrices = normalized_cameras(np.reshape([np.asarray(camera) for camera, _ in masks], (-1, 3, 4)))
+    covered = [np.asarray(mask) != 0 for _, mask in masks]
+    fields = [MaskDistance.of(mask) if mask.any() and not mask.all() else None for mask in covered]
+    for _ in range(12):
+        seen, precision, pull = False, prior.copy(), np.zeros(len(prior))
+        for part, off, deviation in zip((radii, heights), (profile - first)[:, met], noise, strict=True):
+            # Rays between two control points err alike.
+            weight = len(one) / count / deviation**2
+            weight /= 1 + ((off - basis[met] @ state[part]) / (ROBUST * deviation)) ** 2
+            precision[part, part] += (basis[met] * weight[:, None]).T @ basis[met]
+            pull[part] += basis[met].T @ (weight * off)
+        for column, matrix, field in zip(range(widths.start, len(prior)), matrices, fields, strict=True):
+            pixels, slopes, front = projected(matrix[None], start + moves @ state)
+            if field is None or not front.all():
+                continue
+            along = np.roll(pixels, -1, 0) - np.roll(pixels, 1, 0)
+            inward = normalized(np.stack([-along[:, 1], along[:, 0]], 1))
+            toward = projected(matrix[None], plane.center[None])[0] - pixels
+            inward *= np.sign((toward * inward).sum(1, keepdims=True))
+            rows = np.einsum("ni,nij,njp->np", inward, slopes, moves)
+            reach = 3 * np.hypot(open_mm * np.linalg.norm(rows[:, shift], axis=1), deviation_px)
+            found = search_edges(field, pixels, inward, np.minimum(reach, REACH_PX))
+            if (kept := np.isfinite(found)).mean() < 0.5:
+                continue
+            seen, rows[:, column] = True, 1.0
+            rows, found = rows[kept], (found - state[column])[kept]
+            weight = np.minimum(VOTE * np.linalg.norm(along[kept], axis=1) / 2, 1.0) / deviation_px**2
+            weight /= 1 + (found / (ROBUST * deviation_px)) ** 2
+            precision += (rows * weight[:, None]).T @ rows
+            pull += rows.T @ (weight * (found + rows @ state))
+        state = np.asarray(np.linalg.solve(precision, pull), np.float64)
+    if not seen:
+        return rim
+    covariance = np.linalg.inv(precision)
+    points = plane.points(angles, first + np.stack([basis @ state[part] for part in (radii, heights)]))
+    variance = sum(np.einsum("np,pq,nq->n", basis, covariance[p, p], basis) for p in (radii, heights))
+    return replace(rim, points=points, deviation=np.sqrt(variance))

@@ -27,11 +27,11 @@ from scan2albedo.optimization.least_squares import Damping, NormalEquations, min
 
 _BEHIND = 1e6
 """Squared error in standard deviations of a point behind a camera."""
-_ROBUST = 2.0
+ROBUST = 2.0
 """Standard deviations from which labels count less and less (Cauchy), outlines by their size (Huber)."""
 _OFFSET_MM = 0.5
 """How far what is labelled usually is from the mesh's key point, along each axis and alike in all views."""
-_BIAS_PX = 1.0
+BIAS_PX = 1.0
 """How far a mask usually reaches beyond the frame, or falls short of it, all around."""
 VOTE = 1 / 20
 """Of a pixel of the outline: a mask's errors are alike over 20 pixels, which share one vote."""
@@ -184,7 +184,7 @@ class RegistrationObjective:
         for _ in range(_REWEIGHTINGS):
             moved = residual + np.einsum("nij,nj->ni", slopes, offset[mark])
             square = np.where(front, (moved**2).sum(1), _BEHIND)
-            weight = 1 / (1 + square / _ROBUST**2)
+            weight = 1 / (1 + square / ROBUST**2)
             matrix, pull = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
             np.add.at(matrix, mark, np.einsum("n,nki,nkj->nij", weight, slopes, slopes))
             np.add.at(pull, mark, np.einsum("n,nki,nk->ni", weight, slopes, residual))
@@ -203,7 +203,7 @@ class RegistrationObjective:
             (along / np.maximum(size, least)).ravel(),
             (size > least).astype(np.float64).ravel(),
         )
-        sums.cost += float(_ROBUST**2 * np.log1p(square / _ROBUST**2).sum())
+        sums.cost += float(ROBUST**2 * np.log1p(square / ROBUST**2).sum())
         sums.cost += float((offset**2).sum() / _OFFSET_MM**2)
         return errors
 
@@ -231,28 +231,28 @@ class RegistrationObjective:
             bias, along = 0.0, 1 / noise[mine]
             for _ in range(_REWEIGHTINGS):
                 weight = VOTE * _huber_weights(residual[mine] - bias * along)
-                tight = float(weight @ along**2) + 1 / _BIAS_PX**2
+                tight = float(weight @ along**2) + 1 / BIAS_PX**2
                 bias = float((weight * along) @ residual[mine]) / tight
             residual[mine] -= bias * along
             weight = VOTE * _huber_weights(residual[mine])
             error[mine] -= bias
-            sums.cost += (bias / _BIAS_PX) ** 2
+            sums.cost += (bias / BIAS_PX) ** 2
             if sums.with_matrix:
                 # What the bias takes from the matrix: all values may be off by one amount.
                 terms = slope[mine], along, weight
                 common, _ = motion.raw_sums(samples.points[mine], place[mine], *terms, with_matrix=False)
-                sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / _BIAS_PX**2)
+                sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / BIAS_PX**2)
         size = np.abs(residual)
-        cost = np.where(size > _ROBUST, _ROBUST * (2 * size - _ROBUST), size**2)
+        cost = np.where(size > ROBUST, ROBUST * (2 * size - ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
-        cost[lost] = _ROBUST * 2 * REACH_PX / noise[lost]
+        cost[lost] = ROBUST * 2 * REACH_PX / noise[lost]
         sums.add(samples.points, place, slope, residual, VOTE * _huber_weights(residual))
         sums.cost += float(VOTE * cost.sum())
         return error
 
 
 def _huber_weights(residual: FloatArray) -> FloatArray:
-    return _ROBUST / np.maximum(np.abs(residual), _ROBUST)
+    return ROBUST / np.maximum(np.abs(residual), ROBUST)
 
 
 class _Sums:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -27,7 +26,6 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
-from scan2albedo.eyeglasses.view_files import mask_path
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
@@ -81,7 +79,8 @@ class GlassesInput:
     """What a frame is registered on a face from, or its lenses are drawn with; lengths in mm.
 
     `files` are named "mesh", "cameras", "mask <camera>", "picture <camera>" and others; `labels` (C, 20, 2)
-    are NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` and `environment` are linear.
+    are NaN for missing ones, `start` (4, 4) is `world_from_glasses`, `pictures` and `environment` are linear,
+    `rim_masks` camera matrices (3, 4) and masks of `refine_lens_rim`.
     """
 
     frame: GlassesFrame
@@ -94,6 +93,7 @@ class GlassesInput:
     start: FloatArray | None = None
     pictures: tuple[Any, ...] | None = None
     environment: FloatArray | None = None
+    rim_masks: tuple[tuple[FloatArray, BoolArray], ...] = ()
 
 
 def keypoints_beside(mesh: Path) -> Path:
@@ -212,30 +212,8 @@ def read_registration(
         elif outside:
             size, whose = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
             notes.append(f"{outside} of {len(given)} {whose} lie outside its picture of {size}")
-    found: list[BoolArray | None] = [None] * len(views)
-    if masks is not None:
-        for number, camera in enumerate(views):
-            path = mask_path(masks, camera)
-            if path.is_file():
-                found[number] = read_masks(masks, [camera])[0]
-                files[f"mask {camera.name}"] = _hashed(path)
-            else:
-                notes.append(f"no mask of {camera.name!r} ({path} is not there): that view has labels only")
-        if all(mask is None for mask in found):
-            names = ", ".join(f"{camera.name}.png" for camera in views)
-            raise EyeglassesError(f"masks {masks}: the folder holds none of {names}")
-    photographs: list[NDArray[np.uint8] | None] = [None] * len(views)
-    if pictures is not None:
-        for number, camera in enumerate(views):
-            named = [pictures / f"{camera.name}{ending}" for ending in (".png", ".jpg", ".jpeg", ".tif")]
-            if file := next((path for path in named if path.is_file()), None):
-                photographs[number] = encode_srgb_bytes(_read_picture(file, camera))
-                files[f"picture {camera.name}"] = _hashed(file)
-            else:
-                notes.append(f"no picture of {camera.name!r} in {pictures}: nothing is proposed there")
-        if all(photograph is None for photograph in photographs):
-            names = ", ".join(f"{camera.name}.png" for camera in views)
-            raise EyeglassesError(f"pictures {pictures}: the folder holds none of {names} (or .jpg, .tif)")
+    found = _read_named("mask", masks, views, files, notes)
+    photographs = _read_named("picture", pictures, views, files, notes)
     pose = None
     if start is not None:
         npz = start.suffix.lower() == CANONICAL
@@ -261,8 +239,8 @@ def read_registration(
     # That meshes have no colours does not matter here.
     notes += [f"{name}: {n}" for name, scan in read for n in scan.notes if "geometry only" not in n]
     read_files = {**files, **frame.files}
-    given = frame, views, skull, read_files, tuple(notes), pixels, tuple(found), pose
-    return GlassesInput(*given, None if pictures is None else tuple(photographs))
+    given = frame, views, skull, read_files, tuple(notes), pixels, found, pose
+    return GlassesInput(*given, None if pictures is None else photographs)
 
 
 def read_lens_scene(
@@ -271,6 +249,7 @@ def read_lens_scene(
     cameras: Path,
     *,
     keypoints: Path | None = None,
+    masks: Path | None = None,
     views: Sequence[str] = (),
     pictures: Sequence[Path] = (),
     environment: Path | None = None,
@@ -279,7 +258,8 @@ def read_lens_scene(
     """Read the files of a rendering; the unit is that of both meshes, and "auto" decides for each.
 
     Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
-    name cameras, all when there are none; `pictures`, one a view, are named after them or in their order.
+    name cameras, all when there are none; `pictures`, one a view, are named after them or in their order;
+    `masks` is a folder of masks of the frame, of any of the cameras.
     Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
     """
     by_name = {camera.name: camera for camera in read_cameras(cameras)}
@@ -304,12 +284,17 @@ def read_lens_scene(
     for file, camera in zip(pictures, chosen if pictures else (), strict=True):
         images.append(_read_picture(file, camera))
         files[f"picture {camera.name}"] = _hashed(file)
+    notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
+    seen = zip(
+        by_name.values(), _read_named("mask", masks, tuple(by_name.values()), files, notes), strict=True
+    )
+    rims = tuple((camera.matrix, mask) for camera, mask in seen if mask is not None)
     light = None
     if environment is not None:
         light, files["environment"] = np.asarray(read_image_linear(environment), float), _hashed(environment)
-    notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
     shown = tuple(images) or None
-    return GlassesInput(glasses, chosen, skull, files, tuple(notes), pictures=shown, environment=light)
+    given = glasses, chosen, skull, files, tuple(notes)
+    return GlassesInput(*given, pictures=shown, environment=light, rim_masks=rims)
 
 
 def numbers(name: str, text: str, *counts: int) -> tuple[float, ...]:
@@ -348,6 +333,29 @@ def material_pair(
             given["alpha"] = 0.5
     given = {name: value for name, value in given.items() if value is not None}
     return replace(glass, dioptres=powers[0], **given), replace(glass, dioptres=powers[-1], **given)
+
+
+def _read_named(
+    kind: str, folder: Path | None, cameras: Sequence[Camera], files: dict[str, FileRecord], notes: list[str]
+) -> tuple[Any, ...]:
+    """Return the masks or pictures of a folder, None where it has none, and add files and notes."""
+    found: list[Any] = [None] * len(cameras)
+    for number, camera in enumerate(cameras if folder is not None else ()):
+        assert folder is not None
+        endings = (".png",) if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
+        named = [folder / f"{camera.name}{ending}" for ending in endings]
+        if path := next((path for path in named if path.is_file()), None):
+            mask = kind == "mask"
+            found[number] = (
+                read_masks(folder, [camera])[0] if mask else encode_srgb_bytes(_read_picture(path, camera))
+            )
+            files[f"{kind} {camera.name}"] = _hashed(path)
+        else:
+            notes.append(f"no {kind} of {camera.name!r} ({named[0]} is not there)")
+    if folder is not None and all(one is None for one in found):
+        names = ", ".join(f"{camera.name}.png" for camera in cameras)
+        raise EyeglassesError(f"{kind}s {folder}: the folder holds none of {names}")
+    return tuple(found)
 
 
 def _read_picture(file: Path, camera: Camera) -> FloatArray:

@@ -32,7 +32,7 @@ from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import GlbPart, write_parts_glb
 from scan2albedo.io.images import write_exr, write_png
-from scan2albedo.io.records import Figures, Number, Record
+from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
 from scan2albedo.io.result_records import InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN
@@ -66,6 +66,7 @@ class LensRecord(Record):
         ge=0, le=1, description="Share of the outline met by rays; the rest is filled in."
     )
     gaps: Literal["none", "interpolated", "subdivided"] = Field(description="How the rest was filled in.")
+    deviation_mm: OptionalNumber = Field(None, description="Of the outline as masks refine it; null without.")
 
 
 class LensViewRecord(Record):
@@ -91,6 +92,7 @@ class LensesRecord(RunRecord):
     head: InputRecord
     cameras: FileRecord
     pictures: tuple[FileRecord, ...] = ()
+    masks: tuple[FileRecord, ...] = Field((), description="By which rims were refined.")
     environment: FileRecord | None = Field(None, description="null for the built-in one, or none.")
     light: Literal["given", "built-in", "none"] = Field(description="Where the environment comes from.")
     exposure: Number = Field(gt=0, description="Factor on linear colours in the PNG files.")
@@ -156,15 +158,16 @@ def render_lenses(
     cameras: Sequence[Camera],
     pictures_linear: Sequence[ArrayLike] | None = None,
     environment_linear: ArrayLike | None = None,
+    rim_masks: Sequence[tuple[ArrayLike, ArrayLike]] = (),
     options: LensPictureOptions = LensPictureOptions(),
     on_view: Callable[[LensView], None] | None = None,
 ) -> RenderedLenses:
     """Put lenses into a frame that sits on a head, and show them to one camera or more.
 
-    Frame, key points (20, 3) and head are in one world, in mm. Lenses, photographs (one a camera) and
-    environment are those of `insert_lenses`; drawn views without one get `soft_environment`. `on_view` is
-    called with each view. Raises EyeglassesError as from `insert_lenses`, and when frame and head lie apart;
-    ValueError when there is no camera, or not a picture of its shape for each.
+    Frame, key points (20, 3) and head are in one world, in mm. Lenses, photographs (one a camera),
+    environment and masks are those of `insert_lenses`; drawn views without one get `soft_environment`.
+    `on_view` is called with each view. Raises EyeglassesError as from `insert_lenses`, and when frame and
+    head lie apart; ValueError when there is no camera, or not a picture of its shape for each.
     """
     if not cameras:
         raise ValueError("give a camera")
@@ -207,6 +210,7 @@ def render_lenses(
             shape=camera.shape if photograph is None else None,
             picture_linear=photograph,
             environment_linear=environment_linear,
+            rim_masks=rim_masks,
             options=options,
         )
         views.append(LensView(camera, picture, time.perf_counter() - begun))
@@ -255,6 +259,7 @@ def run_lenses(
             cameras=source.cameras,
             pictures_linear=source.pictures,
             environment_linear=source.environment,
+            rim_masks=source.rim_masks,
             options=options,
             on_view=say_view,
         )
@@ -275,6 +280,7 @@ def run_lenses(
             "mean_radius_mm": float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
             "measured": float(rim.measured.mean()),
             "gaps": rim.gaps,
+            "deviation_mm": None if rim.deviation is None else float(np.sqrt((rim.deviation**2).mean())),
         }
         records.append(LensRecord.model_validate(material))
     with RunFolder(out, FILES).publishing() as staging:
@@ -309,6 +315,7 @@ def run_lenses(
             head=InputRecord.of(head, Path(files["head"].file), files["head"].sha256),
             cameras=files["cameras"],
             pictures=tuple(file for what, file in files.items() if what.startswith("picture ")),
+            masks=tuple(file for what, file in files.items() if what.startswith("mask ")),
             environment=files.get("environment"),
             light=rendered.environment,
             exposure=rendered.exposure,

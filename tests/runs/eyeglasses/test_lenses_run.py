@@ -23,10 +23,11 @@ from scan2albedo.eyeglasses import (
     Surface,
     write_cameras,
     write_keypoints,
+    write_masks,
 )
 from scan2albedo.eyeglasses.lenses.inserted_lenses import worn_axes
 from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
-from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
@@ -39,6 +40,7 @@ from scan2albedo.runs.eyeglasses.lenses_run import (
     surface_of,
 )
 from scan2albedo.synthetic import eyeglasses
+from scan2albedo.synthetic.renderer import RayScene
 
 pytestmark = pytest.mark.slow
 
@@ -201,6 +203,47 @@ def test_photographs_environment_and_views(files, tmp_path, monkeypatch):
     assert names == ["front.png", "side.png"]
     assert run(monkeypatch, files, "-o", out, "--view", "front").exit_code == 0
     assert {p.name for p in out.iterdir()} == COMMON | {"front_lenses.png", "front_lenses.exr"}
+
+
+def test_masks_of_any_cameras_refine_the_rims(files, tmp_path, monkeypatch):
+    worn = tmp_path / "worn"
+    shutil.copytree(files, worn)
+    offset = BENT.vertices[BENT.faces].mean(1) - BENT.lens_centers[0]
+    lost = (np.abs(offset[:, 0]) < 35) & (np.abs(offset[:, 2]) < 15) & (offset[:, 1] < 0)
+    write_glb(worn / "registered.glb", BENT.vertices, BENT.faces[~lost])
+    size, masks = (640, 640), worn / "masks"
+    eyes = {"a": [-340, 60, 500], "b": [0, 60, 600], "c": [340, 60, 500]}
+    cameras = [Camera(n, look_at(p, [0, 0, -20], focal_px=1400, shape=size), size) for n, p in eyes.items()]
+    write_cameras(worn / "cameras.json", [*VIEWS, *cameras])
+    scene = RayScene(BENT.vertices, BENT.faces)
+    shown = []
+    for camera, eye in zip(cameras, eyes.values(), strict=True):
+        ways = pixel_directions(camera.matrix, pixel_grid(size))
+        shown.append((scene.first_hit(np.full(ways.shape, eye, float), ways).face >= 0).reshape(size))
+    write_masks(masks, shown, cameras)
+    off = {}
+    for name, more in (("without", {}), ("with", {"masks": masks})):
+        done = run(monkeypatch, worn, "--json", "--view", "front", out=tmp_path / name, **more)
+        assert done.exit_code == 0, done.output
+        record = json.loads((tmp_path / name / "result.json").read_text())
+        jsonschema.validate(record, json.loads(SCHEMA.read_text()))
+        lens = trimesh.load(tmp_path / name / "frame_with_lenses.glb").geometry["left_lens"]
+        rim = 1e3 * lens.vertices[np.unique(lens.edges[trimesh.grouping.group_rows(lens.edges_sorted, 1)])]
+        off[name] = np.sqrt((np.linalg.norm(rim[:, None] - BENT.lens_outlines[0], axis=2).min(1) ** 2).mean())
+        left, right = (entry["deviation_mm"] for entry in record["lenses"])
+        if more:
+            assert 0 < right < left < 1.5
+            assert len(record["masks"]) == 3
+            assert "the left lens: masks refine its outline" in "".join(record["notes"])
+        else:
+            assert left is None
+            assert right is None
+            assert record["masks"] == []
+    assert off["with"] < 0.5 * off["without"]
+    shutil.rmtree(masks)
+    done = run(monkeypatch, worn, out=tmp_path / "none", masks=masks)
+    assert done.exit_code == 2
+    assert "the folder holds none of front.png" in done.output
 
 
 def test_each_bad_input_is_one_line_that_names_the_file(files, tmp_path, monkeypatch):
