@@ -40,7 +40,7 @@ def glasses_of(seed):
     return (
         *mesh,
         glasses.rest_keypoints,
-        bounded_biharmonic_weights(*mesh, glasses.rest_keypoints, 3.0),
+        bounded_biharmonic_weights(*mesh, glasses.rest_keypoints),
     )
 
 
