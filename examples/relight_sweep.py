@@ -19,7 +19,7 @@ import scan2albedo as s2a
 from scan2albedo.applications import ProcessedFace
 
 
-def synthetic_face(size: int = 128) -> ProcessedFace:
+def synthetic_face(size: int) -> ProcessedFace:
     """Return a synthetic person as if their scan had been processed without error."""
     scene = s2a.synthetic.face(0, size=size)
     return ProcessedFace.of("synthetic", scene.image, scene.albedo_linear, model_name="default")
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     shape = (given.size, given.size)
 
     applications = s2a.applications
-    face = synthetic_face() if given.result is None else applications.load_result(given.result)
+    face = synthetic_face(given.size) if given.result is None else applications.load_result(given.result)
 
     key = s2a.PointLight(np.deg2rad(40), np.deg2rad(25), intensity=3.0, radius_deg=4.0)
     fill = s2a.PointLight(-1.0, 0.0, radius_deg=4.0)

@@ -21,7 +21,7 @@ from scan2albedo.applications import ProcessedFace
 LIGHT = s2a.PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=4.0)
 
 
-def synthetic_face(seed: int, size: int = 128) -> ProcessedFace:
+def synthetic_face(seed: int, size: int) -> ProcessedFace:
     """Return a synthetic person as if their scan had been processed without error."""
     scene = s2a.synthetic.face(seed, size=size)
     return ProcessedFace.of(f"person-{seed}", scene.image, scene.albedo_linear, model_name="default")
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.results:
         a, b = (applications.load_result(result) for result in given.results)
     else:
-        a, b = synthetic_face(0), synthetic_face(1)
+        a, b = synthetic_face(0, given.size), synthetic_face(1, given.size)
 
     swapped = [a, b, applications.swap_texture(a, b), applications.swap_texture(b, a)]
     blended = [applications.blend_faces(a, b, weight) for weight in (0.0, 0.25, 0.5, 0.75, 1.0)]

@@ -21,7 +21,7 @@ from scan2albedo.applications import ProcessedFace, TransferOptions
 LIGHT = s2a.PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0)
 
 
-def synthetic_face(seed: int, expression: str, size: int = 128) -> ProcessedFace:
+def synthetic_face(seed: int, expression: str, size: int) -> ProcessedFace:
     """Return a synthetic person as if their scan had been processed without error."""
     scene = s2a.synthetic.face(seed, expression=expression, size=size)
     name = f"person-{seed}-{expression}"
@@ -43,8 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if given.results:
         neutral_a, smiling_a, neutral_b = (applications.load_result(result) for result in given.results)
     else:
-        neutral_a, smiling_a = synthetic_face(0, "neutral"), synthetic_face(0, "smile")
-        neutral_b = synthetic_face(1, "neutral")
+        neutral_a, smiling_a = (
+            synthetic_face(0, expression, given.size) for expression in ("neutral", "smile")
+        )
+        neutral_b = synthetic_face(1, "neutral", given.size)
 
     smiling_b = applications.transfer_expression(neutral_a, smiling_a, neutral_b)
     broader = applications.transfer_expression(

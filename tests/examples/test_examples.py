@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from PIL import Image
 
+import scan2albedo
 from scan2albedo.applications import load_result
 from scan2albedo.recognition import read_templates
 from scan2albedo.reflectance import read_reflectance
@@ -26,9 +27,10 @@ def size_of(path):
         return picture.size
 
 
-def test_a_raw_scan_is_processed(tmp_path, capsys):
-    folder = run("process_scan", tmp_path, "--size", 96) / "synthetic-0"
-    assert load_result(folder).image.shape == (96, 96)
+def test_a_raw_scan_is_processed(coarse_scan, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(scan2albedo.synthetic, "raw_scan", lambda seed: coarse_scan)
+    folder = run("process_scan", tmp_path, "--size", 64) / "synthetic-0"
+    assert load_result(folder).image.shape == (64, 64)
     assert (folder / "overview.png").is_file()
     assert "nose tip at" in capsys.readouterr().out
 
@@ -63,7 +65,7 @@ def test_a_smile_is_transferred(tmp_path, capsys):
 
 
 def test_persons_are_identified(tmp_path, capsys):
-    run("identify_gallery", tmp_path, "--persons", 2, "--size", 64)
+    run("identify_gallery", tmp_path, "--persons", 2, "--size", 48)
     assert read_templates(tmp_path / "gallery.npz").names == ("person-0", "person-1")
     assert "by albedo: 100% right at rank 1" in capsys.readouterr().out
 

@@ -56,7 +56,7 @@ def weighted():
             glasses = eyeglasses(seed, bend=bend, welded=welded)
             made[key] = (
                 glasses,
-                bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.keypoints),
+                bounded_biharmonic_weights(glasses.vertices, glasses.faces, glasses.keypoints, spacing=3.0),
             )
         return made[key]
 

@@ -7,12 +7,16 @@ import pytest
 
 from scan2albedo import RawScan, fit
 from scan2albedo.core.landmarks import PlacedLandmarks
+from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.synthetic.face_shape import person
 
 FIVE = [36, 45, 30, 48, 54]
 INNER = np.arange(17, 68)
+
+
+QUICK = FitOptions(levels=(0, 0), finest_level=0)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +38,7 @@ def fitted(case, model, marks=None):
     """Return the fit, the errors of its landmarks and its doubts."""
     scan, true = case
     placed = None if marks is None else PlacedLandmarks.of(marks)
-    face = fit(replace(scan, landmarks=placed), model, np.eye(4))
+    face = fit(replace(scan, landmarks=placed), model, np.eye(4), options=QUICK)
     turned = true @ face.model_from_scan[:3, :3].T + face.model_from_scan[:3, 3]
     error = np.linalg.norm(face.landmarks - turned, axis=1)
     return face, error, [step.text for step in face.plan]
@@ -94,7 +98,7 @@ def test_points_that_are_said_to_be_perfect_or_worthless_break_nothing(case, mod
     scan, true = case
     free, before, _ = fitted(case, model)
     marks = PlacedLandmarks(points(true, FIVE), np.full(68, sigma_mm))
-    face = fit(replace(scan, landmarks=marks), model, np.eye(4))
+    face = fit(replace(scan, landmarks=marks), model, np.eye(4), options=QUICK)
     assert np.isfinite(face.vertices).all()
     assert np.nanmean(face.residual_mm) < np.nanmean(free.residual_mm) + 0.1
     turned = true @ face.model_from_scan[:3, :3].T + face.model_from_scan[:3, 3]

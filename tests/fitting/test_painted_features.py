@@ -209,7 +209,11 @@ def with_shut_eyes(james, landmarks, drop_mm, dark, half_mm, skin):
     )
 
 
-@pytest.mark.parametrize("scene", [(6, 0.3, 5), (10, 0.3, 5), (12, 0.2, 7)], ids=str)
+@pytest.mark.parametrize(
+    "scene",
+    [(6, 0.3, 5), *(pytest.param(more, marks=pytest.mark.slow) for more in ((10, 0.3, 5), (12, 0.2, 7)))],
+    ids=str,
+)
 @pytest.mark.parametrize("skin", [(1.15, 0.85, 0.6)], ids=["brown"])
 def test_shut_eyes_are_not_put_on_black_brows(shared_data, model, scene, skin):
     landmarks = np.loadtxt(shared_data / "james_ibug68.csv", delimiter=",")

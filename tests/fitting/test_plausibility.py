@@ -7,23 +7,24 @@ import pytest
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.annotation import Region
-from scan2albedo.fitting import fit
+from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.plausibility import PARTS, asymmetry, doubts, face_coverage, missing_parts
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, displacement, person
 from scan2albedo.synthetic.head import compact
 
+QUICK = FitOptions(levels=(0, 0), finest_level=0)
 
-def fitted_to(model, control_points, *, noise_mm=0.2, hole=None):
+
+def fitted_to(model, control_points, *, noise_mm=0.2, hole=None, level=2, options=QUICK):
     """The fit to a scan of control points (C, 3), posed as the model; `hole` is a centre and a radius."""
-    vertices, faces = model.surface(3)
-    vertices = model.subdivision(3).matrix @ control_points
+    vertices, faces = model.subdivision(level).matrix @ control_points, model.surface(level)[1]
     rng = np.random.default_rng(len(vertices))
     scan = vertices + noise_mm * rng.normal(size=vertices.shape)
     if hole is not None:
         lost = np.linalg.norm(vertices - hole[0], axis=1) < hole[1]
         scan, faces = compact(scan, faces[~lost[faces].any(1)])
-    return fit(RawScan(scan, faces), model, np.eye(4))
+    return fit(RawScan(scan, faces), model, np.eye(4), options=options)
 
 
 def someone(model, seed, expression="neutral", strength=1.0):
@@ -52,7 +53,7 @@ def test_a_part_without_scan_is_named(model, part):
     control_points = someone(model, 5)
     landmarks = model.landmarks_of(control_points)
     center = landmarks[list(PARTS[part][0])].mean(0)
-    fitted = fitted_to(model, control_points, hole=(center, 24.0))
+    fitted = fitted_to(model, control_points, hole=(center, 24.0), options=FitOptions())
     assert missing_parts(fitted) == (part,)
     (told,) = doubts(fitted)
     assert told.text.startswith(f"no scan near the {part}")
@@ -64,13 +65,13 @@ def test_half_a_face_lacks_the_other_eye(model):
     assert "left eye" in missing_parts(fitted_to(model, control_points, hole=(eye + [40.0, 0, 0], 60.0)))
 
 
-@pytest.mark.parametrize("seed", [10, 20])
+@pytest.mark.parametrize("seed", [10, pytest.param(20, marks=pytest.mark.slow)])
 def test_halves_of_two_people_are_told(model, seed):
     """Of two who differ as measured faces do, twice as much as synthetic people: cut, or joined smoothly."""
     one, other = (someone(model, seed + k, strength=2.0) for k in range(2))
     for joint_mm in (0.1, 25.0):
         of_one = np.clip(0.5 + model.control_vertices[:, :1] / joint_mm, 0, 1)
-        fitted = fitted_to(model, of_one * one + (1 - of_one) * other)
+        fitted = fitted_to(model, of_one * one + (1 - of_one) * other, level=3, options=FitOptions())
         assert asymmetry(fitted).excess > 1
         assert any("asymmetry" in told.text for told in doubts(fitted))
     for whole in (one, other):

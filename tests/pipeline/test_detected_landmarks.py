@@ -17,8 +17,8 @@ from scan2albedo.synthetic import raw_scan
 
 
 @pytest.fixture(scope="module")
-def person(fine_scan):
-    return fine_scan
+def person(coarse_scan):
+    return coarse_scan
 
 
 class Network:

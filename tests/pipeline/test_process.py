@@ -137,10 +137,11 @@ def test_landmarks_lie_on_the_scan_in_the_unit_of_its_file(result, tmp_path):
     np.testing.assert_array_equal([p["scan"] for p in written["landmarks"]], result.landmarks_scan)
     off = ClosestPointQuery(result.scan.vertices, result.scan.faces).query(on_scan[17:]).distance
     assert np.median(off) < 0.5
+    quick = {"size": 32, "quality": "draft", "skip": ["albedo"]}
     write_obj(tmp_path / "cm.obj", result.scan.vertices / 10, result.scan.faces)
-    again = s2a.process(tmp_path / "cm.obj", unit="cm", size=64, skip=["albedo"])
+    again = s2a.process(tmp_path / "cm.obj", unit="cm", **quick)
     assert again.scan.mm_per_unit == 10
-    plain = s2a.process(replace(result.scan, uv=None, texture_linear=None), size=64, skip=["albedo"])
+    plain = s2a.process(replace(result.scan, uv=None, texture_linear=None), **quick)
     assert np.linalg.norm(10 * again.landmarks_scan - plain.landmarks_scan, axis=1)[17:].max() < 0.5
 
 
@@ -153,12 +154,11 @@ def test_landmarks_of_a_file_are_followed_in_the_scans_own_unit(case, result, tm
     aside = marks + 0.003 * to_the_left
     rows = "".join(f"{k},{x},{y},{z}\n" for k, (x, y, z) in zip(five, aside, strict=True))
     (tmp_path / "marks.csv").write_text("number,x,y,z\n" + rows)
-    options = {"size": 32, "skip": ["albedo"], "landmarks": tmp_path / "marks.csv"}
+    options = {"size": 32, "quality": "draft", "skip": ["albedo"], "landmarks": tmp_path / "marks.csv"}
     found = s2a.process(tmp_path / "face.obj", **options)
     moved = (found.landmarks_scan[five] - marks) @ to_the_left
     assert 0.0015 < moved.mean() < 0.0035
     assert "5 landmarks given" in found.notes
-    options |= {"quality": "draft"}
     one = s2a.process(scan, **(options | {"landmarks": {30: marks[2] * 1000}}))
     assert "1 landmarks given" in one.notes
     points = np.full((68, 3), np.nan)
@@ -257,7 +257,7 @@ def test_a_hole_where_the_nose_should_be_is_told(case, result):
     lost = np.linalg.norm(scan.vertices - tip, axis=1) < 25
     keep = ~lost[scan.faces].any(1)
     holed = replace(scan, faces=scan.faces[keep], uv=scan.uv[keep])
-    told = s2a.process(holed, size=64, skip=["albedo"])
+    told = s2a.process(holed, size=64, quality="draft", skip=["albedo"])
     assert any("no scan near the nose" in note for note in told.notes)
 
 
@@ -360,10 +360,10 @@ def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, eval
 def test_forced_steps_run_whatever_the_evidence(ball):
     # Nothing is saturated, so there is nothing to inpaint; the parts of the light are always in the model.
     steps = ["albedo.shadows"]
-    plan = s2a.process(ball, model="none", size=48).plan
+    plan = s2a.process(ball, model="none", size=32, lights=1).plan
     assert not any(plan.ran(step) for step in steps)
     assert {step.stage for step in plan} > {name for name in STEPS if name.startswith("albedo.")}
-    forced = s2a.process(ball, model="none", size=48, force=steps)
+    forced = s2a.process(ball, model="none", size=32, lights=1, force=steps)
     assert all(forced.plan.ran(step) for step in steps)
     assert forced.options["force"] == sorted(steps)
 
@@ -373,7 +373,7 @@ def test_half_a_face_is_told(case):
     across = transform_points(truth.model_from_scan, scan.vertices)[:, 0]
     kept = (across[scan.faces] > -8).all(1)
     half = replace(scan, faces=scan.faces[kept], uv=scan.uv[kept])
-    result = s2a.process(half, size=64, skip=["albedo"])
+    result = s2a.process(half, size=64, quality="draft", skip=["albedo"])
     assert result.fitted.metrics["coverage"] < 0.8
     assert sum("% of the face has scan near it" in note for note in result.notes) == 1
 

@@ -36,9 +36,8 @@ def test_too_small_an_image_is_refused():
         Quality("tiny", size=4)
 
 
-def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for():
-    few = s2a.synthetic.Scanner(spacing_mm=6.0, picture_size=48, size=64)
-    scan, _ = s2a.synthetic.raw_scan(0, scanner=few)
+def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for(coarse_scan):
+    scan = coarse_scan[0]
     draft = s2a.process(scan, quality="draft", skip=["albedo"])
     best = s2a.process(scan, quality="best", size=64, skip=["albedo"])
     assert draft.geometry_image.mask.shape == (256, 256)

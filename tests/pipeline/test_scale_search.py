@@ -27,7 +27,7 @@ def write(path, scan, factor):
 @pytest.mark.parametrize("factor", [0.037, 41.0])
 def test_the_face_gives_the_scale(case, tmp_path, factor):
     scan, truth = case
-    result = s2a.process(write(tmp_path / "any.obj", scan, factor), size=64, skip=["albedo"])
+    result = s2a.process(write(tmp_path / "any.obj", scan, factor), size=32, quality="draft", skip=["albedo"])
     assert "by the size of the face" in next(n for n in result.notes if n.startswith("unit: "))
     extent = np.ptp(result.scan.vertices, axis=0).max() / np.ptp(scan.vertices, axis=0).max()
     assert extent == pytest.approx(1, abs=0.12)

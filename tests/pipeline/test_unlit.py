@@ -48,7 +48,9 @@ def case(coarse_scan):
 def result(case, tmp_path_factory):
     model = with_template(s2a.AnnotatedFaceModel.default(), columns=2)
     out = tmp_path_factory.mktemp("out")
-    return s2a.process(case[0], out, model=model, size=SIZE, unlit="all", texture_size=256)
+    return s2a.process(
+        case[0], out, model=model, size=SIZE, unlit="all", texture_size=256, quality="draft", pictures=False
+    )
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +195,7 @@ def test_files_and_plan_tell_of_both(result):
 
 
 def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(case, tmp_path):
-    options = {"size": 32, "budget": s2a.Budget(evaluations=20)}
+    options = {"size": 32, "quality": "draft", "budget": s2a.Budget(evaluations=20)}
     minimal = s2a.process(case[0], tmp_path / "a", files="minimal", **options)
     names = {path.name for path in minimal.out.iterdir()}
     assert names == {

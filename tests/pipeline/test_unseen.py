@@ -51,7 +51,7 @@ def unpainted(shared_data, tmp_path_factory):
 @pytest.fixture(scope="module")
 def plain(unpainted):
     """The result of the whole texture."""
-    return process(unpainted / "plain.obj", size=SIZE, skip=("albedo",))
+    return process(unpainted / "plain.obj", size=SIZE, quality="draft", skip=("albedo",))
 
 
 def test_a_whole_texture_is_seen_everywhere(plain):
@@ -62,7 +62,7 @@ def test_a_whole_texture_is_seen_everywhere(plain):
 
 @pytest.mark.parametrize("name", ["transparent", "orange", "black"])
 def test_what_no_picture_showed_is_filled_and_marked(unpainted, plain, name):
-    result = process(unpainted / f"{name}.obj", size=SIZE, skip=("albedo",))
+    result = process(unpainted / f"{name}.obj", size=SIZE, quality="draft", skip=("albedo",))
     image, filled = result.geometry_image, result.geometry_image.filled
     assert 100 < filled.sum() < 400
     assert not image.seen[filled].any()

@@ -61,7 +61,7 @@ def looked_at(pose, relief):
 
 
 def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(model):
-    scan, known = synthetic.raw_scan(3)
+    scan, known = synthetic.raw_scan(3, scanner=synthetic.Scanner(size=128, picture_size=500, spacing_mm=3.0))
     prepared = prepared_scan(scan, RegistrationOptions())
     colors = Colors(prepared, model)
     truth = prepared.prepared_from_scan @ invert_rigid(known.model_from_scan)

@@ -8,12 +8,10 @@ import pytest
 import trimesh
 from PIL import Image
 
-from scan2albedo.synthetic import raw_scan
-
 
 @pytest.mark.slow
-def test_a_scan_is_shown_beside_itself_without_its_light(tmp_path, monkeypatch):
-    scan, _ = raw_scan(0)
+def test_a_scan_is_shown_beside_itself_without_its_light(coarse_scan, tmp_path, monkeypatch):
+    scan = coarse_scan[0]
     # One colour alone would count as none.
     grain = np.random.default_rng(0).integers(-8, 9, (len(scan.vertices), 1))
     color = (np.array([180, 150, 150]) + grain).astype(np.uint8)

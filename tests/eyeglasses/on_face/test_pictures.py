@@ -14,14 +14,14 @@ from scan2albedo.synthetic import wearer
 
 @cache
 def person():
-    return wearer(1, picture_size=512, focal_px=900, label_noise_px=0.0, mask_noise_px=0.0)
+    return wearer(1, picture_size=384, focal_px=675, label_noise_px=0.0, mask_noise_px=0.0)
 
 
 @cache
 def glasses():
     worn = person().glasses
     mesh = worn.rest_vertices, worn.faces
-    return (*mesh, worn.rest_keypoints, bounded_biharmonic_weights(*mesh, worn.rest_keypoints))
+    return (*mesh, worn.rest_keypoints, bounded_biharmonic_weights(*mesh, worn.rest_keypoints, 3.0))
 
 
 def pictures(shown=True):
@@ -38,7 +38,7 @@ def pictures(shown=True):
 def register(labels=None, **given):
     worn = person()
     marks = np.full_like(worn.labels, np.nan) if labels is None else labels
-    given = {"head": (worn.head_vertices, worn.head_faces), "shapes": [(512, 512)] * 3, **given}
+    given = {"head": (worn.head_vertices, worn.head_faces), "shapes": [(384, 384)] * 3, **given}
     return register_on_face(glasses(), marks, None, worn.cameras, **given)
 
 
@@ -113,4 +113,4 @@ def test_without_labels_a_head_in_the_face_models_frame_is_needed():
     with pytest.raises(ValueError, match="picture 0 has shape"):
         register(pictures=[np.zeros((5, 5, 3))] * 3)
     with pytest.raises(EyeglassesError, match="picture 0 holds numbers"):
-        register(pictures=[np.full((512, 512, 3), np.nan)] * 3)
+        register(pictures=[np.full((384, 384, 3), np.nan)] * 3)
