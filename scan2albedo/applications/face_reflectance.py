@@ -100,11 +100,7 @@ def reflectance_of_processed(
 
 
 def reflectance_model_of_processed(
-    sources: Sequence[str | Path | ProcessedScan | ProcessedFace],
-    *,
-    level: float | None = None,
-    components: int | None = None,
-    least_support: float = 0.5,
+    sources: Sequence[str | Path | ProcessedScan | ProcessedFace], *, components: int | None = None
 ) -> tuple[MorphableReflectanceModel, list[FaceReflectance]]:
     """Return the morphable model of processed scans' reflectances, and those.
 
@@ -115,14 +111,12 @@ def reflectance_model_of_processed(
     ----------
     sources : sequence of path, ProcessResult or ProcessedFace
         One or more, of one model.
-    level : float, optional
-        As in `reflectance_of_processed`.
-    components, least_support
+    components : int, optional
         As in `MorphableReflectanceModel.from_samples`.
     """
     from scan2albedo.reflectance import MorphableReflectanceModel
 
-    people = [reflectance_of_processed(source, level=level) for source in sources]
+    people = [reflectance_of_processed(source) for source in sources]
     for other in people[1:]:
         a, b = people[0], other
         if a.model_name != b.model_name or not same_mesh(a.mesh, b.mesh):
@@ -132,10 +126,7 @@ def reflectance_model_of_processed(
                 "and one version of it"
             )
     samples = [person.reflectance for person in people]
-    model = MorphableReflectanceModel.from_samples(
-        samples, components=components, least_support=least_support
-    )
-    return model, people
+    return MorphableReflectanceModel.from_samples(samples, components=components), people
 
 
 def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatArray, BoolArray]:
