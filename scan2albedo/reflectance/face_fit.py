@@ -160,7 +160,7 @@ def fit_face(
 
     Notes
     -----
-    On 16 path-traced photographs that share nothing with the fit the albedo is 0.121 off, that of the mean
+    On 16 path-traced photographs that share nothing with the fit the albedo is 0.120 off, that of the mean
     face 0.176, and that of `fit_image` 0.165 (tools/bench_reflectance_model.py unknown). A photograph without
     colour gives no evidence, and so the mean face.
     """
