@@ -27,8 +27,6 @@ from scan2albedo.geometry.rays import RayCaster
 
 SIDES = ("left", "right")
 _BEHIND = np.array([n.split("_")[1] in ("hinge", "temple", "ear") for n in KEY_POINT_NAMES])
-_RADII_MM = (5.0, 100.0)
-"""Mean radii of lenses, a reader's slit to a diving mask: others are not millimetres."""
 _GLANCING = 1e-3
 """Sine of the angle to the lens plane, and mm from the start to the lens, below which a ray does not count as
 passing the lens."""
@@ -93,7 +91,8 @@ def insert_lens(
         cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
         rim = replace(rim, normal=axis, center=middle + cx * plane.across + cy * plane.up)
         radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
-        if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
+        # From a reader's slit to a diving mask: others are not millimetres.
+        if not 5 <= radius <= 100:
             said = f"its mean radius is {radius:.3g} mm, which no lens has"
             raise EyeglassesError(f"{said}; give everything in millimetres, as dioptres depend on it")
         plane = LensPlane.at(rim.center, rim.normal)
@@ -242,10 +241,10 @@ class LensPaths:
     glancing: int = 0
 
 
-def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], rays: SceneRays) -> LensPaths:
-    """Follow rays through lenses to the scene; no ray passes a lens twice."""
-    count = len(rays.origins)
-    own = rays.chosen(np.arange(count))
+def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], seen: SceneRays) -> LensPaths:
+    """Follow the rays `seen` through lenses to the scene; no ray passes a lens twice."""
+    count = len(seen.origins)
+    own = seen.chosen(np.arange(count))
     paths = LensPaths(own, np.ones((count, 3)), np.full(count, -1), np.zeros(count, bool))
     ahead = np.ones((count, len(lenses)), bool)
     waiting = np.arange(count if len(lenses) else 0)
@@ -264,40 +263,34 @@ def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], rays: SceneRa
             glancing = np.abs(own.directions[waiting] @ np.asarray(lens.optics.normal)) <= _GLANCING
             glancing |= nearest <= _GLANCING
             paths.glancing += int((here & glancing).sum())
-            if (here & ~glancing).any():
-                _cross(scene, lens, paths, waiting[here & ~glancing], nearest[here & ~glancing])
+            if not (here := here & ~glancing).any():
+                continue
+            rays, material = waiting[here], lens.material
+            normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
+            heading, before = own.directions[rays], own.origins[rays]
+            position = before + heading * nearest[here][:, None]
+            # Rims are not flat: the lens's plane is moved along its normal to where each ray meets the mesh.
+            height = ((position - center) @ normal)[:, None] * normal
+            mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
+            alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)
+            if material.fresnel:
+                cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
+                beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
+                # All other shares shrink alike, so that together they stay 1.
+                alpha = alpha * (1 - beta) / max(1 - material.beta, np.finfo(float).tiny)
+            rest, tint = np.maximum(1 - alpha - beta, 0.0)[:, None], alpha[:, None]
+            if material.tinting == "filter":
+                rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)
+            arriving = paths.share[rays]
+            shares = arriving * tint, arriving * beta[:, None]
+            paths.crossings.append(LensCrossings(rays, lens, position, heading, mirrored, *shares))
+            paths.share[rays] = arriving * rest
+            paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
+            if lens.optics.dioptres != 0:
+                own.origins[rays] = position
+                own.directions[rays] = refract(lens.optics, before - height, position - height).directions
+                paths.bent[rays] = True
+                hits = scene.first_hit(position, own.directions[rays])
+                own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
+                own.hits.distance[rays] = hits.distance
     return paths
-
-
-def _cross(
-    scene: LensScene, lens: InsertedLens, paths: LensPaths, rays: IntArray, distance: FloatArray
-) -> None:
-    """Take rays (M,) through a lens that lies `distance` (M,) ahead of them."""
-    own, material = paths.rays, lens.material
-    normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
-    heading, before = own.directions[rays], own.origins[rays]
-    position = before + heading * distance[:, None]
-    # Rims are not flat: the thin lens's plane is moved along its normal to where each ray meets the mesh.
-    height = ((position - center) @ normal)[:, None] * normal
-    mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
-    alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)
-    if material.fresnel:
-        cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
-        beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
-        # All other shares shrink alike, so that together they stay 1.
-        alpha = alpha * (1 - beta) / max(1 - material.beta, np.finfo(float).tiny)
-    rest, tint = np.maximum(1 - alpha - beta, 0.0)[:, None], alpha[:, None]
-    if material.tinting == "filter":
-        rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)
-    arriving = paths.share[rays]
-    shares = arriving * tint, arriving * beta[:, None]
-    paths.crossings.append(LensCrossings(rays, lens, position, heading, mirrored, *shares))
-    paths.share[rays] = arriving * rest
-    paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
-    if lens.optics.dioptres != 0:
-        own.origins[rays] = position
-        own.directions[rays] = refract(lens.optics, before - height, position - height).directions
-        paths.bent[rays] = True
-        hits = scene.first_hit(position, own.directions[rays])
-        own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
-        own.hits.distance[rays] = hits.distance

@@ -37,8 +37,6 @@ Window = tuple[slice, slice]
 
 _SEAT_MM = 0.3
 """How far lenses reach into their rims: outlines are exact to 0.2 mm, and no light shall pass between."""
-_BAND = 2**15
-"""Rays that are followed at once: a bound on memory."""
 
 
 @dataclass(frozen=True)
@@ -291,8 +289,9 @@ class _View:
         return once
 
     def _rays(self, pixels: FloatArray) -> _SeenRays:
-        if len(pixels) > _BAND:
-            parts = [self._rays(pixels[part]) for part in blocks(len(pixels), _BAND)]
+        # A bound on memory.
+        if len(bands := blocks(len(pixels), 2**15)) > 1:
+            parts = [self._rays(pixels[band]) for band in bands]
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
             joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
             return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))

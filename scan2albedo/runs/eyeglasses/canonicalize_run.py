@@ -146,8 +146,9 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
     The figures are as in `result.json`. Raises OutputError, naming folder and cause.
     """
     result, figures = done.result, {}
+    both = list(zip(done.frames, result.frames, strict=True))
     with RunFolder(out, FILES).publishing() as staging:
-        for frame, canonical in zip(done.frames, result.frames, strict=True):
+        for frame, canonical in both:
             folder = staging.folder / frame.name
             folder.mkdir()
             written = write_frame_glb(folder / "canonical.glb", canonical)
@@ -183,7 +184,6 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
         write_keypoints(staging.folder / "mean_keypoints.json", result.mean_keypoints, unit="mm")
         result.trace.to_csv(staging.folder / "trace.csv")
         staging.figure("error_vs_time.png", result.trace.plot())
-        both = zip(done.frames, result.frames, strict=True)
         drawn = [(frame.name, frame.scan.vertices, canonical) for frame, canonical in both]
         title = f"{MOST_SHOWN} of " * (len(drawn) > MOST_SHOWN)
         title += f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
