@@ -69,8 +69,8 @@ def insert_lens(
 
     The optical `center` (3,) is moved into the lens plane along its normal; the outline's centroid when
     omitted. Points of the outline that were measured move `seat_mm` outward, into the rim. `rim_masks` are
-    cameras and masks for `refine_lens_rim`. Raises
-    EyeglassesError, naming the lens, when key points are missing or no rim of a lens's size is found.
+    cameras and masks for `refine_lens_rim`. Raises EyeglassesError, naming the lens, when key points are
+    missing or no rim of a lens's size is found.
     """
     marks = rim_key_points(keypoints, side)
     top, bridge, inner, bottom, outer = marks
@@ -197,10 +197,8 @@ def without_glass(
             count = int(panes.sum())
             notes.append(f"the {lens.name}: the frame's own glass there, {count} faces, is left out")
         if is_covered(vertices, faces[kept], plane, marks):
-            said = (
-                "the frame covers it, it seems by glass of one piece with the rim, which may have been taken"
-            )
-            notes.append(f"the {lens.name}: {said} for the rim; cut it out of the mesh")
+            said = "the frame covers it, it seems by glass of one piece with the rim, which may have been"
+            notes.append(f"the {lens.name}: {said} taken for the rim; cut it out of the mesh")
     if not kept.all():
         uv = None if frame.uv is None else np.asarray(frame.uv)
         frame = replace(frame, faces=faces[kept], uv=uv[kept] if uv is not None and uv.ndim == 3 else uv)

@@ -259,8 +259,8 @@ def read_lens_scene(
 
     Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
     name cameras, all when there are none; `pictures`, one a view, are named after them or in their order;
-    `masks` is a folder of masks of the frame, of any of the cameras.
-    Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
+    `masks` is a folder of masks of the frame, of any of the cameras. Raises EyeglassesError or ScanError,
+    naming the file, when one cannot be read or does not fit the others.
     """
     every = read_cameras(cameras)
     by_name = {camera.name: camera for camera in every}
