@@ -26,6 +26,8 @@ from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
 
 SIDES = ("left", "right")
+RIMS = [np.flatnonzero([n.startswith(f"{side}_rim_") for n in KEY_POINT_NAMES]) for side in SIDES]
+"""Numbers of each rim's key points: top, bridge, inner, bottom, outer."""
 _BEHIND = np.array([n.split("_")[1] in ("hinge", "temple", "ear") for n in KEY_POINT_NAMES])
 _GLANCING = 1e-3
 """Sine of the angle to the lens plane, and mm from the start to the lens, below which a ray does not count as
@@ -111,9 +113,8 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
 
     Raises EyeglassesError, naming key point and lens, when one is missing.
     """
-    wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
-    marks = keypoints[wanted]
-    missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
+    marks = keypoints[RIMS[side]]
+    missing = [KEY_POINT_NAMES[i] for i in RIMS[side] if not np.isfinite(keypoints[i]).all()]
     if missing:
         said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         advice = "give them, or None in place of this lens"
@@ -127,17 +128,11 @@ def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
     Raises EyeglassesError, naming key points, when those of no rim are known.
     """
     front, up = np.zeros(3), np.zeros(3)
-    faults = []
-    for side in (0, 1):
-        try:
-            marks = rim_key_points(keypoints, side)
-        except EyeglassesError as error:
-            faults.append(error)
-            continue
+    # Where no rim has all of them, the left one says what it lacks.
+    for side in [k for k in (0, 1) if np.isfinite(keypoints[RIMS[k]]).all()] or [0]:
+        marks = rim_key_points(keypoints, side)
         front += _viewers_side(fit_normal(marks, vertices), marks.mean(0), keypoints)
         up += marks[0] - marks[3]
-    if len(faults) == 2:
-        raise faults[0]
     front = normalized(front)
     up = normalized(up - (up @ front) * front)
     return np.array([np.cross(up, front), up, front])

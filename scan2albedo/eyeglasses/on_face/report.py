@@ -255,8 +255,6 @@ def compare_masks(
         away = here[box] if not there.any() else here[box] & (distance_transform_edt(~there[box]) > limit)
         row, column = np.nonzero(away)
         row, column = row + rows[0], column + columns[0]
-        if not len(row):
-            continue
         if here is own:
             owner = foremost[row, column]
         else:
