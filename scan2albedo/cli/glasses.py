@@ -121,6 +121,7 @@ def canonicalize(
             f"--keypoints is given {len(keypoints)} times for {len(meshes)} meshes; give it once for each"
         )
     from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.eyeglasses import CanonicalizationOptions
     from scan2albedo.io.atomic import check_writable
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.eyeglasses.canonicalize_run import (
@@ -170,9 +171,7 @@ def canonicalize(
                 frames,
                 failures,
                 mean=mean,
-                mode=mode,
-                handles=handles,
-                widths_mm=(low, high),
+                options=CanonicalizationOptions(mode=mode, handles=handles, widths_mm=(low, high)),
                 budget=spend,
                 on_progress=progress.update,
             )

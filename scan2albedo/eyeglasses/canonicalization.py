@@ -192,7 +192,25 @@ def canonicalize(
             common = unit_exponent(reference, options.widths_mm)
         except EyeglassesError as error:
             raise EyeglassesError(f"mean_keypoints: {error}") from error
-    frames, failures = _weighted(given, reference, spacing, options, meter)
+    anchor = fullest([frame.points for frame in given]) if reference is None else reference
+    frames, failures = list[_Frame](), dict[int, str]()
+    called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in given]
+    for i, frame in enumerate(given):
+        # Key points that the reference lacks do not count.
+        shared = np.where(np.isfinite(anchor), frame.points, np.nan)
+        try:
+            require_posable(shared)
+            width = front_width(frame.points, frame.vertices)
+            exponent = unit_exponent(frame.points, options.widths_mm, width)
+            used = frame if reference is None else replace(frame, points=shared)
+            used = replace(used, unit_exponent=exponent, width=width)
+            frames.append(used.weighted(spacing, len(given) - i, meter))
+        except EyeglassesError as error:
+            if not options.skip_failed:
+                raise EyeglassesError(f"{called[i]}: {error}") from error
+            failures[i] = str(error)
+    if not frames:
+        raise EyeglassesError("; ".join(map(": ".join, zip(called, failures.values(), strict=True))))
     scales = unit_factors([f.unit_exponent for f in frames], common)
     points = [scale * f.points for scale, f in zip(scales, frames, strict=True)]
     widths = scales * [f.width for f in frames]
@@ -209,8 +227,30 @@ def canonicalize(
     steps = {f.number: frame.plan for f, frame in zip(frames, done, strict=True)}
     steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
     rows = [replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part]
+    names = [f.name or f"frame {f.number}" for f in frames]
+    wide = f"fronts {', '.join(f'{width:.4g}' for width in widths)} wide"
+    if (scales != 1).any():
+        factors = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
+        rows.append(PlanStep("eyeglasses.units", True, "widths are those of different units", factors))
+    else:
+        rows.append(PlanStep("eyeglasses.units", False, "widths agree: one unit", wide))
     unusual = outliers(points, widths)
-    rows += _set_steps(frames, points, scales, unusual, reference, options.mode)
+    if not unusual:
+        among = f"none among {len(frames)} frame{'s' * (len(frames) > 1)}"
+        rows.append(PlanStep("eyeglasses.outliers", False, among))
+    for i, why in unusual.items():
+        rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
+    if single := single_bridges(points, widths, reference) if options.mode == "mean" else ():
+        reason = (
+            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the "
+            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
+            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
+            "the two kinds to means of their own"
+        )
+        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
+    if bare := [name for name, p in zip(names, points, strict=True) if np.isnan(p[BEHIND]).any(1).all()]:
+        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
+        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
     evidence = f"{'' if settled else 'not '}settled after {rounds} round{'s' if rounds != 1 else ''}"
     found = PlanStep("eyeglasses.mean", True, f"mean of {len(done)} frame{'s' * (len(done) > 1)}", evidence)
     rows.append(found if reference is None else PlanStep("eyeglasses.mean", False, "given"))
@@ -323,67 +363,3 @@ class _Frame:
             converged=self.converged,
             plan=self.plan + rows,
         )
-
-
-def _weighted(
-    frames: list[_Frame],
-    reference: FloatArray | None,
-    spacing: str | float,
-    options: CanonicalizationOptions,
-    meter: Meter,
-) -> tuple[list[_Frame], dict[int, str]]:
-    """Return the frames with their weights and, with `skip_failed`, why others are left out."""
-    anchor = fullest([frame.points for frame in frames]) if reference is None else reference
-    done, failures = list[_Frame](), dict[int, str]()
-    called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in frames]
-    for i, frame in enumerate(frames):
-        # Key points that the reference lacks do not count.
-        shared = np.where(np.isfinite(anchor), frame.points, np.nan)
-        try:
-            require_posable(shared)
-            width = front_width(frame.points, frame.vertices)
-            exponent = unit_exponent(frame.points, options.widths_mm, width)
-            used = frame if reference is None else replace(frame, points=shared)
-            used = replace(used, unit_exponent=exponent, width=width)
-            done.append(used.weighted(spacing, len(frames) - i, meter))
-        except EyeglassesError as error:
-            if not options.skip_failed:
-                raise EyeglassesError(f"{called[i]}: {error}") from error
-            failures[frame.number] = str(error)
-    if not done:
-        raise EyeglassesError("; ".join(map(": ".join, zip(called, failures.values(), strict=True))))
-    return done, failures
-
-
-def _set_steps(
-    frames: list[_Frame],
-    points: list[FloatArray],
-    scales: FloatArray,
-    unusual: Mapping[int, str],
-    reference: FloatArray | None,
-    mode: CanonicalMode,
-) -> list[PlanStep]:
-    """Return what was decided on a set of frames whose key points (20, 3), scaled to one unit, are given."""
-    widths, names = scales * [f.width for f in frames], [f.name or f"frame {f.number}" for f in frames]
-    wide = f"fronts {', '.join(f'{width:.4g}' for width in widths)} wide"
-    rows = [PlanStep("eyeglasses.units", False, "widths agree: one unit", wide)]
-    if (scales != 1).any():
-        factors = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
-        rows = [PlanStep("eyeglasses.units", True, "widths are those of different units", factors)]
-    if not unusual:
-        among = f"none among {len(frames)} frame{'s' * (len(frames) > 1)}"
-        rows.append(PlanStep("eyeglasses.outliers", False, among))
-    for i, why in unusual.items():
-        rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
-    if single := single_bridges(points, widths, reference) if mode == "mean" else ():
-        reason = (
-            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the "
-            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
-            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
-            "the two kinds to means of their own"
-        )
-        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
-    if bare := [name for name, p in zip(names, points, strict=True) if np.isnan(p[BEHIND]).any(1).all()]:
-        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
-        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
-    return rows

@@ -21,14 +21,11 @@ from scan2albedo.geometry.rays import RayCaster
 
 MAX_NODES = 10_000
 """Lattice nodes that the automatic spacing may use."""
-_COARSEST = 1 / 40
-"""Largest automatic spacing as a part of the size, the diagonal of the key points' box."""
 _REACH = 0.05
-"""Gaps up to this part of the size are bridged: between parts, and from key points to the mesh."""
+"""Gaps up to this part of the size, the diagonal of the key points' box, are bridged: between parts, and from
+key points to the mesh."""
 _THIN_PART = 0.1
 """Part of the surface that may be thinner than the automatic spacing."""
-_SAMPLES = 2000
-"""Places where the thickness is measured."""
 _SKIN = 1e-5
 """Rays start this part of the size off the surface, so that float32 does not find the face itself."""
 
@@ -60,13 +57,9 @@ def embed(
     spacing: str | float,
     *,
     max_nodes: int = MAX_NODES,
-    finest: float = 1 / 150,
     names: Sequence[str] | None = None,
 ) -> Embedding:
-    """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`.
-
-    `finest` is the least automatic spacing as a part of the size.
-    """
+    """Return the lattice around a mesh (V, 3), (F, 3) and key points (K, 3); raises as `solve_weights`."""
     called = names or [str(k) for k in range(len(handles))]
     corners = vertices[faces.ravel()]
     # Of the key points: a stray fragment far away does not change how large the glasses are.
@@ -90,19 +83,19 @@ def embed(
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
         # Places two spacings apart along one axis lie in cells with another cell between them.
         closest = float(apart[a, b]) / 2
-        # The thickness that a tenth of the surface's area stays below; infinite where nothing is met.
+        # The thickness that a tenth of 2,000 places, even in area, stay below; infinite where nothing is met.
         thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
         if area[-1] > 0:
-            chosen = np.searchsorted(area, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * area[-1])
+            chosen = np.searchsorted(area, (np.arange(2000) + 0.5) / 2000 * area[-1])
             caster = RayCaster(vertices, faces)
             center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
             skin = _SKIN * caster.size
             sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
             thin = float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
-        wanted = float(np.clip(thin, finest * size, _COARSEST * size))
+        wanted = float(np.clip(thin, size / 150, size / 40))
         reason = f"the mesh's thin parts measure {thin:.4g}"
         if closest < wanted:
-            wanted, reason = max(closest, finest * size), "two key points are close together"
+            wanted, reason = max(closest, size / 150), "two key points are close together"
         count = math.ceil(size / wanted * (1 - 1e-9))
         while (touched := _cells(vertices, faces, low, size / count, max_nodes)) is None:
             if count <= 2:
@@ -125,7 +118,22 @@ def embed(
             raise EyeglassesError(f"{said}; give a larger one, or raise max_nodes")
         step = PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
     origin = _origin(low, used)
-    owners, handle, merged = _shared_handles((handles - origin) / used, called)
+    # A handle lies in the middle of its key points; those whose cells touch become one, the nearest first.
+    placed, groups = (handles - origin) / used, [[k] for k in range(len(handles))]
+    while True:
+        middles = np.array([placed[group].mean(0) for group in groups])
+        owners = np.floor(middles).astype(np.int64)
+        touch = _distances(owners.astype(float), "chebyshev") < 2
+        apart = np.where(touch, _distances(middles, "euclidean"), np.inf)
+        a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
+        if np.isinf(apart[a, b]):
+            break
+        groups[a] += groups.pop(b)
+    stage = "eyeglasses.weights.shared_handles"
+    merged = PlanStep(stage, False, "every key point has cells of its own")
+    if shared := [" and ".join(called[k] for k in sorted(group)) for group in groups if len(group) > 1]:
+        reason = f"closer together than two spacings, one handle divided by distance: {'; '.join(shared)}"
+        merged = PlanStep(stage, True, reason, f"{len(groups)} handles for {len(handles)} key points")
     cells = join_parts(unique_cells(np.concatenate([touched, owners])), _REACH * size / used + 2)
     whole = Lattice.of_cells(cells)
     parts = whole.cell_components
@@ -146,9 +154,9 @@ def embed(
         left_out = PlanStep(stage, True, "parts out of reach of every key point", evidence)
     # Shares of the key points of one handle in its weight fall with the square of the distance (Shepard's
     # interpolation): each is 1 at its own key point, and far away they are equal.
-    shares = np.ones((len(vertices), len(handles)))
-    for number in np.flatnonzero(np.bincount(handle) > 1):
-        group = np.flatnonzero(handle == number)
+    handle, shares = np.zeros(len(handles), np.int64), np.empty((len(vertices), len(handles)))
+    for number, group in enumerate(map(sorted, groups)):
+        handle[group] = number
         square = ((vertices[:, None] - handles[group]) ** 2).sum(2)
         nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
         nearness[square == 0] = 1.0
@@ -188,27 +196,3 @@ def _cells(
     inside = [enclosed_cells(piece) for piece in pieces if len(piece) >= 26]
     cells = unique_cells(np.concatenate([cells, *inside]))
     return cells if len(Lattice.of_cells(cells).nodes) <= limit else None
-
-
-def _shared_handles(handles: FloatArray, names: Sequence[str]) -> tuple[IntArray, IntArray, PlanStep]:
-    """Return the handles' cells (H, 3), that of each key point (K,), and the step of the plan."""
-    # A handle lies in the middle of its key points; those whose cells touch become one, the nearest first.
-    groups = [[k] for k in range(len(handles))]
-    while True:
-        middles = np.array([handles[group].mean(0) for group in groups])
-        cells = np.floor(middles).astype(np.int64)
-        touch = _distances(cells.astype(float), "chebyshev") < 2
-        apart = np.where(touch, _distances(middles, "euclidean"), np.inf)
-        a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
-        if np.isinf(apart[a, b]):
-            break
-        groups[a] += groups.pop(b)
-    handle = np.zeros(len(handles), np.int64)
-    for number, group in enumerate(groups):
-        handle[group] = number
-    stage = "eyeglasses.weights.shared_handles"
-    shared = [" and ".join(names[k] for k in sorted(group)) for group in groups if len(group) > 1]
-    if not shared:
-        return cells, handle, PlanStep(stage, False, "every key point has cells of its own")
-    reason = f"closer together than two spacings, one handle divided by distance: {'; '.join(shared)}"
-    return cells, handle, PlanStep(stage, True, reason, f"{len(groups)} handles for {len(handle)} key points")

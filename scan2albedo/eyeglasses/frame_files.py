@@ -156,7 +156,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     # Fewer place no frame.
     if known.sum() < 6:
         return []
-    typical, mirror = typical_key_points(), list(MIRROR)
+    typical = typical_key_points()
     number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
     pairs = [(0, 1)] + [(k, MIRROR[k]) for k in range(2, 11)]
     for side in ("left", "right"):
@@ -168,8 +168,8 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
         return placed, float(np.nansum((placed - current) ** 2))
 
     current, found = points.copy(), []
-    if laid(current[mirror])[1] < laid(current)[1] / 4:
-        current = current[mirror]
+    if laid(current[MIRROR])[1] < laid(current)[1] / 4:
+        current = current[MIRROR]
         found.append("all left ones and all right ones (left is the wearer's)")
     for _ in range(10):
         best, least = None, laid(current)[1]
@@ -242,10 +242,7 @@ def write_registered(path: str | Path, frame: RegisteredEyeglasses) -> None:
 
 
 def read_registered(path: str | Path) -> RegisteredEyeglasses:
-    """Return the frame that `write_registered` wrote at `path`; its plan and trace are empty.
-
-    Raises EyeglassesError, naming the file, when it is missing, damaged or something else.
-    """
+    """Return the frame that `write_registered` wrote at `path`, as `read_canonical`, without its trace."""
     return _read(path, RegisteredEyeglasses)
 
 

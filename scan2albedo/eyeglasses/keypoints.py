@@ -58,7 +58,7 @@ KEY_POINT_NAMES: tuple[str, ...] = (
 )
 """Names in the order of all (20, 3) arrays. Left and right are the wearer's."""
 KEY_POINT_COUNT = len(KEY_POINT_NAMES)
-MIRROR: tuple[int, ...] = (0, 1, *range(11, 20), *range(2, 11))
+MIRROR: IntArray = np.array([0, 1, *range(11, 20), *range(2, 11)])
 """Index of each key point's counterpart on the other side."""
 
 _RING = ("hinge", "rim_top", "rim_bridge", "rim_inner", "rim_bottom", "rim_outer", "hinge")

@@ -18,8 +18,6 @@ from scan2albedo.geometry.rigid import procrustes, transform_points
 WIDTHS_MM = (110.0, 170.0)
 """Width of the fronts of spectacles, from children's to large sunglasses: less than a decade, so that the
 width alone tells mm, cm and m apart."""
-_TYPICAL_BONE_MM = 30.0
-"""Median length of the skeleton's bones of spectacles."""
 _FLAT = 1e-3
 """Spread across a line, as a part of that along it, below which points fix no pose."""
 _REACH = 0.3
@@ -37,12 +35,6 @@ BEHIND = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES
 """(20,) True for the key points behind the hinges."""
 _LEFT = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
 _LEFT_OUTER = np.array([KEY_POINT_NAMES.index(name) for name in ("left_hinge", "left_rim_outer")])
-_TOPS, _BOTTOMS = (
-    np.array([k for k, name in enumerate(KEY_POINT_NAMES) if name.endswith(end)])
-    for end in ("_top", "_bottom")
-)
-"""Numbers of the highest and the lowest key points of bridge and rims, in one order."""
-_MIRROR = np.array(MIRROR)
 
 
 def require_posable(points: FloatArray, owner: str = "") -> None:
@@ -65,8 +57,8 @@ def is_posable(seen: FloatArray) -> bool:
 
 
 def usual_size_factor(points: FloatArray) -> float:
-    """Return the factor that brings a frame's median bone to 30 mm."""
-    return _TYPICAL_BONE_MM / key_point_size(points)
+    """Return the factor that brings a frame's median bone to 30 mm, as that of usual spectacles."""
+    return 30 / key_point_size(points)
 
 
 def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[FloatArray, bool, int]:
@@ -122,7 +114,7 @@ def in_own_axes(points: FloatArray) -> FloatArray:
 
     Front is where temples come from; without temples it is across left and up, which the front tells.
     """
-    across = points - points[_MIRROR]
+    across = points - points[MIRROR]
     known = np.asarray(np.isfinite(points).all(1))
     pairs = _LEFT & np.isfinite(across).all(1)
     if not pairs.any():
@@ -131,7 +123,8 @@ def in_own_axes(points: FloatArray) -> FloatArray:
     if (BEHIND & known).any() and (~BEHIND & known).any():
         forward = points[~BEHIND & known].mean(0) - points[BEHIND & known].mean(0)
     else:
-        heights = points[_TOPS] - points[_BOTTOMS]
+        tops, bottoms = ([n.endswith(end) for n in KEY_POINT_NAMES] for end in ("_top", "_bottom"))
+        heights = points[tops] - points[bottoms]
         forward = np.cross(x, heights[np.isfinite(heights).all(1)].sum(0))
     z = forward - (forward @ x) * x
     if not np.linalg.norm(z) > _FLAT * np.linalg.norm(forward):
@@ -146,7 +139,7 @@ def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float
 
     With the mesh's `vertices` (V, 3), that of those nearest to one. NaN unless either pair is known.
     """
-    apart = points[_LEFT_OUTER] - points[_MIRROR[_LEFT_OUTER]]
+    apart = points[_LEFT_OUTER] - points[MIRROR[_LEFT_OUTER]]
     lengths = np.linalg.norm(apart, axis=1)
     width = float(np.fmax.reduce(lengths))
     if vertices is None or not width > 0:

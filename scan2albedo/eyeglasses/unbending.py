@@ -24,8 +24,7 @@ from scan2albedo.geometry.rigid import (
     transform_points,
 )
 
-_MIRROR = np.array(MIRROR)
-_RIMS, _TEMPLES = ((part, _MIRROR[part]) for part in (np.arange(2, 7), np.arange(7, 11)))
+_RIMS, _TEMPLES = ((part, MIRROR[part]) for part in (np.arange(2, 7), np.arange(7, 11)))
 """Numbers of the key points of the left and the right side; of a temple from the hinge to the tip."""
 _OWN = 0.9
 """Share of a rim's key points in a vertex's weights from which it moves with the rim."""
@@ -77,9 +76,9 @@ def front_halves(
     reflection = _reflection(points)
     if reflection is None:
         return None
-    both = np.isfinite(points + points[_MIRROR]).all(1)
+    both = np.asarray(np.isfinite(points + points[MIRROR]).all(1))
     rim = _RIMS[0][both[_RIMS[0]]]
-    source, target = transform_points(reflection, points[_MIRROR[rim]]), points[rim]
+    source, target = transform_points(reflection, points[MIRROR[rim]]), points[rim]
     if not is_posable(target):
         return FrontHalves(reflection, np.eye(4), np.nan)
     start = procrustes(source, target)
@@ -133,7 +132,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     reflect, bent = halves.reflection[:3, :3], targets.copy()
     for temple in _TEMPLES:
         for a, b in itertools.pairwise(temple[np.isfinite(bent[temple]).all(1)]):
-            bone, other = bent[b] - bent[a], reflect @ (bent[_MIRROR[b]] - bent[_MIRROR[a]])
+            bone, other = bent[b] - bent[a], reflect @ (bent[MIRROR[b]] - bent[MIRROR[a]])
             if np.isfinite(other).all():
                 bone = np.linalg.norm(bone) * normalized(normalized(bone) + normalized(other))
             targets[b] = targets[a] + bone
@@ -157,8 +156,8 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     """
     usual, deviation = _DESIGNS_DEG.mean(1), np.ptp(_DESIGNS_DEG, axis=1) / np.sqrt(12)
     across = np.linalg.svd(np.eye(3) - reflection[:3, :3])[0][:, 0]
-    image = transform_points(reflection, points_mm[_MIRROR])
-    even, out = (points_mm + image) / 2, (points_mm - points_mm[_MIRROR]) @ across / 2
+    image = transform_points(reflection, points_mm[MIRROR])
+    even, out = (points_mm + image) / 2, (points_mm - points_mm[MIRROR]) @ across / 2
     side = np.sign(np.nansum(out[_RIMS[0]]) + np.nansum(out[_TEMPLES[0]]))
     top, _, inner, bottom, outer = even[_RIMS[0]]
     wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
@@ -189,13 +188,13 @@ def symmetric_key_points(points: FloatArray, reflection: FloatArray | None = Non
     reflection = _reflection(points) if reflection is None else reflection
     if reflection is None:
         return points
-    image = transform_points(reflection, points[_MIRROR])
+    image = transform_points(reflection, points[MIRROR])
     return np.where(np.isfinite(image), (points + image) / 2, points)
 
 
 def _reflection(points: FloatArray) -> FloatArray | None:
     """Return the (4, 4) that mirrors key points (20, 3); None where too few have a counterpart."""
-    image = (points * [-1.0, 1.0, 1.0])[_MIRROR]
+    image = (points * [-1.0, 1.0, 1.0])[MIRROR]
     both = np.isfinite(image).all(1) & np.isfinite(points).all(1)
     if not is_posable(points[both]):
         return None

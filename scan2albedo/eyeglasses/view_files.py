@@ -134,11 +134,6 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
 
 
-def mask_path(folder: str | Path, camera: Camera) -> Path:
-    """Return where the mask of a camera lies: ``folder / "<camera>.png"``."""
-    return Path(folder) / f"{camera.name}.png"
-
-
 def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
     """Write masks (H, W), one a camera, nonzero where glasses are, as ``folder / "<camera>.png"``.
 
@@ -155,7 +150,7 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
             raise ValueError(f"the mask of {view.name!r} has shape {np.shape(mask)}, expected {view.shape}")
     make_folder(folder)
     for mask, camera in zip(masks, cameras, strict=True):
-        write_png(mask_path(folder, camera), np.asarray(mask) != 0)
+        write_png(Path(folder) / f"{camera.name}.png", np.asarray(mask) != 0)
 
 
 def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
@@ -165,7 +160,7 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
     """
     masks = []
     for camera in cameras:
-        path = mask_path(folder, camera)
+        path = Path(folder) / f"{camera.name}.png"
         if not path.is_file():
             raise EyeglassesError(f"mask {path} is missing; give a PNG for each camera, named after it")
         try:

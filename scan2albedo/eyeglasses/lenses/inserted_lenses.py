@@ -26,9 +26,9 @@ from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
 
 SIDES = ("left", "right")
+RIMS = [np.flatnonzero([n.startswith(f"{side}_rim_") for n in KEY_POINT_NAMES]) for side in SIDES]
+"""Numbers of each rim's key points: top, bridge, inner, bottom, outer."""
 _BEHIND = np.array([n.split("_")[1] in ("hinge", "temple", "ear") for n in KEY_POINT_NAMES])
-_RADII_MM = (5.0, 100.0)
-"""Mean radii of lenses, a reader's slit to a diving mask: others are not millimetres."""
 _GLANCING = 1e-3
 """Sine of the angle to the lens plane, and mm from the start to the lens, below which a ray does not count as
 passing the lens."""
@@ -71,8 +71,8 @@ def insert_lens(
 
     The optical `center` (3,) is moved into the lens plane along its normal; the outline's centroid when
     omitted. Points of the outline that were measured move `seat_mm` outward, into the rim. `rim_masks` are
-    cameras and masks for `refine_lens_rim`. Raises
-    EyeglassesError, naming the lens, when key points are missing or no rim of a lens's size is found.
+    cameras and masks for `refine_lens_rim`. Raises EyeglassesError, naming the lens, when key points are
+    missing or no rim of a lens's size is found.
     """
     marks = rim_key_points(keypoints, side)
     top, bridge, inner, bottom, outer = marks
@@ -93,7 +93,8 @@ def insert_lens(
         cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
         rim = replace(rim, normal=axis, center=middle + cx * plane.across + cy * plane.up)
         radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
-        if not _RADII_MM[0] <= radius <= _RADII_MM[1]:
+        # From a reader's slit to a diving mask: others are not millimetres.
+        if not 5 <= radius <= 100:
             said = f"its mean radius is {radius:.3g} mm, which no lens has"
             raise EyeglassesError(f"{said}; give everything in millimetres, as dioptres depend on it")
         plane = LensPlane.at(rim.center, rim.normal)
@@ -112,9 +113,8 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
 
     Raises EyeglassesError, naming key point and lens, when one is missing.
     """
-    wanted = [i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{SIDES[side]}_rim_")]
-    marks = keypoints[wanted]
-    missing = [KEY_POINT_NAMES[i] for i in wanted if not np.isfinite(keypoints[i]).all()]
+    marks = keypoints[RIMS[side]]
+    missing = [KEY_POINT_NAMES[i] for i in RIMS[side] if not np.isfinite(keypoints[i]).all()]
     if missing:
         said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         advice = "give them, or None in place of this lens"
@@ -128,17 +128,11 @@ def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
     Raises EyeglassesError, naming key points, when those of no rim are known.
     """
     front, up = np.zeros(3), np.zeros(3)
-    faults = []
-    for side in (0, 1):
-        try:
-            marks = rim_key_points(keypoints, side)
-        except EyeglassesError as error:
-            faults.append(error)
-            continue
+    # Where no rim has all of them, the left one says what it lacks.
+    for side in [k for k in (0, 1) if np.isfinite(keypoints[RIMS[k]]).all()] or [0]:
+        marks = rim_key_points(keypoints, side)
         front += _viewers_side(fit_normal(marks, vertices), marks.mean(0), keypoints)
         up += marks[0] - marks[3]
-    if len(faults) == 2:
-        raise faults[0]
     front = normalized(front)
     up = normalized(up - (up @ front) * front)
     return np.array([np.cross(up, front), up, front])
@@ -198,10 +192,8 @@ def without_glass(
             count = int(panes.sum())
             notes.append(f"the {lens.name}: the frame's own glass there, {count} faces, is left out")
         if is_covered(vertices, faces[kept], plane, marks):
-            said = (
-                "the frame covers it, it seems by glass of one piece with the rim, which may have been taken"
-            )
-            notes.append(f"the {lens.name}: {said} for the rim; cut it out of the mesh")
+            said = "the frame covers it, it seems by glass of one piece with the rim, which may have been"
+            notes.append(f"the {lens.name}: {said} taken for the rim; cut it out of the mesh")
     if not kept.all():
         uv = None if frame.uv is None else np.asarray(frame.uv)
         frame = replace(frame, faces=faces[kept], uv=uv[kept] if uv is not None and uv.ndim == 3 else uv)
@@ -242,10 +234,10 @@ class LensPaths:
     glancing: int = 0
 
 
-def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], rays: SceneRays) -> LensPaths:
-    """Follow rays through lenses to the scene; no ray passes a lens twice."""
-    count = len(rays.origins)
-    own = rays.chosen(np.arange(count))
+def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], seen: SceneRays) -> LensPaths:
+    """Follow the rays `seen` through lenses to the scene; no ray passes a lens twice."""
+    count = len(seen.origins)
+    own = seen.chosen(np.arange(count))
     paths = LensPaths(own, np.ones((count, 3)), np.full(count, -1), np.zeros(count, bool))
     ahead = np.ones((count, len(lenses)), bool)
     waiting = np.arange(count if len(lenses) else 0)
@@ -264,40 +256,34 @@ def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], rays: SceneRa
             glancing = np.abs(own.directions[waiting] @ np.asarray(lens.optics.normal)) <= _GLANCING
             glancing |= nearest <= _GLANCING
             paths.glancing += int((here & glancing).sum())
-            if (here & ~glancing).any():
-                _cross(scene, lens, paths, waiting[here & ~glancing], nearest[here & ~glancing])
+            if not (here := here & ~glancing).any():
+                continue
+            rays, material = waiting[here], lens.material
+            normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
+            heading, before = own.directions[rays], own.origins[rays]
+            position = before + heading * nearest[here][:, None]
+            # Rims are not flat: the lens's plane is moved along its normal to where each ray meets the mesh.
+            height = ((position - center) @ normal)[:, None] * normal
+            mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
+            alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)
+            if material.fresnel:
+                cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
+                beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
+                # All other shares shrink alike, so that together they stay 1.
+                alpha = alpha * (1 - beta) / max(1 - material.beta, np.finfo(float).tiny)
+            rest, tint = np.maximum(1 - alpha - beta, 0.0)[:, None], alpha[:, None]
+            if material.tinting == "filter":
+                rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)
+            arriving = paths.share[rays]
+            shares = arriving * tint, arriving * beta[:, None]
+            paths.crossings.append(LensCrossings(rays, lens, position, heading, mirrored, *shares))
+            paths.share[rays] = arriving * rest
+            paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
+            if lens.optics.dioptres != 0:
+                own.origins[rays] = position
+                own.directions[rays] = refract(lens.optics, before - height, position - height).directions
+                paths.bent[rays] = True
+                hits = scene.first_hit(position, own.directions[rays])
+                own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
+                own.hits.distance[rays] = hits.distance
     return paths
-
-
-def _cross(
-    scene: LensScene, lens: InsertedLens, paths: LensPaths, rays: IntArray, distance: FloatArray
-) -> None:
-    """Take rays (M,) through a lens that lies `distance` (M,) ahead of them."""
-    own, material = paths.rays, lens.material
-    normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
-    heading, before = own.directions[rays], own.origins[rays]
-    position = before + heading * distance[:, None]
-    # Rims are not flat: the thin lens's plane is moved along its normal to where each ray meets the mesh.
-    height = ((position - center) @ normal)[:, None] * normal
-    mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
-    alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)
-    if material.fresnel:
-        cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
-        beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
-        # All other shares shrink alike, so that together they stay 1.
-        alpha = alpha * (1 - beta) / max(1 - material.beta, np.finfo(float).tiny)
-    rest, tint = np.maximum(1 - alpha - beta, 0.0)[:, None], alpha[:, None]
-    if material.tinting == "filter":
-        rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)
-    arriving = paths.share[rays]
-    shares = arriving * tint, arriving * beta[:, None]
-    paths.crossings.append(LensCrossings(rays, lens, position, heading, mirrored, *shares))
-    paths.share[rays] = arriving * rest
-    paths.first[rays] = np.where(paths.first[rays] < 0, lens.side, paths.first[rays])
-    if lens.optics.dioptres != 0:
-        own.origins[rays] = position
-        own.directions[rays] = refract(lens.optics, before - height, position - height).directions
-        paths.bent[rays] = True
-        hits = scene.first_hit(position, own.directions[rays])
-        own.hits.face[rays], own.hits.barycentric[rays] = hits.face, hits.barycentric
-        own.hits.distance[rays] = hits.distance

@@ -37,8 +37,6 @@ Window = tuple[slice, slice]
 
 _SEAT_MM = 0.3
 """How far lenses reach into their rims: outlines are exact to 0.2 mm, and no light shall pass between."""
-_BAND = 2**15
-"""Rays that are followed at once: a bound on memory."""
 
 
 @dataclass(frozen=True)
@@ -132,19 +130,6 @@ def insert_lenses(
     A painted tint is a matte surface in the same light; in a photograph it is taken as it is. In drawn scenes
     surfaces and lenses cast shadows; in photographs none do, whose background counts as far away. Light does
     not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
-
-    Examples
-    --------
-    >>> from scan2albedo.geometry.pinhole import look_at
-    >>> from scan2albedo.synthetic import eyeglasses
-    >>> glasses = eyeglasses(seed=1)
-    >>> wall = Surface([[-300, -300, -30], [300, -300, -30], [0, 500, -30]], [[0, 1, 2]])
-    >>> camera = look_at([0, 0, 600], [0, 0, 0], focal_px=200, shape=(48, 64))
-    >>> picture = insert_lenses(
-    ...     Surface(glasses.vertices, glasses.faces), glasses.keypoints, LensMaterial(dioptres=-4.0),
-    ...     surfaces=[wall], camera=camera, shape=(48, 64), environment_linear=np.ones((8, 16, 3)))
-    >>> picture.image_linear.shape, np.unique(picture.lens).tolist(), picture.notes
-    ((48, 64, 3), [-1, 0, 1], ())
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     photograph = None if picture_linear is None else checked_image("picture_linear", picture_linear)
@@ -291,8 +276,9 @@ class _View:
         return once
 
     def _rays(self, pixels: FloatArray) -> _SeenRays:
-        if len(pixels) > _BAND:
-            parts = [self._rays(pixels[part]) for part in blocks(len(pixels), _BAND)]
+        # A bound on memory.
+        if len(bands := blocks(len(pixels), 2**15)) > 1:
+            parts = [self._rays(pixels[band]) for band in bands]
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
             joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
             return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))

@@ -30,14 +30,10 @@ _AT_RIM = 0.25
 """Lens radii between a rim's key points and its surface, at most."""
 _ENOUGH = 0.75
 """Share of the places at which a lens is met; what crosses fewer is a strut or a nose pad."""
-_LONGEST_GAP_RAD = np.deg2rad(30.0)
-"""Wider gaps are not holes in a scan but an open rim, which a straight line would cut off."""
 _FLAT = 0.05
 """Spread of rim points across their longest direction below which they are a line and hold no plane."""
 _REACH = 0.16
 """Heights looked at over and under the plane, in lens radii: a curved rim leaves the plane by about 0.1."""
-_HEIGHTS = 33
-"""At which rays leave in each sweep."""
 _REFINEMENTS = (0.006, 0.002)
 """Then heights around the neighbourhood's: single rays meet ends of bridges that poke through."""
 _INNER = 0.4
@@ -54,8 +50,6 @@ _PULL = 0.25
 _OPEN, _BEND = 0.12, 0.02
 """Lens radii that an edge which no ray met is off in all (3 mm: a rim's width), and by which a control
 point's error differs from its neighbours' mean."""
-_ROUGH = 3.0
-"""Errors of what rays met over what the curve cannot follow of it."""
 
 
 @dataclass(frozen=True)
@@ -239,7 +233,8 @@ def find_lens_rim(
     if not measured.all():
         hits = np.flatnonzero(measured)
         runs = np.diff(np.append(hits, hits[:1] + _POINTS)) - 1
-        small = len(hits) > 0 and runs.max() * 2 * np.pi / _POINTS <= _LONGEST_GAP_RAD
+        # Wider gaps are not holes in a scan but an open rim, which a straight line would cut off.
+        small = len(hits) > 0 and runs.max() * 360 / _POINTS <= 30
         if not small and marks is None:
             said = f"{(~measured).sum()} of {_POINTS} rays meet nothing near"
             where = f"no closed rim around the centre {middle.round(2).tolist()}"
@@ -310,9 +305,9 @@ def _nearest(
     caster: RayCaster, plane: LensPlane, angles: FloatArray, level: FloatArray, radius: float, reach: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least distance (R,) within `reach` of heights `level` (R,), inf for none, and its height."""
-    heights = level[:, None] + radius * np.linspace(-reach, reach, _HEIGHTS)
+    heights = level[:, None] + radius * np.linspace(-reach, reach, 33)
     origins = plane.center + heights[..., None] * plane.normal
-    headings = np.repeat(plane.directions(angles), _HEIGHTS, axis=0)
+    headings = np.repeat(plane.directions(angles), heights.shape[1], axis=0)
     distance = caster.first_hit(origins.reshape(-1, 3), headings).distance.reshape(heights.shape)
     # What is far too near is in the way: the rim may be seen past it at other heights.
     distance[(distance < _INNER * radius) | (distance > _OUTER * radius)] = np.inf
@@ -394,7 +389,8 @@ def refine_lens_rim(
     for _ in range(2):
         basis = np.stack([basis, four_point_middles(basis)], 1).reshape(-1, len(one))
     smooth, outline = basis @ np.linalg.pinv(basis), profile
-    noise = _ROUGH * np.sqrt(((profile - profile @ smooth.T) ** 2).mean(1))
+    # What rays met errs by three times what the curve cannot follow of it.
+    noise = 3 * np.sqrt(((profile - profile @ smooth.T) ** 2).mean(1))
     if rim.gaps == "subdivided" and rim_points is not None:
         # What rays met may be other pieces of the frame: the gaps' shape shall not hang on it.
         marks = checked_points("rim_points", rim_points)

@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, insert_lens
+from scan2albedo.eyeglasses.lenses.inserted_lenses import RIMS, SIDES, insert_lens
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.rims import LensPlane, fit_normal, is_covered, pane_faces
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
@@ -37,8 +36,7 @@ class RimOpening:
 def rim_openings(vertices: FloatArray, faces: IntArray, keypoints: FloatArray) -> list[RimOpening]:
     """Return the openings of the rims whose key points (20, 3) are known."""
     found, left = [], np.arange(len(faces))
-    for side, name in enumerate(SIDES):
-        rim = np.array([i for i, n in enumerate(KEY_POINT_NAMES) if n.startswith(f"{name}_rim_")])
+    for side, rim in enumerate(RIMS):
         marks = keypoints[rim]
         if not np.isfinite(marks).all():
             continue

@@ -25,8 +25,6 @@ from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.pinhole import projected
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 
-_BEHIND = 1e6
-"""Squared error in standard deviations of a point behind a camera."""
 ROBUST = 2.0
 """Standard deviations from which labels count less and less (Cauchy), outlines by their size (Huber)."""
 _OFFSET_MM = 0.5
@@ -74,9 +72,7 @@ class HeadContact:
     def __init__(self, points: SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
         self._query = ClosestPointQuery(vertices, faces)
         self._normals = face_normals(vertices, faces)
-        front = np.flatnonzero(_FRONT[points.weights.argmax(1)])
-        self._front = points[front]
-        self._candidates = self._front
+        self._front = self._candidates = points[np.flatnonzero(_FRONT[points.weights.argmax(1)])]
 
     def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
         """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
@@ -183,7 +179,8 @@ class RegistrationObjective:
         offset, prior = np.zeros((len(place), 3)), np.eye(3) / _OFFSET_MM**2
         for _ in range(_REWEIGHTINGS):
             moved = residual + np.einsum("nij,nj->ni", slopes, offset[mark])
-            square = np.where(front, (moved**2).sum(1), _BEHIND)
+            # Behind a camera a label is off by a thousand standard deviations.
+            square = np.where(front, (moved**2).sum(1), 1e6)
             weight = 1 / (1 + square / ROBUST**2)
             matrix, pull = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
             np.add.at(matrix, mark, np.einsum("n,nki,nkj->nij", weight, slopes, slopes))

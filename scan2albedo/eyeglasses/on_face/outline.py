@@ -30,8 +30,6 @@ _FACING = 0.3
 """Least cosine between where outside is for the frame's outline and for the observed one."""
 _SIDE_PX = 12
 """How much of both sides of an outline is compared with a picture."""
-_ALIKE_PX = 3.0
-"""Over which a picture's pixels are alike: together they say as much as one."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +230,8 @@ def search_colors(
         places = pixels[:, None] + where[:, None] * outward[:, None]
         return bilinear(image[..., None], places.reshape(-1, 2)).reshape(len(pixels), -1)
 
-    profile, seen = across(frame.astype(np.float64), side), across(odds / _ALIKE_PX, along)
+    # Over three pixels a picture is alike: together they say as much as one.
+    profile, seen = across(frame.astype(np.float64), side), across(odds / 3, along)
     windows = np.lib.stride_tricks.sliding_window_view(seen, len(side), axis=1)
     prior = -((ways / np.maximum(reach_px / 3, 0.5)[:, None]) ** 2) / 2
     prior -= np.log(np.exp(prior).sum(1, keepdims=True))

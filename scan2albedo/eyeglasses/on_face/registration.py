@@ -118,17 +118,6 @@ def register_on_face(
     Deviations hold for a mesh true to about a percent, labels that miss the key point alike in all views
     (0.5 mm) and masks too wide or too narrow throughout (1 px). Li et al. (supplement, equation S3) minimise
     a rendered segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
-
-    Examples
-    --------
-    >>> from scan2albedo.synthetic import wearer
-    >>> person = wearer(seed=1)
-    >>> g = person.glasses
-    >>> found = register_on_face(
-    ...     (g.rest_vertices, g.faces, g.rest_keypoints), person.labels, person.masks, person.cameras,
-    ...     head=(person.head_vertices, person.head_faces))
-    >>> bool(np.linalg.norm(found.vertices - person.vertices, axis=1).mean() < 0.5)
-    True
     """
     meter = Meter("glasses", "px", Budget.of(budget), on_progress)
     given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes, pictures)

@@ -246,10 +246,7 @@ def compare_masks(
     """
     vertices, weights = motion.positions(sampler.mesh.points), sampler.mesh.points.weights
     own, foremost = sampler.mask(motion, number)
-    union = own | mask
-    differing = np.zeros(weights.shape[1])
-    if not union.any():
-        return 0.0, differing
+    union, differing = own | mask, np.zeros(weights.shape[1])
     # Distances in the box around both masks are those of the whole picture.
     rows, columns = np.flatnonzero(union.any(1)), np.flatnonzero(union.any(0))
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
@@ -258,8 +255,6 @@ def compare_masks(
         away = here[box] if not there.any() else here[box] & (distance_transform_edt(~there[box]) > limit)
         row, column = np.nonzero(away)
         row, column = row + rows[0], column + columns[0]
-        if not len(row):
-            continue
         if here is own:
             owner = foremost[row, column]
         else:

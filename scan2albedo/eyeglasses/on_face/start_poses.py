@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND, align_key_points, in_own_axes, is_posable
@@ -33,8 +33,6 @@ from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 from scan2albedo.rendering.pictures import seen_samples
 
-_OTHER_UNIT = 3.0
-"""Ratio of sizes from which the frame and the cameras cannot be in the same unit."""
 _DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12)
 """It begins low, for the linear start is nearly right, and stays above what rounding leaves of the matrix."""
 
@@ -100,6 +98,10 @@ def place_in_pictures(
     fans = [o.rim[[[0, 1, 2], [0, 2, 3], [0, 3, 4]]] + len(mesh.points.rest) for o in openings]
     filled = np.concatenate([rims, *fans])
     best: tuple[float, FrameState, FloatArray] | None = None
+
+    def entropy(n: FloatArray) -> FloatArray:
+        return np.asarray((xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0))
+
     used = [view for view in views if view.colors is not None]
     for state in states:
         motion = FrameMotion(keypoints, state)
@@ -108,7 +110,30 @@ def place_in_pictures(
         for faces in (rims, filled) if openings else (rims,):
             gain = np.zeros(len(shifts))
             for view in used:
-                gain += _color_gain(vertices, faces, view, head, middle, shifts)
+                assert view.colors is not None
+                moved = np.concatenate([middle[None], middle + shifts])
+                pixels, slopes, ahead = projected(view.camera[None], moved)
+                # A cell of about a millimetre.
+                step = max(1, round(float(np.linalg.norm(slopes[0], axis=0).max())))
+                coarse = np.diag([1 / step, 1 / step, 1.0]) @ view.camera
+                colors = view.colors[::step, ::step]
+                seen = seen_samples(vertices, faces, coarse, colors.shape)
+                seen = seen.chosen(~hidden_by(head, coarse, seen.interpolated(vertices)))
+                if not ahead.all() or len(seen.index) == 0:
+                    continue
+                frame = np.zeros(colors.shape, bool)
+                frame.flat[seen.index] = True
+                around = binary_dilation(frame, iterations=8) & ~frame
+                way = np.round((pixels[1:] - pixels[0]) / step).astype(int)
+                size = tuple(next_fast_len(n + 2 * int(np.abs(way).max()), real=True) for n in colors.shape)
+                masks = [np.conj(rfft2(where.astype(float), size)) for where in (frame, around)]
+                counts = np.zeros((2, colors.max() + 1, len(shifts)))
+                for k in range(counts.shape[1]):
+                    spectrum = rfft2((colors == k).astype(float), size)
+                    for count, mask in zip(counts, masks, strict=True):
+                        count[k] = np.maximum(irfft2(spectrum * mask, size)[way[:, 1], way[:, 0]], 0.0)
+                # A cell is several pixels wide, whose colours are alike over the rim's width.
+                gain += VOTE * (entropy(counts) - entropy(counts.sum(0)[None]))
             score = gain - prior
             top = float(score.max())
             chance = np.exp(score - top)
@@ -120,46 +145,6 @@ def place_in_pictures(
                 best = evidence, replace(state, origin=state.origin + mean), known
     assert best is not None
     return best[1], best[2][:3], best[2][3]
-
-
-def _color_gain(
-    vertices: FloatArray,
-    faces: IntArray,
-    view: ObservedView,
-    head: RayCaster | None,
-    middle: FloatArray,
-    shifts: FloatArray,
-) -> FloatArray:
-    """Return (S,) log likelihoods of `place_in_pictures` in one view, of a frame moved by `shifts` (S, 3)."""
-    assert view.colors is not None
-    pixels, slopes, ahead = projected(view.camera[None], np.concatenate([middle[None], middle + shifts]))
-    # A cell of about a millimetre.
-    scale = float(np.linalg.norm(slopes[0], axis=0).max())
-    step = max(1, round(scale))
-    coarse = np.diag([1 / step, 1 / step, 1.0]) @ view.camera
-    colors = view.colors[::step, ::step]
-    seen = seen_samples(vertices, faces, coarse, colors.shape)
-    seen = seen.chosen(~hidden_by(head, coarse, seen.interpolated(vertices)))
-    if not ahead.all() or len(seen.index) == 0:
-        return np.zeros(len(shifts))
-    frame = np.zeros(colors.shape, bool)
-    frame.flat[seen.index] = True
-    around = binary_dilation(frame, iterations=8) & ~frame
-    way = np.round((pixels[1:] - pixels[0]) / step).astype(int)
-    size = tuple(next_fast_len(n + 2 * int(np.abs(way).max()), real=True) for n in colors.shape)
-    masks = [np.conj(rfft2(where.astype(float), size)) for where in (frame, around)]
-    counts = np.zeros((2, colors.max() + 1, len(shifts)))
-    for k in range(counts.shape[1]):
-        spectrum = rfft2((colors == k).astype(float), size)
-        for count, mask in zip(counts, masks, strict=True):
-            count[k] = np.maximum(irfft2(spectrum * mask, size)[way[:, 1], way[:, 0]], 0.0)
-    both = counts.sum(0)[None]
-
-    def entropy(n: FloatArray) -> FloatArray:
-        return np.asarray((xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0))
-
-    # A cell is several pixels wide, whose colours are alike over the rim's width.
-    return VOTE * (entropy(counts) - entropy(both))
 
 
 def starting_poses(
@@ -178,7 +163,8 @@ def starting_poses(
         world, rest = placed.points[good], keypoints[good]
         away = (np.linalg.norm(points - np.median(points, axis=0), axis=1) for points in (world, rest))
         large, small = (float(np.median(distance)) for distance in away)
-        if not 1 / _OTHER_UNIT < large / small < _OTHER_UNIT:
+        # More or less cannot be in the same unit.
+        if not 1 / 3 < large / small < 3:
             said = f"the labels make a frame {large / small:.3g} times as large as the one given"
             raise EyeglassesError(f"{said}: bring glasses and cameras to the same unit")
         # A line of key points leaves a turn open.
@@ -240,7 +226,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -
 
 def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptions, error_px: float) -> None:
     """Raise EyeglassesError where exchanging left and right explains labels far better than `error_px`."""
-    views = tuple(replace(view, labels=view.labels[list(MIRROR)]) for view in given.views)
+    views = tuple(replace(view, labels=view.labels[MIRROR]) for view in given.views)
     objective = RegistrationObjective(given.keypoints, views, options)
     rigid = partial(objective.linearize, samples=None, rigid=True)
     try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,9 +21,7 @@ from scan2albedo.eyeglasses import (
     write_canonical,
     write_keypoints,
 )
-from scan2albedo.eyeglasses.canonicalization import CanonicalMode
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
-from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
 from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord
@@ -108,9 +106,7 @@ def canonicalize_frames(
     failures: Sequence[FailedFrameRecord] = (),
     *,
     mean: Path | None = None,
-    mode: CanonicalMode = "unbend",
-    handles: Literal["turned", "translated"] = "turned",
-    widths_mm: tuple[float, float] = WIDTHS_MM,
+    options: CanonicalizationOptions = CanonicalizationOptions(),
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> CanonicalFiles:
@@ -129,15 +125,15 @@ def canonicalize_frames(
         [frame.keypoints for frame in frames],
         mean_keypoints=mean_mm,
         budget=spend,
-        options=CanonicalizationOptions(mode=mode, handles=handles, widths_mm=widths_mm, skip_failed=True),
+        options=replace(options, skip_failed=True),
         on_progress=on_progress,
     )
     named = ((frames[i].files["mesh"].file, reason) for i, reason in result.failures.items())
     lost = (FailedFrameRecord(file=file, reason=reason) for file, reason in named)
-    options: dict[str, Any] = {"mode": mode, "handles": handles, "widths_mm": widths_mm, "mean": mean}
-    options |= {"budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
+    called = {name: value for name, value in asdict(options).items() if name != "skip_failed"}
+    called |= {"mean": mean, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     done = tuple(frames[i] for i in result.numbers)
-    return CanonicalFiles(done, result, (*failures, *lost), options, time.perf_counter() - begun)
+    return CanonicalFiles(done, result, (*failures, *lost), called, time.perf_counter() - begun)
 
 
 def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:
@@ -146,8 +142,9 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
     The figures are as in `result.json`. Raises OutputError, naming folder and cause.
     """
     result, figures = done.result, {}
+    both = list(zip(done.frames, result.frames, strict=True))
     with RunFolder(out, FILES).publishing() as staging:
-        for frame, canonical in zip(done.frames, result.frames, strict=True):
+        for frame, canonical in both:
             folder = staging.folder / frame.name
             folder.mkdir()
             written = write_frame_glb(folder / "canonical.glb", canonical)
@@ -183,7 +180,6 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
         write_keypoints(staging.folder / "mean_keypoints.json", result.mean_keypoints, unit="mm")
         result.trace.to_csv(staging.folder / "trace.csv")
         staging.figure("error_vs_time.png", result.trace.plot())
-        both = zip(done.frames, result.frames, strict=True)
         drawn = [(frame.name, frame.scan.vertices, canonical) for frame, canonical in both]
         title = f"{MOST_SHOWN} of " * (len(drawn) > MOST_SHOWN)
         title += f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"

@@ -259,15 +259,16 @@ def read_lens_scene(
 
     Key points are otherwise ``<frame stem>.keypoints.json`` or ``keypoints.json`` beside the frame. `views`
     name cameras, all when there are none; `pictures`, one a view, are named after them or in their order;
-    `masks` is a folder of masks of the frame, of any of the cameras.
-    Raises EyeglassesError or ScanError, naming the file, when one cannot be read or does not fit the others.
+    `masks` is a folder of masks of the frame, of any of the cameras. Raises EyeglassesError or ScanError,
+    naming the file, when one cannot be read or does not fit the others.
     """
-    by_name = {camera.name: camera for camera in read_cameras(cameras)}
+    every = read_cameras(cameras)
+    by_name = {camera.name: camera for camera in every}
     if strange := [name for name in views if name not in by_name]:
         raise EyeglassesError(
             f"cameras {cameras}: there is no view {strange[0]!r}, only {', '.join(by_name)}"
         )
-    chosen = tuple(by_name[name] for name in dict.fromkeys(views)) or tuple(by_name.values())
+    chosen = tuple(by_name[name] for name in dict.fromkeys(views)) or every
     if keypoints is None and not keypoints_beside(frame).is_file():
         shared = frame.with_name("keypoints.json")
         keypoints = shared if shared.is_file() else None
@@ -285,9 +286,7 @@ def read_lens_scene(
         images.append(_read_picture(file, camera))
         files[f"picture {camera.name}"] = _hashed(file)
     notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
-    seen = zip(
-        by_name.values(), _read_named("mask", masks, tuple(by_name.values()), files, notes), strict=True
-    )
+    seen = zip(every, _read_named("mask", masks, every, files, notes), strict=True)
     rims = tuple((camera.matrix, mask) for camera, mask in seen if mask is not None)
     light = None
     if environment is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -39,8 +38,6 @@ from scan2albedo.report.eyeglasses_views import MOST_SHOWN
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
-_WORN_MM = 150.0
-"""Largest distance between a worn frame's rims and the head: more is another world, or another unit."""
 _FRAME_ALBEDO = (0.05, 0.05, 0.06)
 """Of frames without colours."""
 _SKIN_ROUGHNESS_RAD = 0.3
@@ -58,7 +55,7 @@ class LensRecord(Record):
     beta: Number = Field(ge=0, le=1, description="Share of the reflection, at right angles.")
     fresnel: bool
     tinting: Literal["paint", "filter"]
-    front_radius_mm: Number | None = Field(description="Of the sphere that mirrors; null is a flat one.")
+    front_radius_mm: OptionalNumber = Field(description="Of the sphere that mirrors; null is a flat one.")
     center_mm: tuple[Number, Number, Number] = Field(description="Optical centre, in the world.")
     normal: tuple[Number, Number, Number] = Field(description="Of the lens plane, towards the viewer.")
     mean_radius_mm: Number = Field(gt=0)
@@ -182,7 +179,8 @@ def render_lenses(
     if len(known):
         query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
         hits = query.query(known)
-        if (apart := float(np.median(hits.distance))) > _WORN_MM:
+        # No worn frame's: it is in another world, or another unit.
+        if (apart := float(np.median(hits.distance))) > 150:
             said = f"the frame lies {apart:.0f} mm away from the head"
             raise EyeglassesError(f"{said}; give both in the same world, and their units")
         # As in relit pictures, the inside of an open face is not drawn: if it is wound alike, and outward.
@@ -270,8 +268,6 @@ def run_lenses(
     records = []
     for lens in rendered.lenses:
         material, rim = asdict(lens.material), lens.rim
-        if not math.isfinite(material["front_radius_mm"]):
-            material["front_radius_mm"] = None
         material |= {
             "side": SIDES[lens.side],
             "tint_linear": _vector(lens.material.tint_linear),

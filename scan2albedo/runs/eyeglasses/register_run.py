@@ -76,15 +76,9 @@ class RegisteredFrameRecord(RunRecord):
     files: tuple[str, ...] = Field(description="Names of the files beside this one.")
 
 
-_MADE: tuple[str, ...] = (
-    "registered.glb",
-    "registered.npz",
-    "keypoints.json",
-    "trace.csv",
-    "error_vs_time.png",
-)
-_MADE += ("overview.png", "proposed_labels.json", "*_mask.png")
-FILES = OwnFiles("result.json", RegisteredFrameRecord, _MADE, "scan2albedo glasses register")
+_MADE = ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png")
+_SEEN = ("overview.png", "proposed_labels.json", "*_mask.png")
+FILES = OwnFiles("result.json", RegisteredFrameRecord, _MADE + _SEEN, "scan2albedo glasses register")
 
 
 def _rms(values: FloatArray) -> float | None:

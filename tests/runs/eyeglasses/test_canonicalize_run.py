@@ -16,6 +16,7 @@ from scan2albedo.cli.commands import app
 from scan2albedo.core import Budget
 from scan2albedo.errors import EyeglassesError, OutputError, ScanError
 from scan2albedo.eyeglasses import (
+    CanonicalizationOptions,
     canonicalize,
     read_canonical,
     read_keypoints,
@@ -362,6 +363,7 @@ def test_single_bridges_among_double_ones_are_named(tmp_path):
         trimesh.Trimesh(glasses.vertices, glasses.faces, process=False).export(tmp_path / f"{name}.ply")
         write_keypoints(tmp_path / f"{name}.keypoints.json", glasses.keypoints, unit="mm")
         frames.append(read_frame(tmp_path / f"{name}.ply"))
-    (note,) = canonicalize_frames(frames, mode="mean", budget=Budget(evaluations=1)).notes
+    options = CanonicalizationOptions(mode="mean")
+    (note,) = canonicalize_frames(frames, options=options, budget=Budget(evaluations=1)).notes
     assert note.startswith("one: one bridge, while other frames")
     assert "leave bridge_top out" in note
