@@ -63,6 +63,11 @@ def run_batch(
 ) -> BatchReport:
     """Return the report on many scans, each processed in a worker with one thread; failed ones stop no other.
 
+    Raises MissingDependencyError without the libraries of the extra `batch`, or `cluster` with a scheduler;
+    BatchError when this is no POSIX system, the manifest is at fault, `out` holds a batch and `resume` is not
+    given, another batch works there, or no worker can be started or reached; ModelError for a missing model,
+    OutputError when `out` cannot be written, ValueError when jobs or seconds are not positive.
+
     Parameters
     ----------
     manifest : path or BatchManifest
@@ -82,16 +87,6 @@ def run_batch(
         Seconds after which a scan is given up, with its worker.
     on_progress : callable, optional
         Called with a `BatchProgress` whenever a scan has ended.
-
-    Raises
-    ------
-    MissingDependencyError
-        When a library of the extra `batch`, or `cluster` with a scheduler, is not installed.
-    BatchError
-        When this is not a POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
-        not given, another batch works there, or no worker can be started or reached.
-    ModelError, OutputError, ValueError
-        When a model's file is missing, `out` cannot be written, or jobs or seconds are not positive.
     """
     if jobs is not None and jobs < 1:
         raise ValueError(f"jobs is {jobs}, expected at least 1")

@@ -34,11 +34,6 @@ ModelArgument = Annotated[
 ]
 
 
-@app.callback()
-def _common() -> None:
-    """Reflectance of faces."""
-
-
 @app.command()
 def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = False) -> None:
     """Write what each flash added to the room's light, as linear EXR pictures.

@@ -34,8 +34,6 @@ _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 """Yaw and pitch."""
 _FACING = 0.5
 """Cosine between the surface and the view: what is seen at a more grazing angle is left out."""
-_LEAST_SECONDS = 2.0
-"""What loading the network and looking take."""
 _POINTS = {
     **dict(zip((18, 19, 20, 21, 22, 23, 24, 25), (63, 105, 66, 107, 336, 296, 334, 293), strict=True)),
     **dict(zip((30, 32, 33, 34), (4, 97, 2, 326), strict=True)),
@@ -63,7 +61,7 @@ def with_detected(
     scan: RawScan, pose: FloatArray, seconds: float | None = None
 ) -> tuple[RawScan, list[PlanStep]]:
     """Return the scan with landmarks that MediaPipe finds beside its own, which win; or as it is, and why."""
-    if seconds is not None and seconds < _LEAST_SECONDS:
+    if seconds is not None and seconds < 2:  # what loading the network and looking take
         reason = "too little of the budget is left to look for landmarks with MediaPipe"
         return scan, [PlanStep.doubt("fit.landmarks", reason)]
     found, given = detected_landmarks(scan, pose), scan.landmarks
