@@ -24,20 +24,19 @@ OWN_OPTIONS = ("unit", "model", "lights", "seed", "landmarks")
 
 @dataclass(frozen=True)
 class ManifestScan:
-    """One scan of a manifest."""
+    """One scan of a manifest.
+
+    `name` is of the folder of its result, `source` the path as the manifest has it, `path` absolute; `own`
+    are options of `OWN_OPTIONS` that the line sets, `extra` the cells of all other columns, `where` is the
+    place in the manifest, for messages. `source` and `extra` are `printable`.
+    """
 
     name: str
-    """Of the folder of its result."""
     source: str
-    """The path as the manifest has it, `printable`."""
     path: Path
-    """Absolute."""
     own: Mapping[str, str] = field(default_factory=dict)
-    """Options of `OWN_OPTIONS` that the line sets."""
     extra: Mapping[str, str] = field(default_factory=dict)
-    """Cells of all other columns, `printable`."""
     where: str = ""
-    """Place in the manifest, for messages."""
 
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
         """Return the batch's options with the line's, paths from `folder`; BatchError for a wrong cell."""

@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -205,12 +205,10 @@ def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None
         return None, "without their scan"
     for name, sha256 in row.files.items():
         file = layout.out / task.name / name
-        try:
+        with suppress(OSError):
             # The record may have been edited: nothing outside the folder is read.
             if Path(name).name == name and file.is_file() and file_sha256(file) == sha256:
                 continue
-        except OSError:
-            pass
         return None, "with changed or missing files"
     return row, ""
 

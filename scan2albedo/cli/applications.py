@@ -25,12 +25,12 @@ def swap(
     a: Annotated[Path, typer.Argument(help="Folder of the processed scan that gives the shape.")],
     b: Annotated[Path, typer.Argument(help="Folder of the processed scan that gives the skin.")],
     out: OutFolder,
-    keep_level: Annotated[
-        bool, typer.Option("--keep-level", help="Leave B's albedo at its own level and colour, not A's.")
-    ] = False,
-    keep_color: Annotated[
-        bool, typer.Option("--keep-color", help="Leave B's skin its own colour, at A's level.")
-    ] = False,
+    keep_level: bool = typer.Option(
+        False, "--keep-level", help="Leave B's albedo at its own level and colour, not A's."
+    ),
+    keep_color: bool = typer.Option(
+        False, "--keep-color", help="Leave B's skin its own colour, at A's level."
+    ),
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
@@ -47,7 +47,7 @@ def blend(
     a: Result,
     b: Result,
     out: OutFolder,
-    weight: Annotated[float, typer.Option(help="0 is all A, 1 is all B.")] = 0.5,
+    weight: float = typer.Option(0.5, help="0 is all A, 1 is all B."),
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
@@ -66,14 +66,12 @@ def transfer_expression(
     expression_a: Annotated[Path, typer.Argument(help="Folder of A's processed scan with the expression.")],
     neutral_b: Annotated[Path, typer.Argument(help="Folder of B's processed scan at rest.")],
     out: OutFolder,
-    strength: Annotated[float, typer.Option(help="Factor of the expression.")] = 1.0,
-    correspondence: Annotated[
-        str,
-        typer.Option(
-            help="refined: A at rest is fitted to the face with the expression; as-fitted: it is not; auto: "
-            "refined where the faces are on the model's mesh."
-        ),
-    ] = "auto",
+    strength: float = typer.Option(1.0, help="Factor of the expression."),
+    correspondence: str = typer.Option(
+        "auto",
+        help="refined: A at rest is fitted to the face with the expression; as-fitted: it is not; auto: "
+        "refined where the faces are on the model's mesh.",
+    ),
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:

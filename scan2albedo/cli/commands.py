@@ -203,16 +203,14 @@ def batch(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the results, catalogue.parquet and batch.json.")
     ],
-    jobs: Annotated[int, typer.Option(help="Processes; 0 for one a core, memory allowing.", min=0)] = 0,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a dask scheduler, such as tcp://10.0.0.5:8786.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Keep what is done and unchanged, do the rest.")
-    ] = False,
-    timeout: Annotated[
-        float | None, typer.Option(help="Seconds after which a scan is given up with its worker.")
-    ] = None,
+    jobs: int = typer.Option(0, help="Processes; 0 for one a core, memory allowing.", min=0),
+    scheduler: str | None = typer.Option(
+        None, help="Address of a dask scheduler, such as tcp://10.0.0.5:8786."
+    ),
+    resume: bool = typer.Option(False, "--resume", help="Keep what is done and unchanged, do the rest."),
+    timeout: float | None = typer.Option(
+        None, help="Seconds after which a scan is given up with its worker."
+    ),
     strict: Strict = False,
     json_summary: JsonOption = False,
     **flags: Any,
@@ -278,9 +276,9 @@ def demo(
 
 @app.command()
 def validate(
-    what: Annotated[str, typer.Argument(help="hemisphere, face, lighting or all.")] = "all",
-    size: Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)] = 256,
-    seed: Annotated[int, typer.Option(help="Seed of the scenes.", min=0)] = 1,
+    what: str = typer.Argument("all", help="hemisphere, face, lighting or all."),
+    size: int = typer.Option(256, help="Height and width of the geometry image in texels.", min=8),
+    seed: int = typer.Option(1, help="Seed of the scenes.", min=0),
     json_summary: JsonOption = False,
 ) -> None:
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
@@ -331,12 +329,10 @@ def report(
         Path,
         typer.Argument(help="What process or batch wrote: OUT, or the folder of one scan.", metavar="OUT"),
     ],
-    path: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The page; OUT/report.html when omitted.")
-    ] = None,
-    scans: Annotated[
-        int, typer.Option(help="How many scans of a batch are shown in full, the worst first.", min=0)
-    ] = 40,
+    path: Path | None = typer.Option(None, "--out", "-o", help="The page; OUT/report.html when omitted."),
+    scans: int = typer.Option(
+        40, help="How many scans of a batch are shown in full, the worst first.", min=0
+    ),
     json_summary: JsonOption = False,
 ) -> None:
     """Show what happened to a scan or a batch as one HTML page that needs no network."""

@@ -137,7 +137,6 @@ def write_identification(
         rates=rates,
         results=tuple(results),
         notes=found.notes,
-        files=(),
     )
     if folder is None:
         return record
