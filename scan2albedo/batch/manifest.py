@@ -111,8 +111,7 @@ def read_manifest(
         else:
             lines = [(f"{source}, line {k}", line.strip()) for k, line in enumerate(text.splitlines(), 1)]
             wanted = [(where, line) for where, line in lines if line and not line.startswith("#")]
-            folder = source.parent.absolute()
-            scans = [_scan(line, folder, where=where) for where, line in wanted]
+            scans = [_scan(line, source.parent.absolute(), where=where) for where, line in wanted]
             manifest = BatchManifest(source, tuple(scans))
     if not manifest.scans:
         kinds = f" ({', '.join(SUPPORTED_SCANS)})" if source.is_dir() else ""

@@ -44,9 +44,6 @@ from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector
 from scan2albedo.pipeline.options import ProcessOptions
 
-CATALOGUE_INTERVAL_S = 30.0
-"""Seconds between two writings of the catalogue while scans are processed."""
-
 _POSIX = os.name == "posix"
 
 
@@ -123,8 +120,7 @@ def run_batch(
             read_record(layout.record, BatchRecord, advice=advice, error=BatchError)
         elif os.path.lexists(layout.catalogue) and not set(FIXED) <= set(load_catalogue(out).column_names):
             raise BatchError(f"{layout.catalogue}: is not a catalogue of a batch; {advice}")
-        asked = jobs or int(cpu_count())
-        run = _Run(manifest, layout, options, asked, scheduler, on_progress, tasks[0].run)
+        run = _Run(manifest, layout, options, jobs or int(cpu_count()), scheduler, on_progress, tasks[0].run)
         return run.report(tasks, resume)
 
 
@@ -260,7 +256,7 @@ class _Run:
                 for row in ended:
                     self.rows[row.name] = row
                     self.show(last=row)
-                    if time.monotonic() - self.written > CATALOGUE_INTERVAL_S:
+                    if time.monotonic() - self.written > 30:  # seconds
                         self.write("running")
             status = "ended"
         finally:
@@ -278,13 +274,11 @@ class _Run:
     def limited(self, tasks: Sequence[ScanTask]) -> int:
         """Return how many processes to use for these tasks: as many as fit into memory now."""
         asked = min(self.asked, len(tasks))
-        peaks = [row.peak_memory_mb for row in self.rows.values() if row.run == self.run]
+        peaks = [row.peak_memory_mb or 0.0 for row in self.rows.values() if row.run == self.run]
         paths, texels = [Path(task.path) for task in tasks], max(task.options.texels for task in tasks)
-        peak = max((peak for peak in peaks if peak is not None), default=0.0)
-        painted = [
-            task.options.texture_size for task in tasks if task.options.model not in ("default", "none")
-        ]
-        worker = worker_mb(paths, texels, peak, tasks[0].options.textures, max(painted, default=0))
+        painted = (task.options for task in tasks if task.options.model not in ("default", "none"))
+        template = max((options.texture_size for options in painted), default=0)
+        worker = worker_mb(paths, texels, max(peaks, default=0.0), tasks[0].options.textures, template)
         self.jobs, note = job_limit(asked, worker)
         if note:
             self.show(note=note)
