@@ -137,6 +137,7 @@ def write_identification(
         rates=rates,
         results=tuple(results),
         notes=found.notes,
+        files=(),
     )
     if folder is None:
         return record
