@@ -30,7 +30,8 @@ def worker_mb(
     """Return the expected peak of a worker with the largest scan.
 
     `size` is the geometry images' side, `running_mb` a worker's measured peak, `textures` as in `load_scan`,
-    `template` the side of a template's texture, whose colours, normals and marks are kept at once.
+    `template` the side of a template's texture, whose colours, normals and marks are kept at once. An idle
+    worker has 450 MB; a pixel of a picture takes 160 bytes, a byte of a mesh's file 25, a texel 400.
     """
     largest = 0.0
     for path in scans:
