@@ -20,7 +20,6 @@ from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.errors import BatchError, OutputError, needs_extra
 
-_DEATHS_BEFORE_ANY_SCAN = 3
 _CAUSES = "for want of memory, or a library crashed"
 _ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -52,7 +51,7 @@ def run_in_processes(
             died = [name for name, row in ended.items() if row is None]
             suspects += [waiting[name] for name in died if name in waiting]
             deaths = 0 if ended else deaths + 1
-            if deaths == _DEATHS_BEFORE_ANY_SCAN:
+            if deaths == 3:
                 raise BatchError(
                     f"worker processes die before they begin a scan ({_exit_codes(error)}); process one scan "
                     "with `scan2albedo process`, or see `scan2albedo doctor`"

@@ -34,10 +34,9 @@ class Layout:
 
     def row(self, name: str) -> BatchScanRecord | None:
         """Return the record of a scan, None when it is missing or incomplete."""
-        try:
+        with suppress(Scan2AlbedoError):
             return read_record(self.row_file(name), BatchScanRecord)
-        except Scan2AlbedoError:
-            return None
+        return None
 
     def keep(self, row: BatchScanRecord) -> None:
         """Write the record of a scan, whole or not at all."""
@@ -63,10 +62,9 @@ class Layout:
 
     def is_running(self, run: str) -> bool:
         """Return whether `run` is the one that may write here."""
-        try:
+        with suppress(OSError):
             return self._run.read_text(encoding="utf-8") == run
-        except OSError:
-            return False
+        return False
 
     def mark(self, name: str, started_at: float) -> None:
         """Note that a scan is being processed by this process since `started_at` (seconds since 1970)."""
@@ -75,12 +73,10 @@ class Layout:
     def started_at(self, name: str) -> float | None:
         """Return when processing of a scan began, None when it is not in progress."""
         mark = self.running / name
-        try:
-            if not mark.is_file():  # a pipe may never end
-                return None
-            return float(json.loads(mark.read_text(encoding="utf-8"))["started_at"])
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            return None
+        with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+            if mark.is_file():  # a pipe may never end
+                return float(json.loads(mark.read_text(encoding="utf-8"))["started_at"])
+        return None
 
     def unmark(self, name: str) -> None:
         """Remove the mark of a scan."""

@@ -24,20 +24,19 @@ OWN_OPTIONS = ("unit", "model", "lights", "seed", "landmarks")
 
 @dataclass(frozen=True)
 class ManifestScan:
-    """One scan of a manifest."""
+    """One scan of a manifest.
+
+    `name` is of the folder of its result, `source` the path as the manifest has it, `path` absolute; `own`
+    are options of `OWN_OPTIONS` that the line sets, `extra` the cells of all other columns, `where` is the
+    place in the manifest, for messages. `source` and `extra` are `printable`.
+    """
 
     name: str
-    """Of the folder of its result."""
     source: str
-    """The path as the manifest has it, `printable`."""
     path: Path
-    """Absolute."""
     own: Mapping[str, str] = field(default_factory=dict)
-    """Options of `OWN_OPTIONS` that the line sets."""
     extra: Mapping[str, str] = field(default_factory=dict)
-    """Cells of all other columns, `printable`."""
     where: str = ""
-    """Place in the manifest, for messages."""
 
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
         """Return the batch's options with the line's, paths from `folder`; BatchError for a wrong cell."""
@@ -112,8 +111,7 @@ def read_manifest(
         else:
             lines = [(f"{source}, line {k}", line.strip()) for k, line in enumerate(text.splitlines(), 1)]
             wanted = [(where, line) for where, line in lines if line and not line.startswith("#")]
-            folder = source.parent.absolute()
-            scans = [_scan(line, folder, where=where) for where, line in wanted]
+            scans = [_scan(line, source.parent.absolute(), where=where) for where, line in wanted]
             manifest = BatchManifest(source, tuple(scans))
     if not manifest.scans:
         kinds = f" ({', '.join(SUPPORTED_SCANS)})" if source.is_dir() else ""

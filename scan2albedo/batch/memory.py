@@ -12,11 +12,6 @@ from scan2albedo.io.images import SUPPORTED_IMAGES, declared_pixels
 from scan2albedo.io.input_hash import files_of_scan
 
 MB = 1 << 20
-
-_BASE_MB = 450.0
-_TEXEL_BYTES = 400.0
-_MESH_BYTES_PER_BYTE = 25.0
-_PIXEL_BYTES = 160.0
 _KEPT_FREE = 0.1
 
 _CGROUP_FILES = (
@@ -35,7 +30,8 @@ def worker_mb(
     """Return the expected peak of a worker with the largest scan.
 
     `size` is the geometry images' side, `running_mb` a worker's measured peak, `textures` as in `load_scan`,
-    `template` the side of a template's texture, whose colours, normals and marks are kept at once.
+    `template` the side of a template's texture, whose colours, normals and marks are kept at once. An idle
+    worker has 450 MB; a pixel of a picture takes 160 bytes, a byte of a mesh's file 25, a texel 400.
     """
     largest = 0.0
     for path in scans:
@@ -47,13 +43,13 @@ def worker_mb(
                     with file.open("rb") as opened:
                         pixels = declared_pixels(opened.read(MB))  # metadata may stand before the size
                 if pixels is not None and 0 < pixels <= limits.PIXELS:
-                    total += pixels * _PIXEL_BYTES
+                    total += pixels * 160.0
                 else:
-                    total += file.stat().st_size * _MESH_BYTES_PER_BYTE
+                    total += file.stat().st_size * 25.0
         largest = max(largest, total)
     # Of a template's texel: two triples of float32, two marks, and some of the means that fill it.
-    texels = size * size * _TEXEL_BYTES + template * template * 30
-    return max(_BASE_MB + (texels + largest) / MB, running_mb)
+    texels = size * size * 400.0 + template * template * 30
+    return max(450.0 + (texels + largest) / MB, running_mb)
 
 
 def job_limit(asked: int, worker: float) -> tuple[int, str]:

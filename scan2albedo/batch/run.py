@@ -11,7 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -44,9 +44,6 @@ from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector
 from scan2albedo.pipeline.options import ProcessOptions
 
-CATALOGUE_INTERVAL_S = 30.0
-"""Seconds between two writings of the catalogue while scans are processed."""
-
 _POSIX = os.name == "posix"
 
 
@@ -62,6 +59,11 @@ def run_batch(
     on_progress: Callable[[BatchProgress], None] | None = None,
 ) -> BatchReport:
     """Return the report on many scans, each processed in a worker with one thread; failed ones stop no other.
+
+    Raises MissingDependencyError without the libraries of the extra `batch`, or `cluster` with a scheduler;
+    BatchError when this is no POSIX system, the manifest is at fault, `out` holds a batch and `resume` is not
+    given, another batch works there, or no worker can be started or reached; ModelError for a missing model,
+    OutputError when `out` cannot be written, ValueError when jobs or seconds are not positive.
 
     Parameters
     ----------
@@ -82,16 +84,6 @@ def run_batch(
         Seconds after which a scan is given up, with its worker.
     on_progress : callable, optional
         Called with a `BatchProgress` whenever a scan has ended.
-
-    Raises
-    ------
-    MissingDependencyError
-        When a library of the extra `batch`, or `cluster` with a scheduler, is not installed.
-    BatchError
-        When this is not a POSIX system, the manifest is at fault, `out` holds a batch already and `resume` is
-        not given, another batch works there, or no worker can be started or reached.
-    ModelError, OutputError, ValueError
-        When a model's file is missing, `out` cannot be written, or jobs or seconds are not positive.
     """
     if jobs is not None and jobs < 1:
         raise ValueError(f"jobs is {jobs}, expected at least 1")
@@ -128,8 +120,7 @@ def run_batch(
             read_record(layout.record, BatchRecord, advice=advice, error=BatchError)
         elif os.path.lexists(layout.catalogue) and not set(FIXED) <= set(load_catalogue(out).column_names):
             raise BatchError(f"{layout.catalogue}: is not a catalogue of a batch; {advice}")
-        asked = jobs or int(cpu_count())
-        run = _Run(manifest, layout, options, asked, scheduler, on_progress, tasks[0].run)
+        run = _Run(manifest, layout, options, jobs or int(cpu_count()), scheduler, on_progress, tasks[0].run)
         return run.report(tasks, resume)
 
 
@@ -210,12 +201,10 @@ def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None
         return None, "without their scan"
     for name, sha256 in row.files.items():
         file = layout.out / task.name / name
-        try:
+        with suppress(OSError):
             # The record may have been edited: nothing outside the folder is read.
             if Path(name).name == name and file.is_file() and file_sha256(file) == sha256:
                 continue
-        except OSError:
-            pass
         return None, "with changed or missing files"
     return row, ""
 
@@ -267,7 +256,7 @@ class _Run:
                 for row in ended:
                     self.rows[row.name] = row
                     self.show(last=row)
-                    if time.monotonic() - self.written > CATALOGUE_INTERVAL_S:
+                    if time.monotonic() - self.written > 30:  # seconds
                         self.write("running")
             status = "ended"
         finally:
@@ -285,13 +274,11 @@ class _Run:
     def limited(self, tasks: Sequence[ScanTask]) -> int:
         """Return how many processes to use for these tasks: as many as fit into memory now."""
         asked = min(self.asked, len(tasks))
-        peaks = [row.peak_memory_mb for row in self.rows.values() if row.run == self.run]
+        peaks = [row.peak_memory_mb or 0.0 for row in self.rows.values() if row.run == self.run]
         paths, texels = [Path(task.path) for task in tasks], max(task.options.texels for task in tasks)
-        peak = max((peak for peak in peaks if peak is not None), default=0.0)
-        painted = [
-            task.options.texture_size for task in tasks if task.options.model not in ("default", "none")
-        ]
-        worker = worker_mb(paths, texels, peak, tasks[0].options.textures, max(painted, default=0))
+        painted = (task.options for task in tasks if task.options.model not in ("default", "none"))
+        template = max((options.texture_size for options in painted), default=0)
+        worker = worker_mb(paths, texels, max(peaks, default=0.0), tasks[0].options.textures, template)
         self.jobs, note = job_limit(asked, worker)
         if note:
             self.show(note=note)

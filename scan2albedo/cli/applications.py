@@ -1,4 +1,4 @@
-"""The commands for processed faces: relight, swap, blend, transfer-expression, personal-model."""
+"""The commands for processed faces: swap, blend, transfer-expression, personal-model."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
-from scan2albedo.cli.relight import relight
 
 if TYPE_CHECKING:
     from scan2albedo.applications import ProcessedFace
+    from scan2albedo.templates import AnnotatedFaceModel
 
 Result = Annotated[Path, typer.Argument(help="Folder of a processed scan, OUT/<scan name>.")]
 OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the new face.")]
@@ -21,35 +21,25 @@ ModelOption = Annotated[
 ]
 
 
-def add_commands(app: typer.Typer) -> None:
-    """Add the commands to the command line."""
-    app.command()(relight)
-    app.command()(swap)
-    app.command()(blend)
-    app.command("transfer-expression")(transfer_expression)
-    app.command("personal-model")(personal_model)
-
-
 def swap(
     a: Annotated[Path, typer.Argument(help="Folder of the processed scan that gives the shape.")],
     b: Annotated[Path, typer.Argument(help="Folder of the processed scan that gives the skin.")],
     out: OutFolder,
-    keep_level: Annotated[
-        bool, typer.Option("--keep-level", help="Leave B's albedo at its own level and colour, not A's.")
-    ] = False,
-    keep_color: Annotated[
-        bool, typer.Option("--keep-color", help="Leave B's skin its own colour, at A's level.")
-    ] = False,
+    keep_level: bool = typer.Option(
+        False, "--keep-level", help="Leave B's albedo at its own level and colour, not A's."
+    ),
+    keep_color: bool = typer.Option(
+        False, "--keep-color", help="Leave B's skin its own colour, at A's level."
+    ),
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Give A's shape B's skin."""
     from scan2albedo.applications import SwapOptions, swap_texture
-    from scan2albedo.templates import chosen_model
 
-    faces = _opened(out, [a, b])
+    faces, template = _opened(out, [a, b], model)
     options = SwapOptions(match_level=not keep_level, match_color=not (keep_level or keep_color))
-    made = swap_texture(*faces, options=options, model=chosen_model(model))
+    made = swap_texture(*faces, options=options, model=template)
     _write_face(made, out, "swap", faces, asdict(options), json_summary)
 
 
@@ -57,18 +47,17 @@ def blend(
     a: Result,
     b: Result,
     out: OutFolder,
-    weight: Annotated[float, typer.Option(help="0 is all A, 1 is all B.")] = 0.5,
+    weight: float = typer.Option(0.5, help="0 is all A, 1 is all B."),
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Make a face between two, in shape and skin."""
     from scan2albedo.applications import blend_faces
-    from scan2albedo.templates import chosen_model
 
     if not 0 <= weight <= 1:
         raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
-    faces = _opened(out, [a, b])
-    made = blend_faces(faces[0], faces[1], weight, model=chosen_model(model))
+    faces, template = _opened(out, [a, b], model)
+    made = blend_faces(faces[0], faces[1], weight, model=template)
     _write_face(made, out, "blend", faces, {"weight": weight}, json_summary)
 
 
@@ -77,28 +66,24 @@ def transfer_expression(
     expression_a: Annotated[Path, typer.Argument(help="Folder of A's processed scan with the expression.")],
     neutral_b: Annotated[Path, typer.Argument(help="Folder of B's processed scan at rest.")],
     out: OutFolder,
-    strength: Annotated[float, typer.Option(help="Factor of the expression.")] = 1.0,
-    correspondence: Annotated[
-        str,
-        typer.Option(
-            help="refined: A at rest is fitted to the face with the expression; as-fitted: it is not; auto: "
-            "refined where the faces are on the model's mesh."
-        ),
-    ] = "auto",
+    strength: float = typer.Option(1.0, help="Factor of the expression."),
+    correspondence: str = typer.Option(
+        "auto",
+        help="refined: A at rest is fitted to the face with the expression; as-fitted: it is not; auto: "
+        "refined where the faces are on the model's mesh.",
+    ),
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Give B's face the expression of A's; the scans need no colour."""
     from scan2albedo import applications
     from scan2albedo.applications.expression_transfer import TWO_PEOPLE_MM, apart_where_still, level_to_refine
-    from scan2albedo.templates import chosen_model
 
     try:
         options = applications.TransferOptions(strength=strength, correspondence=correspondence)  # type: ignore[arg-type]
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
-    faces = _opened(out, [neutral_a, expression_a, neutral_b], need_albedo=False)
-    template = chosen_model(model)
+    faces, template = _opened(out, [neutral_a, expression_a, neutral_b], model, need_albedo=False)
     apart = apart_where_still(faces[0].mesh, faces[1].mesh)
     if apart > TWO_PEOPLE_MM:
         say(
@@ -141,14 +126,17 @@ def personal_model(
         echo_json({"face": face.name, "status": "done", "out": str(out), "model": template.name})
 
 
-def _opened(out: Path, inputs: list[Path], *, need_albedo: bool = True) -> list[ProcessedFace]:
-    """Return the faces; refuse to overwrite one that the new face is made of, or a processed scan."""
+def _opened(
+    out: Path, inputs: list[Path], model: str, *, need_albedo: bool = True
+) -> tuple[list[ProcessedFace], AnnotatedFaceModel | None]:
+    """Return faces and model; refuse to overwrite one that the new face is made of, or a processed scan."""
     from scan2albedo.applications.files import check_face_folder, load_result
+    from scan2albedo.templates import chosen_model
 
     if out.resolve() in [path.resolve() for path in inputs]:
         raise typer.BadParameter(f"-o {out} is one of the inputs; choose another folder for the new face")
     check_face_folder(out)
-    return [load_result(folder, need_albedo=need_albedo) for folder in inputs]
+    return [load_result(folder, need_albedo=need_albedo) for folder in inputs], chosen_model(model)
 
 
 def _write_face(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scan2albedo.cli.applications import add_commands
+from scan2albedo.cli.applications import blend, personal_model, swap, transfer_expression
 from scan2albedo.cli.common import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -25,6 +27,7 @@ from scan2albedo.cli.common import (
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
+from scan2albedo.cli.relight import relight
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture, scan_name
 from scan2albedo.errors import Scan2AlbedoError, one_line
@@ -45,73 +48,74 @@ app = typer.Typer(
 
 app.add_typer(glasses_app, name="glasses")
 app.add_typer(reflectance_app, name="reflectance")
-add_commands(app)
-app.command()(identify)
+for command in (relight, swap, blend, transfer_expression, personal_model, identify):
+    app.command()(command)
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan's texture is missing.")]
 
-# The flags of `process`, `batch` and `demo`, named as the fields of `ProcessOptions`.
-Model = Annotated[
-    str,
-    typer.Option(help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object, no face."),
-]
-Size = Annotated[
-    int | None,
-    typer.Option(help="Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8),
-]
-Lights = Annotated[str, typer.Option(help="'auto', or how many.")]
-Brdf = Annotated[str, typer.Option(help="oren-nayar, lambert, minnaert or spherical-harmonics.")]
-Unit = Annotated[str, typer.Option(help="auto, mm, cm or m.")]
-Preset = Annotated[
-    str,
-    typer.Option(help="draft, standard, best (standard with 1024 texels a side), or paper.", metavar="NAME"),
-]
-Seconds = Annotated[float | None, typer.Option(help="Seconds a scan may take.")]
-Seed = Annotated[int, typer.Option(help="Seed of every random step.", min=0)]
-Skip = Annotated[list[str] | None, typer.Option(help="A stage to leave out; may be repeated.")]
-Force = Annotated[
-    list[str] | None,
-    typer.Option(help="An optional step to carry out in any case, such as albedo.shadows; may be repeated."),
-]
-Pictures = Annotated[bool, typer.Option(help="Draw overview.png and error_vs_time.png among the files.")]
-Files = Annotated[
-    str,
-    typer.Option(help="minimal: without pictures, EXR of the geometry image and light; standard; or all."),
-]
-Textures = Annotated[
-    str | None,
-    typer.Option(help="Folder from which textures may be read beside the scan's own.", metavar="DIR"),
-]
-Landmarks = Annotated[
-    str | None,
-    typer.Option(
+
+def _flags(
+    model: str = typer.Option(
+        "default", help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object, no face."
+    ),
+    size: int | None = typer.Option(
+        None, help="Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8
+    ),
+    lights: str = typer.Option("auto", help="'auto', or how many."),
+    brdf: str = typer.Option("oren-nayar", help="oren-nayar, lambert, minnaert or spherical-harmonics."),
+    unit: str = typer.Option("auto", help="auto, mm, cm or m."),
+    quality: str = typer.Option(
+        "standard", help="draft, standard, best (standard with 1024 texels a side), or paper.", metavar="NAME"
+    ),
+    budget: float | None = typer.Option(None, help="Seconds a scan may take."),
+    seed: int = typer.Option(0, help="Seed of every random step.", min=0),
+    skip: list[str] | None = typer.Option(None, help="A stage to leave out; may be repeated."),
+    force: list[str] | None = typer.Option(
+        None, help="An optional step to carry out in any case, such as albedo.shadows; may be repeated."
+    ),
+    pictures: bool = typer.Option(True, help="Draw overview.png and error_vs_time.png among the files."),
+    files: str = typer.Option(
+        "standard", help="minimal: without pictures, EXR of the geometry image and light; standard; or all."
+    ),
+    textures: str | None = typer.Option(
+        None, help="Folder from which textures may be read beside the scan's own.", metavar="DIR"
+    ),
+    landmarks: str | None = typer.Option(
+        None,
         help="Landmarks placed by hand, any of 68: a CSV, JSON or MeshLab .pp file, or a folder with files "
         "named after the scans; or auto for those that MediaPipe finds (needs the extra named landmarks).",
         metavar="FILE|auto",
     ),
-]
-Unlit = Annotated[
-    str | None,
-    typer.Option(
+    unlit: str | None = typer.Option(
+        None,
         help="Also write the scan itself without its light: 'face', or 'all' of it with the same lamps.",
         metavar="face|all",
     ),
-]
-TextureSize = Annotated[
-    int,
-    typer.Option(
-        help="Height and width of the texture on your own template's coordinates, up to 8192.", min=8
+    texture_size: int = typer.Option(
+        1024, help="Height and width of the texture on your own template's coordinates, up to 8192.", min=8
     ),
-]
-
-WhiteBalance = Annotated[
-    str,
-    typer.Option(
+    white_balance: str = typer.Option(
+        "none",
         help="none; grey-skin: skin gets people's mean colour; or the linear colour of something grey in it.",
         metavar="none|grey-skin|R,G,B",
     ),
-]
-Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan's texture is missing.")]
+) -> None:
+    """Hold the flags of `process`, `batch` and `demo`, named as the fields of `ProcessOptions`."""
+
+
+def _with_flags(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Give a command, which takes them as `**flags`, those of `_flags` before its own optional ones."""
+
+    def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        shared = inspect.signature(_flags, eval_str=True).parameters
+        *own, _ = inspect.signature(command, eval_str=True).parameters.values()
+        place = [option.default is not option.empty for option in own].index(True)
+        own[place:place] = [shared[name] for name in names or shared]
+        command.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
+        return command
+
+    return decorated
 
 
 def _process_options(context: typer.Context) -> ProcessOptions:
@@ -129,38 +133,22 @@ def _process_options(context: typer.Context) -> ProcessOptions:
 
 
 @app.command()
+@_with_flags()
 def process(
     context: typer.Context,
     scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
     out: OutOption,
-    model: Model = "default",
-    size: Size = None,
-    lights: Lights = "auto",
-    brdf: Brdf = "oren-nayar",
-    unit: Unit = "auto",
-    quality: Preset = "standard",
-    budget: Seconds = None,
-    seed: Seed = 0,
-    skip: Skip = None,
-    force: Force = None,
-    pictures: Pictures = True,
-    files: Files = "standard",
-    textures: Textures = None,
-    landmarks: Landmarks = None,
-    unlit: Unlit = None,
-    texture_size: TextureSize = 1024,
-    white_balance: WhiteBalance = "none",
     strict: Strict = False,
     json_summary: JsonOption = False,
+    **flags: Any,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
     refuse_shared_folders(scans)
-    one = landmarks is not None and landmarks.strip().lower() != AUTO and not Path(landmarks).is_dir()
-    if len(scans) > 1 and one:
-        raise typer.BadParameter(
-            f"--landmarks is {landmarks}: for several scans give a folder with files named after them"
-        )
     options = _process_options(context)
+    if len(scans) > 1 and options.landmarks not in (None, AUTO) and not Path(options.landmarks).is_dir():
+        raise typer.BadParameter(
+            f"--landmarks is {options.landmarks}: for several scans give a folder with files named after them"
+        )
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import removed_if_empty
     from scan2albedo.pipeline.process import process as run
@@ -202,6 +190,7 @@ def process(
 
 
 @app.command()
+@_with_flags()
 def batch(
     context: typer.Context,
     manifest: Annotated[
@@ -214,35 +203,17 @@ def batch(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the results, catalogue.parquet and batch.json.")
     ],
-    model: Model = "default",
-    size: Size = None,
-    lights: Lights = "auto",
-    brdf: Brdf = "oren-nayar",
-    unit: Unit = "auto",
-    quality: Preset = "standard",
-    budget: Seconds = None,
-    seed: Seed = 0,
-    skip: Skip = None,
-    force: Force = None,
-    pictures: Pictures = True,
-    files: Files = "standard",
-    textures: Textures = None,
-    landmarks: Landmarks = None,
-    unlit: Unlit = None,
-    texture_size: TextureSize = 1024,
-    white_balance: WhiteBalance = "none",
-    jobs: Annotated[int, typer.Option(help="Processes; 0 for one a core, memory allowing.", min=0)] = 0,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Address of a dask scheduler, such as tcp://10.0.0.5:8786.")
-    ] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Keep what is done and unchanged, do the rest.")
-    ] = False,
-    timeout: Annotated[
-        float | None, typer.Option(help="Seconds after which a scan is given up with its worker.")
-    ] = None,
+    jobs: int = typer.Option(0, help="Processes; 0 for one a core, memory allowing.", min=0),
+    scheduler: str | None = typer.Option(
+        None, help="Address of a dask scheduler, such as tcp://10.0.0.5:8786."
+    ),
+    resume: bool = typer.Option(False, "--resume", help="Keep what is done and unchanged, do the rest."),
+    timeout: float | None = typer.Option(
+        None, help="Seconds after which a scan is given up with its worker."
+    ),
     strict: Strict = False,
     json_summary: JsonOption = False,
+    **flags: Any,
 ) -> None:
     """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
     if timeout is not None and not timeout > 0:
@@ -281,13 +252,12 @@ def batch(
 
 
 @app.command()
+@_with_flags("size", "quality", "seed")
 def demo(
     context: typer.Context,
-    size: Size = None,
-    quality: Preset = "standard",
-    seed: Seed = 0,
     out: OutOption = Path("demo_out"),
     json_summary: JsonOption = False,
+    **flags: Any,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     _process_options(context)
@@ -296,7 +266,7 @@ def demo(
     from scan2albedo.pipeline.demo import run_demo
 
     with ProgressLines("demo") as progress:
-        done = run_demo(out, seed=seed, size=size, quality=quality, on_progress=progress.update)
+        done = run_demo(out, **flags, on_progress=progress.update)
         progress.say(done.result.summary())
     if json_summary:
         echo_json(done.figures())
@@ -306,9 +276,9 @@ def demo(
 
 @app.command()
 def validate(
-    what: Annotated[str, typer.Argument(help="hemisphere, face, lighting or all.")] = "all",
-    size: Annotated[int, typer.Option(help="Height and width of the geometry image in texels.", min=8)] = 256,
-    seed: Annotated[int, typer.Option(help="Seed of the scenes.", min=0)] = 1,
+    what: str = typer.Argument("all", help="hemisphere, face, lighting or all."),
+    size: int = typer.Option(256, help="Height and width of the geometry image in texels.", min=8),
+    seed: int = typer.Option(1, help="Seed of the scenes.", min=0),
     json_summary: JsonOption = False,
 ) -> None:
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
@@ -359,12 +329,10 @@ def report(
         Path,
         typer.Argument(help="What process or batch wrote: OUT, or the folder of one scan.", metavar="OUT"),
     ],
-    path: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The page; OUT/report.html when omitted.")
-    ] = None,
-    scans: Annotated[
-        int, typer.Option(help="How many scans of a batch are shown in full, the worst first.", min=0)
-    ] = 40,
+    path: Path | None = typer.Option(None, "--out", "-o", help="The page; OUT/report.html when omitted."),
+    scans: int = typer.Option(
+        40, help="How many scans of a batch are shown in full, the worst first.", min=0
+    ),
     json_summary: JsonOption = False,
 ) -> None:
     """Show what happened to a scan or a batch as one HTML page that needs no network."""

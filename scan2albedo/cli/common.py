@@ -109,7 +109,6 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
     there = out is None or out.exists()
 
     def stop(signum: int, frame: object) -> None:
-        terminated = signum == signal.SIGTERM
         try:
             remove_unfinished()
             if out is not None and not there:
@@ -117,7 +116,7 @@ def stop_cleanly_on_interrupt(out: Path | None) -> None:
                     out.rmdir()
             # Erases the bar, and shows the cursor.
             tidy = "\r\x1b[2K\x1b[?25h" if sys.stderr.isatty() else ""
-            what = "terminated" if terminated else "interrupted"
+            what = "terminated" if signum == signal.SIGTERM else "interrupted"
             complaint = f"{tidy}scan2albedo: {what}; nothing half-written was left behind\n"
             # Not by `print`: `sys.stderr` refuses a second write when the signal came during one.
             os.write(sys.stderr.fileno(), complaint.encode())

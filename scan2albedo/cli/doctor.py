@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 
@@ -68,10 +69,8 @@ def examined_library(package: str, requirement: str, extra: str = "") -> Finding
     install = f"{sys.executable} -m pip install"
     installed = None
     for name in (f"{package}-cpu", package):
-        try:
+        with suppress(PackageNotFoundError):
             installed = version(name)
-        except PackageNotFoundError:
-            continue
     if installed is None and extra:
         detail = f"not installed, and needed by the extra [{extra}] alone"
         return Finding(package, True, detail, f"{install} 'scan2albedo[{extra}]'")

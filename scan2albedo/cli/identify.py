@@ -20,35 +20,24 @@ def identify(
             "the model's chart, relative to the CSV file. Or templates from --save-templates."
         ),
     ],
-    probes: Annotated[
-        Path | None,
-        typer.Option(
-            help="The same; persons may be left empty or unknown to the gallery: such probes are identified, "
-            "and count in no rate."
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for table, similarities and curves.")
-    ] = None,
-    use: Annotated[
-        str, typer.Option(help="What is compared: albedo, shape, or albedo,shape, both taken together.")
-    ] = "albedo,shape",
-    combine: Annotated[
-        str, typer.Option(help="Of a person's several images in the gallery: best, or mean.")
-    ] = "best",
-    size: Annotated[
-        int | None,
-        typer.Option(
-            help="Side that larger charts are averaged down to; 256, or that of the templates.", min=8
-        ),
-    ] = None,
-    save_templates: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the gallery's templates, to be given as --gallery: NAME.npz, and NAME.shape.npz "
-            "beside it where both albedo and shape are used."
-        ),
-    ] = None,
+    probes: Path | None = typer.Option(
+        None,
+        help="The same; persons may be left empty or unknown to the gallery: such probes are identified, "
+        "and count in no rate.",
+    ),
+    out: Path | None = typer.Option(None, "--out", "-o", help="Folder for table, similarities and curves."),
+    use: str = typer.Option(
+        "albedo,shape", help="What is compared: albedo, shape, or albedo,shape, both taken together."
+    ),
+    combine: str = typer.Option("best", help="Of a person's several images in the gallery: best, or mean."),
+    size: int | None = typer.Option(
+        None, help="Side that larger charts are averaged down to; 256, or that of the templates.", min=8
+    ),
+    save_templates: Path | None = typer.Option(
+        None,
+        help="Write the gallery's templates, to be given as --gallery: NAME.npz, and NAME.shape.npz "
+        "beside it where both albedo and shape are used.",
+    ),
     json_summary: JsonOption = False,
 ) -> None:
     """Find the person of a gallery whom each probe resembles most, by albedo and shape.

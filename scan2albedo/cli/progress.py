@@ -12,9 +12,6 @@ from scan2albedo.errors import printable
 if TYPE_CHECKING:
     from scan2albedo.batch import BatchProgress
 
-PLAIN_INTERVAL_S = 2.0
-"""Shortest time between two plain lines of one thing."""
-
 
 class ProgressLines:
     """A bar on stderr where that is a terminal, and lines that stay; use as a context manager."""
@@ -66,7 +63,7 @@ class ProgressLines:
         now = time.monotonic()
         if self._bar is not None:
             self._bar.update(self._task, description=f"{self._name}: {stage}", state=state, **bar)
-        elif new or now - self._last_plain > PLAIN_INTERVAL_S:
+        elif new or now - self._last_plain > 2:  # seconds between two plain lines of one thing
             self._stage, self._last_plain = stage, now
             self.say(f"{self._name}: {stage} ... {plain or state}")
 

@@ -34,11 +34,6 @@ ModelArgument = Annotated[
 ]
 
 
-@app.callback()
-def _common() -> None:
-    """Reflectance of faces."""
-
-
 @app.command()
 def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = False) -> None:
     """Write what each flash added to the room's light, as linear EXR pictures.
@@ -58,20 +53,17 @@ def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = Fa
 def fit(
     capture: CaptureArgument,
     out: OutFolder,
-    light_gains: Annotated[
-        bool, typer.Option(help="Find the strength of each flash, too; otherwise all are equal.")
-    ] = False,
-    loss: Annotated[str, typer.Option(help="cauchy, charbonnier or squares.")] = "cauchy",
-    held_out_every: Annotated[
-        int, typer.Option(help="One pair of this many tests a fit without it; 0: no test.", min=0)
-    ] = 10,
-    least_pairs: Annotated[
-        int, typer.Option(help="Vertices seen in fewer pairs are left unknown.", min=1)
-    ] = 3,
-    normal_sigma: Annotated[
-        str,
-        typer.Option(help="Deviation of the mesh's normals; 0 if they are right.", metavar="DEGREES|auto"),
-    ] = "auto",
+    light_gains: bool = typer.Option(
+        False, help="Find the strength of each flash, too; otherwise all are equal."
+    ),
+    loss: str = typer.Option("cauchy", help="cauchy, charbonnier or squares."),
+    held_out_every: int = typer.Option(
+        10, help="One pair of this many tests a fit without it; 0: no test.", min=0
+    ),
+    least_pairs: int = typer.Option(3, help="Vertices seen in fewer pairs are left unknown.", min=1),
+    normal_sigma: str = typer.Option(
+        "auto", help="Deviation of the mesh's normals; 0 if they are right.", metavar="DEGREES|auto"
+    ),
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
@@ -123,23 +115,21 @@ def fit(
 @app.command()
 def build(
     out: OutFolder,
-    samples: Annotated[
-        list[Path] | None,
-        typer.Argument(help="Folders of fits or processed scans, or .npz files.", metavar="[SAMPLE...]"),
-    ] = None,
-    synthetic: Annotated[
-        int | None, typer.Option(help="Learn from this many synthetic people instead, as 200.", min=2)
-    ] = None,
-    components: Annotated[
-        int | None,
-        typer.Option(help="Directions to keep; otherwise all, of synthetic people the best number.", min=0),
-    ] = None,
-    least_support: Annotated[
-        float, typer.Option(help="Share of the samples that must know a vertex, above 0 and up to 1.")
-    ] = 0.5,
-    landmark_vertices: Annotated[
-        Path | None, typer.Option(help="JSON list of the 68 landmarks' vertices, to learn shapes too.")
-    ] = None,
+    samples: list[Path] | None = typer.Argument(
+        None, help="Folders of fits or processed scans, or .npz files.", metavar="[SAMPLE...]"
+    ),
+    synthetic: int | None = typer.Option(
+        None, help="Learn from this many synthetic people instead, as 200.", min=2
+    ),
+    components: int | None = typer.Option(
+        None, help="Directions to keep; otherwise all, of synthetic people the best number.", min=0
+    ),
+    least_support: float = typer.Option(
+        0.5, help="Share of the samples that must know a vertex, above 0 and up to 1."
+    ),
+    landmark_vertices: Path | None = typer.Option(
+        None, help="JSON list of the 68 landmarks' vertices, to learn shapes too."
+    ),
     json_summary: JsonOption = False,
 ) -> None:
     """Learn a morphable model of reflectance from several faces."""
@@ -170,10 +160,10 @@ def build(
 def sample(
     model: ModelArgument,
     out: OutFolder,
-    count: Annotated[int, typer.Option(help="How many.", min=1)] = 6,
-    scale: Annotated[
-        float, typer.Option(help="Standard deviation of the coefficients; 1 is the model's own.", min=0)
-    ] = 1.0,
+    count: int = typer.Option(6, help="How many.", min=1),
+    scale: float = typer.Option(
+        1.0, help="Standard deviation of the coefficients; 1 is the model's own.", min=0
+    ),
     seed: SeedOption = 0,
     json_summary: JsonOption = False,
 ) -> None:
@@ -191,12 +181,9 @@ def fit_image(
         Path, typer.Argument(help="A file with image, camera, mesh or landmarks.", metavar="PHOTOGRAPH")
     ],
     out: OutFolder,
-    model: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder that `build` or `finetune` wrote; otherwise that of `build --synthetic 200`."
-        ),
-    ] = None,
+    model: Path | None = typer.Option(
+        None, help="Folder that `build` or `finetune` wrote; otherwise that of `build --synthetic 200`."
+    ),
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
@@ -223,10 +210,9 @@ def finetune(
         list[Path], typer.Argument(help="Photograph files of other faces.", metavar="PHOTOGRAPH...")
     ],
     out: OutFolder,
-    held_out: Annotated[
-        list[Path] | None,
-        typer.Option(help="A photograph to test on, repeatedly, best six or more; otherwise one of three."),
-    ] = None,
+    held_out: list[Path] | None = typer.Option(
+        None, help="A photograph to test on, repeatedly, best six or more; otherwise one of three."
+    ),
     budget: BudgetOption = None,
     json_summary: JsonOption = False,
 ) -> None:
@@ -255,10 +241,8 @@ def finetune(
 @app.command()
 def demo(
     out: OutFolder = Path("reflectance_demo"),
-    people: Annotated[int, typer.Option(help="From whom the model is learned.", min=2)] = 8,
-    photographs: Annotated[
-        int, typer.Option(help="Of others, to fine-tune with; half are held out.", min=2)
-    ] = 12,
+    people: int = typer.Option(8, help="From whom the model is learned.", min=2),
+    photographs: int = typer.Option(12, help="Of others, to fine-tune with; half are held out.", min=2),
     seed: SeedOption = 0,
     json_summary: JsonOption = False,
 ) -> None:

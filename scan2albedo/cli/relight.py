@@ -26,60 +26,48 @@ def relight(
             "frames.",
         ),
     ],
-    light: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="AZ,EL[,INTENSITY[,DISTANCE_MM]] in degrees from the front toward the subject's left "
-            "and up; intensity 3 when omitted, ambient light being 1; distant when omitted; may be repeated."
-        ),
-    ] = None,
-    environment: Annotated[
-        Path | None,
-        typer.Option(help="Latitude-longitude picture that lights the face: .exr, .hdr or any other."),
-    ] = None,
-    lamp_radius: Annotated[
-        float,
-        typer.Option(
-            help="Size of each lamp: angular radius in degrees as seen from the face, which makes edges "
-            "of shadows soft; 0 is a point.",
-            min=0,
-            max=89,
-        ),
-    ] = LAMP_RADIUS_DEG,
-    gloss: Annotated[
-        str,
-        typer.Option(
-            help="auto: the highlight that the estimate found, or skin's usual one where it found none; "
-            "found; none."
-        ),
-    ] = "auto",
-    keep_gaps: Annotated[
-        bool,
-        typer.Option(
-            "--keep-gaps", help="Leave places that were not seen, and hair before the ears, as they are."
-        ),
-    ] = False,
-    ambient: Annotated[
-        float | None, typer.Option(help="Light without direction; 1, or 0 with an environment.", min=0)
-    ] = None,
-    view: Annotated[str, typer.Option(help="AZ,EL of the camera in degrees.")] = "0,0",
-    size: Annotated[int, typer.Option(help="Height and width of the picture.", min=8, max=8192)] = 512,
-    texture: Annotated[
-        bool, typer.Option("--texture", help="Write the relit texture on its chart, not a picture.")
-    ] = False,
-    sweep: Annotated[
-        int | None,
-        typer.Option(
-            help="Number of places of a light that goes around the face (a GIF goes there and back). "
-            "A film of frames in a folder: "
-            "ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4",
-            min=1,
-            max=1000,
-        ),
-    ] = None,
-    exposure: Annotated[
-        float | None, typer.Option(help="Factor of what 8-bit pictures show; by itself when omitted.")
-    ] = None,
+    light: list[str] | None = typer.Option(
+        None,
+        help="AZ,EL[,INTENSITY[,DISTANCE_MM]] in degrees from the front toward the subject's left "
+        "and up; intensity 3 when omitted, ambient light being 1; distant when omitted; may be repeated.",
+    ),
+    environment: Path | None = typer.Option(
+        None, help="Latitude-longitude picture that lights the face: .exr, .hdr or any other."
+    ),
+    lamp_radius: float = typer.Option(
+        LAMP_RADIUS_DEG,
+        help="Size of each lamp: angular radius in degrees as seen from the face, which makes edges "
+        "of shadows soft; 0 is a point.",
+        min=0,
+        max=89,
+    ),
+    gloss: str = typer.Option(
+        "auto",
+        help="auto: the highlight that the estimate found, or skin's usual one where it found none; "
+        "found; none.",
+    ),
+    keep_gaps: bool = typer.Option(
+        False, "--keep-gaps", help="Leave places that were not seen, and hair before the ears, as they are."
+    ),
+    ambient: float | None = typer.Option(
+        None, help="Light without direction; 1, or 0 with an environment.", min=0
+    ),
+    view: str = typer.Option("0,0", help="AZ,EL of the camera in degrees."),
+    size: int = typer.Option(512, help="Height and width of the picture.", min=8, max=8192),
+    texture: bool = typer.Option(
+        False, "--texture", help="Write the relit texture on its chart, not a picture."
+    ),
+    sweep: int | None = typer.Option(
+        None,
+        help="Number of places of a light that goes around the face (a GIF goes there and back). "
+        "A film of frames in a folder: "
+        "ffmpeg -framerate 12 -i frame_%03d.png -pix_fmt yuv420p sweep.mp4",
+        min=1,
+        max=1000,
+    ),
+    exposure: float | None = typer.Option(
+        None, help="Factor of what 8-bit pictures show; by itself when omitted."
+    ),
     json_summary: JsonOption = False,
 ) -> None:
     """Show a processed face under other light, with its shadows."""

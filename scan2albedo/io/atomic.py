@@ -19,13 +19,6 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     The temporary name keeps the extension (libraries choose the format by it) and the folder (a rename is
     atomic only within a file system). Whatever interrupts the block, the temporary file is removed and an
     older `path` stays as it was. Raises OutputError when the folder is missing, read-only or full.
-
-    >>> import tempfile
-    >>> folder = Path(tempfile.mkdtemp())
-    >>> with atomic_path(folder / "a.txt") as temporary:
-    ...     _ = temporary.write_text("whole")
-    >>> [p.name for p in folder.iterdir()]
-    ['a.txt']
     """
     target = Path(path)
     temporary = hidden_path(target, target.suffix)
@@ -75,13 +68,6 @@ def result_folder(
     whose they are. The hidden folder is made in `staged_in`, beside `out` when omitted. `records` come last
     where files are renamed one by one. Raises OutputError, naming `out` and the cause, when it cannot be
     written, or a folder in it is a link.
-
-    >>> import tempfile
-    >>> out = Path(tempfile.mkdtemp())
-    >>> with result_folder(out, "result.json") as folder:
-    ...     _ = (folder / "result.json").write_text("{}")
-    >>> [path.name for path in out.iterdir()]
-    ['result.json']
     """
     target = Path(os.path.realpath(out))
     with cannot_write(out), staged(target, staged_in and Path(os.path.realpath(staged_in))) as staging:

@@ -6,6 +6,7 @@ import hashlib
 import math
 from contextlib import suppress
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
 from scan2albedo.errors import ScanError, TooLargeError
@@ -51,11 +52,11 @@ def file_sha256(path: Path) -> str:
 
 def files_of_scan(path: Path, textures: str | Path | None = None) -> tuple[Path, ...]:
     """Return the scan file and the existing files it refers to: material libraries, textures, buffers."""
-    reader = READERS.get(path.suffix.lower())
+    _, reader = READERS.get(path.suffix.lower(), ("", ""))
     folder = ScanFolder(path.parent, None if textures is None else Path(textures))
     names: list[str] = []
-    if reader is not None and reader.files and path.is_file():  # a pipe or a device may never end
+    if reader and path.is_file():  # a pipe or a device may never end
         with suppress(TooLargeError):  # load_scan says so
-            names = reader.function(reader.files)(path, folder)
+            names = resolve_name(reader)(path, folder)
     found = [folder.find(name) for name in names]
     return (path, *dict.fromkeys(file for file in found if file is not None))

@@ -18,8 +18,6 @@ JOURNAL = ".publishing.json"
 """Lists the renames of a publication that cannot be a single one, while they last."""
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 _PATTERN = re.compile(r"\..*-([0-9a-f]{6})-(\d+)-[0-9a-f]{8}\.part(\.[^.]*)?")
-_LONGEST_STEM = 150
-_CLOCK_S = 2.0
 _AT_WORK_ELSEWHERE_S = 3600.0
 """A file of another machine's process is left alone for so long: writing takes seconds."""
 _unfinished: set[Path] = set()
@@ -28,7 +26,7 @@ _unfinished: set[Path] = set()
 def hidden_path(target: Path, suffix: str = "") -> Path:
     """Return a new hidden path beside `target` that names its process; unfinished until `finished`."""
     stem = target.name.removesuffix(suffix) if suffix else target.name
-    stem = os.fsdecode(os.fsencode(stem)[:_LONGEST_STEM])
+    stem = os.fsdecode(os.fsencode(stem)[:150])
     path = target.with_name(f".{stem}-{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part{suffix}")
     _unfinished.add(path)
     return path
@@ -98,8 +96,8 @@ def _at_work(path: Path) -> bool:
             return True
         return True
     try:
-        # A later process may have the same number.
-        return bool(psutil.Process(number).create_time() < changed + _CLOCK_S)
+        # A later process may have the same number; clocks differ by up to two seconds.
+        return bool(psutil.Process(number).create_time() < changed + 2)
     except psutil.Error:
         return False
 

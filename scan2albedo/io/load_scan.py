@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pkgutil import resolve_name
+from typing import TYPE_CHECKING, Any
 
 from scan2albedo.core.arguments import linear_doubt, require_type
 from scan2albedo.errors import ScanError, memory_errors_named, one_line
@@ -23,30 +23,16 @@ if TYPE_CHECKING:
     from scan2albedo.io.parsed_mesh import ParsedMesh
 
 
-class Reader(NamedTuple):
-    """The functions of a kind of file, in a module that is imported when such a file is read.
-
-    Both take the path and a `ScanFolder`: `read` returns a `ParsedMesh`, `files` the names of other files.
-    """
-
-    module: str
-    read: str
-    files: str = ""
-
-    def function(self, name: str) -> Callable[[Path, ScanFolder], Any]:
-        """Return one of the two."""
-        found: Callable[[Path, ScanFolder], Any] = getattr(import_module(self.module), name)
-        return found
-
-
 READERS = {
-    ".obj": Reader("scan2albedo.io.obj", "read_obj", "files_of_obj"),
-    ".ply": Reader("scan2albedo.io.ply", "read_ply", "files_of_ply"),
-    ".glb": Reader("scan2albedo.io.gltf", "read_gltf"),
-    ".gltf": Reader("scan2albedo.io.gltf", "read_gltf", "files_of_gltf"),
-    ".stl": Reader("scan2albedo.io.stl_off", "read_stl"),
-    ".off": Reader("scan2albedo.io.stl_off", "read_off"),
+    ".obj": ("scan2albedo.io.obj:read_obj", "scan2albedo.io.obj:files_of_obj"),
+    ".ply": ("scan2albedo.io.ply:read_ply", "scan2albedo.io.ply:files_of_ply"),
+    ".glb": ("scan2albedo.io.gltf:read_gltf", ""),
+    ".gltf": ("scan2albedo.io.gltf:read_gltf", "scan2albedo.io.gltf:files_of_gltf"),
+    ".stl": ("scan2albedo.io.stl_off:read_stl", ""),
+    ".off": ("scan2albedo.io.stl_off:read_off", ""),
 }
+"""Functions of a path and a `ScanFolder`, imported when such a file is read: one that returns a `ParsedMesh`,
+and where a scan refers to other files one that returns their names."""
 SUPPORTED_SCANS = tuple(READERS)
 
 
@@ -189,9 +175,8 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
     try:
         if limits.require_file(file, advice="decimate it") == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
-        reader = READERS[extension]
         with memory_errors_named(file.name):
-            mesh: ParsedMesh = reader.function(reader.read)(file, ScanFolder(file.parent, textures))
+            mesh: ParsedMesh = resolve_name(READERS[extension][0])(file, ScanFolder(file.parent, textures))
     except (OSError, ValueError) as error:
         raise ScanError(f"{file}: cannot be read: {one_line(error)}; check the path") from error
     return mesh

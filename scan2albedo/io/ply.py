@@ -153,8 +153,7 @@ def mesh_of_columns(
         around = of_faces[polygon[known]].T.astype(np.float64)
         means = [vertex_average(len(vertices), faces[known], channel) for channel in around]
         colors = np.stack(means, axis=1).astype(np.float32)
-    count = len(texture_files)
-    limits.require_at_most(path.name, "textures", count, limits.MATERIALS, "join them into one")
+    limits.require_at_most(path.name, "textures", len(texture_files), limits.MATERIALS, "join them into one")
     pictures = ScanPictures(folder)
     materials, notes = pictures.materials(MaterialText(name, texture_file=name) for name in texture_files)
     materials, notes = pictures.or_named_like(path, uv, materials, notes)

@@ -138,8 +138,8 @@ def _exchange(a: Path, b: Path) -> None:
     if exchange is None:
         raise OSError(None, "this system exchanges no paths")
     here = () if sys.platform == "darwin" else (-100,)  # AT_FDCWD
-    swap = 2  # RENAME_SWAP of macOS and RENAME_EXCHANGE of Linux
-    if exchange(*here, os.fsencode(a), *here, os.fsencode(b), swap):
+    # 2 is RENAME_SWAP of macOS and RENAME_EXCHANGE of Linux.
+    if exchange(*here, os.fsencode(a), *here, os.fsencode(b), 2):
         raise OSError(ctypes.get_errno(), "paths cannot be exchanged")
 
 

@@ -17,8 +17,6 @@ from scan2albedo.io.atomic import write_bytes, write_text
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.io.glb import GlbFile, plain_material
 
-_SKIN = "skin"
-
 
 @dataclass(frozen=True)
 class MeshPicture:
@@ -128,4 +126,4 @@ def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.bool_]]]:
         if picture.faces.any():
             yield Path(picture.name).stem, picture.faces
     if rest.any():
-        yield _SKIN, rest
+        yield "skin", rest

@@ -60,8 +60,7 @@ class DemoReport:
             ("texture as scanned", _albedo_text(self.texture)),
             ("estimated albedo", _albedo_text(self.albedo)),
         )
-        lines = [f"  {name:20}{text}" for name, text in rows]
-        return "\n".join(["error against the ground truth:", *lines])
+        return "\n".join(["error against the ground truth:", *(f"  {name:20}{text}" for name, text in rows)])
 
 
 def run_demo(

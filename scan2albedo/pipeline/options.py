@@ -31,16 +31,7 @@ STAGES = ("register", "fit", "geometry_image", "albedo", *STEPS)
 
 @dataclass(frozen=True)
 class Quality:
-    """Options of every stage of `process`.
-
-    A preset with one option changed, for ``process(..., quality=softer)``:
-
-    >>> from dataclasses import replace
-    >>> standard = PRESETS["standard"]
-    >>> softer = replace(standard, name="softer", fit=replace(standard.fit, tangential=0.05))
-    >>> softer.size
-    512
-    """
+    """Options of every stage of `process`; `dataclasses.replace` makes others of those in `PRESETS`."""
 
     name: str
     """What results call it."""
@@ -143,9 +134,9 @@ class ProcessOptions:
         if self.model is None:
             given["model"] = "default"
         given |= {"budget": Budget.of(self.budget), "skip": tuple(self.skip), "force": tuple(self.force)}
+        given["white_balance"] = checked_white_balance(self.white_balance)
         for name, value in given.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "white_balance", checked_white_balance(self.white_balance))
         checked_seed(self.seed)
         if not isinstance(self.quality, Quality) and self.quality not in PRESETS:
             raise ValueError(f"quality is {self.quality!r}, expected one of {', '.join(PRESETS)}")

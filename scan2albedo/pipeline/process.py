@@ -384,6 +384,5 @@ def _without_light(
             template = template_texture(colors, fitted, options.texture_size)
             seen = sum(float(tile.seen.mean()) for tile in template.tiles) / max(len(template.tiles), 1)
             evidence = f"{len(template.tiles)} tile(s), {seen:.0%} of their texels seen"
-            reason = "the template has texture coordinates"
-            steps.append(PlanStep("template_texture", True, reason, evidence))
+            steps.append(PlanStep("template_texture", True, "the template has texture coordinates", evidence))
     return unlit, template, steps

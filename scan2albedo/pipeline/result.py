@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 
 RESULT_FILE = "result.json"
 _MESH = (".glb", ".obj", ".mtl", ".png", ".*.png", ".exr", ".*.exr")
-UNLIT_FILES = (*(f"unlit{end}" for end in _MESH), "unlit_confidence.png", "unlit_confidence.*.png")
-"""With several pictures each has a number, in the order of the scan's materials."""
-TEMPLATE_FILES = (*(f"template{end}" for end in _MESH), "template_normal.png", "template_normal.*.png")
-"""With several tiles each has pictures with its UDIM number."""
 _PICTURES = frozenset({"overview.png", "error_vs_time.png"})
 _LEFT_OUT = _PICTURES | {
     *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
@@ -53,12 +49,13 @@ FILES = OwnFiles(
         *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
         *("landmarks.json", "landmarks.csv", "trace.csv"),
         *sorted(_LEFT_OUT),
-        *TEMPLATE_FILES,
-        *UNLIT_FILES,
+        *(f"{mesh}{end}" for mesh in ("template", "unlit") for end in _MESH),
+        *("template_normal.png", "template_normal.*.png", "unlit_confidence.png", "unlit_confidence.*.png"),
     ),
     whole_folder=True,
 )
-"""Every file a result may have."""
+"""Every file a result may have. Several pictures of an unlit scan have numbers, in the order of the scan's
+materials, those of a template's tiles their UDIM numbers."""
 
 SURE = 0.5
 """Confidence of a registration below which there is a doubt: whole faces have more."""
@@ -255,7 +252,7 @@ def write_result(
 
 
 def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr: bool = False) -> None:
-    """Write `UNLIT_FILES`: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
+    """Write the unlit scan: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
 
     Pictures, of uint8 or uint16 `samples`, and coordinates stay, with a picture of how sure each texel is;
     without them colours of vertices. `exr`: the pictures as linear EXR, too.
@@ -294,7 +291,7 @@ def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bo
 def write_template(
     folder: Path, template: TemplateTexture, samples: type = np.uint8, *, exr: bool = False
 ) -> None:
-    """Write `TEMPLATE_FILES`, mm and metres in the model's frame; alpha: seen; see `write_unlit`."""
+    """Write the template, mm and metres in the model's frame; alpha: seen; see `write_unlit`."""
     alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
     pictures = list[MeshPicture]()
     for tile in template.tiles:

@@ -21,7 +21,6 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.reflectance import (
     FaceFit,
     GeometryFit,
-    ImageFit,
     ImageObservation,
     LightingModel,
     MeshReflectance,
@@ -63,22 +62,17 @@ class FittedPhotograph:
     trace: Trace
     """Of all fits, one after the other; each begins at 0 seconds."""
 
-    @property
-    def fit(self) -> ImageFit:
-        """Light and coefficients."""
-        return self.face.fit
-
     def notes(self) -> tuple[str, ...]:
         """Return the caveats of the figures."""
         notes = gamma_notes(self.photograph)
-        for name, part in {"shape": self.geometry, "reflectance and light": self.fit}.items():
+        for name, part in {"shape": self.geometry, "reflectance and light": self.face.fit}.items():
             if part is not None and not part.converged:
                 notes += (f"the fit of {name} stopped before it had converged",)
         if self.face.badly_explained:
             notes += (
                 "light and model explain the photograph badly: relative RMSE "
-                f"{100 * self.fit.relative_rmse:.1f} %; the reflectance is that of the model's mean face, "
-                "scaled; do not trust the light, and check mesh, landmarks, gamma and mask",
+                f"{100 * self.face.fit.relative_rmse:.1f} %; the reflectance is that of the model's mean "
+                "face, scaled; do not trust the light, and check mesh, landmarks, gamma and mask",
             )
         elif not self.face.beats_mean:
             notes += (
@@ -195,7 +189,7 @@ def write_fitted_photograph(
     done: FittedPhotograph, models: FaceModels, out: Path, options: dict[str, Any]
 ) -> dict[str, Any]:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
-    face, fit, geometry = done.face, done.fit, done.geometry
+    face, fit, geometry = done.face, done.face.fit, done.geometry
     seen = np.asarray(done.observation.seen)
     figures: dict[str, Any] = {
         "vertices": len(done.vertices),

@@ -121,7 +121,7 @@ def build_model(
     return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
 
-def synthetic_model(count: int, *, seed: int = 0, components: int | None = None) -> FaceModels:
+def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
     """Learn a model of reflectance and shape from `count` people of the synthetic population.
 
     Their albedo is taken from the generator, without photographs. The number of directions is that which
@@ -134,9 +134,7 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     if count < 2:
         raise ReflectanceError(f"{count} people make no model; give 2 or more")
     template = AnnotatedFaceModel.default()
-    people = [
-        population_reflectance(k, seed=seed, levels=SURFACE_LEVELS, model=template) for k in range(count)
-    ]
+    people = [population_reflectance(k, levels=SURFACE_LEVELS, model=template) for k in range(count)]
     known = np.ones(len(people[0].vertices), bool)
     samples = [VertexReflectance(one.diffuse_linear, one.weights, known) for one in people]
     rest, faces = template.surface(SURFACE_LEVELS)
@@ -146,7 +144,7 @@ def synthetic_model(count: int, *, seed: int = 0, components: int | None = None)
     shapes = np.stack([transform_points(procrustes(one.vertices, rest), one.vertices) for one in people])
     assert template.landmarks is not None
     nearest = np.linalg.norm(rest - template.landmarks[:, None], axis=2).argmin(1)
-    offsets = expression_offsets(template, np.random.default_rng([seed, 14]), levels=SURFACE_LEVELS)
+    offsets = expression_offsets(template, np.random.default_rng([0, 14]), levels=SURFACE_LEVELS)
     shape = MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
     mean = model.reconstruct(np.zeros(model.components)).reflectance
     return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape)
