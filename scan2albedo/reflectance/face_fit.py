@@ -241,7 +241,18 @@ def errors_left_out(
     normal_error: float,
     budget: Budget | float | None,
 ) -> dict[str, FloatArray]:
-    """Return errors (B,) of descriptions of the face, by blocks left out of fits; NaN where not judged."""
+    """Return errors (B,) of descriptions of the face, by blocks left out of fits; NaN where not judged.
+
+    The descriptions are "mean" and, where normals are right, "person", and both with "+details". An error is
+    the mean absolute logarithm of predicted over observed colours, less its mean over the channels.
+
+    Parameters
+    ----------
+    observation, model, lighting, normal_error, budget
+        As in `fit_face`.
+    vertices, faces : (V, 3) float, (F, 3) int
+        Millimetres, finite.
+    """
     used, block = np.asarray(observation.seen) & model.known, np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
