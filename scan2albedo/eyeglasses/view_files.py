@@ -156,22 +156,23 @@ def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], camera
 def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray, ...]:
     """Return a mask (H, W) of each of the `cameras`: where any channel of `folder`/<camera>.png is not zero.
 
-    Raises EyeglassesError when a mask, which it names, is missing, unreadable, or of another size.
+    Without it <camera>_mask.png counts, as `register` writes it. Raises EyeglassesError when a mask, which it
+    names, is missing, unreadable, or of another size.
     """
     masks = []
     for camera in cameras:
-        path = Path(folder) / f"{camera.name}.png"
-        if not path.is_file():
-            raise EyeglassesError(f"mask {path} is missing; give a PNG for each camera, named after it")
+        named = [Path(folder) / f"{camera.name}{end}.png" for end in ("", "_mask")]
+        path = next((one for one in named if one.is_file()), None)
+        if path is None:
+            raise EyeglassesError(f"mask {named[0]} is missing; give a PNG for each camera, named after it")
         try:
             mask: BoolArray = (read_image_linear(path) != 0).any(-1)
         except ScanError as error:
             raise EyeglassesError(f"mask {path}: {error}") from error
         if mask.shape != camera.shape:
             here, wanted = (f"{width} x {height}" for height, width in (mask.shape, camera.shape))
-            raise EyeglassesError(
-                f"mask {path} is {here} pixels, its camera's picture {wanted}; give its mask"
-            )
+            said = f"is {here} pixels, its camera's picture {wanted}"
+            raise EyeglassesError(f"mask {path} {said}; give its mask")
         masks.append(mask)
     return tuple(masks)
 

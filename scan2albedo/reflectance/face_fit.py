@@ -207,7 +207,7 @@ def fit_face(
     if person.accepted:
         why = "the person's coefficients have it"
     elif details.accepted:
-        why = "the photograph's white is probably balanced"
+        why = "a part of the photograph's hue is probably the skin's"
         hue = skin_hue(observation.response(np.flatnonzero(divided.lit)).diffuse @ fit.light)
         fit = fit_image(observation, model.mean_only(hue), lighting, budget=budget)
         fit = replace(fit, face=replace(fit.face, coefficients=mean.face.coefficients))
@@ -248,10 +248,8 @@ def errors_left_out(
 
     Parameters
     ----------
-    observation, model, lighting, normal_error, budget
-        As in `fit_face`.
-    vertices, faces : (V, 3) float, (F, 3) int
-        Millimetres, finite.
+    observation, model, vertices, faces, lighting, normal_error, budget
+        As in `fit_face`; vertices (V, 3) and faces (F, 3) as arrays.
     """
     used, block = np.asarray(observation.seen) & model.known, np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
