@@ -31,7 +31,8 @@ def ripple(length_mm):
 
 def divided(residual, usable):
     """Return a matt picture's residual (V, 3)."""
-    return ShadingDivided(residual, usable, ALL, np.zeros_like(residual), residual, np.zeros((3, 3)))
+    none = np.zeros_like(residual)
+    return ShadingDivided(residual, usable, ALL, none, residual, np.zeros((3, 3)), none)
 
 
 def kept(length_mm, color, size):
