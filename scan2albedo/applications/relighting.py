@@ -51,7 +51,7 @@ class RelightOptions:
     """"found" is the highlight of the estimate, "none" leaves it off; "auto" gives a face fitted with a model
     skin's usual highlight where the estimate found none."""
     fill_gaps: bool = True
-    """Put smooth skin where none was seen and on hair before the ears, which are black patches else."""
+    """Put smooth skin where none was seen, and on hair before the ears, which is a black patch else."""
 
     def __post_init__(self) -> None:
         if self.gloss not in get_args(Gloss):

@@ -46,11 +46,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-app.add_typer(glasses_app, name="glasses")
-app.add_typer(reflectance_app, name="reflectance")
-for command in (relight, swap, blend, transfer_expression, personal_model, identify):
-    app.command()(command)
-
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan's texture is missing.")]
 
@@ -60,7 +55,9 @@ def _flags(
         "default", help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object, no face."
     ),
     size: int | None = typer.Option(
-        None, help="Height and width of the geometry image in texels; else 512, 256 in drafts.", min=8
+        None,
+        help="Height and width of the geometry image in texels; else 512, in drafts 256, in best 1024.",
+        min=8,
     ),
     lights: str = typer.Option("auto", help="'auto', or how many."),
     brdf: str = typer.Option("oren-nayar", help="oren-nayar, lambert, minnaert or spherical-harmonics."),
@@ -349,6 +346,13 @@ def report(
     if json_summary:
         figures = asdict(written)
         echo_json({"status": "done", "out": str(figures.pop("path")), **figures})
+
+
+# Behind the ones above in what `--help` lists.
+for command in (relight, swap, blend, transfer_expression, personal_model, identify):
+    app.command()(command)
+app.add_typer(glasses_app, name="glasses")
+app.add_typer(reflectance_app, name="reflectance")
 
 
 def main() -> None:

@@ -250,12 +250,12 @@ def register(
     if mesh.suffix.lower() == CANONICAL and own:
         raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
     stop_cleanly_on_interrupt(out)
-    check_writable(out)
     RunFolder(out, FILES).check()
     with _one_frame(mesh, "glasses", json_summary) as progress:
         progress.say(f"glasses: reading {mesh}")
         more = {"pictures": pictures, "masks": masks, "head": head, "keypoints": keypoints, "start": start}
         given = read_registration(mesh, cameras, labels, **more, unit=unit, frame_width_mm=frame_width)
+        check_writable(out)
         done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
         figures = write_registration_files(done, out)
         for note in done.notes:
@@ -306,8 +306,8 @@ def lenses(
     masks: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of masks of the frame without lenses, <camera>.png: rims that the mesh "
-            "has only in part are refined by them."
+            help="Folder of masks of the frame without lenses, <camera>.png, by which rims are refined: "
+            "for meshes that have them only in part."
         ),
     ] = None,
     environment: Annotated[

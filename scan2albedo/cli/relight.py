@@ -47,7 +47,7 @@ def relight(
         "found; none.",
     ),
     keep_gaps: bool = typer.Option(
-        False, "--keep-gaps", help="Leave places that were not seen, and hair before the ears, as they are."
+        False, "--keep-gaps", help="Leave hair before the ears, and texels without albedo, as they are."
     ),
     ambient: float | None = typer.Option(
         None, help="Light without direction; 1, or 0 with an environment.", min=0

@@ -162,21 +162,9 @@ def roc_curve(
     if resamples > 0:
         least, most = _rate_interval(found[1:] * genuine, genuine, confidence)
         low[1:], high[1:] = np.minimum(low[1:], least), np.maximum(high[1:], most)
-    return RocCurve(
-        rates,
-        found[2:],
-        low[2:],
-        high[2:],
-        float(found[0]),
-        (float(low[0]), float(high[0])),
-        float(found[1]),
-        (float(low[1]), float(high[1])),
-        genuine,
-        impostors,
-        persons,
-        resamples,
-        confidence,
-    )
+    area, equal_error = ((float(found[k]), (float(low[k]), float(high[k]))) for k in (0, 1))
+    curve = rates, found[2:], low[2:], high[2:], *area, *equal_error
+    return RocCurve(*curve, genuine, impostors, persons, resamples, confidence)
 
 
 def _rates_of_draw(identification: Identification) -> Callable[[FloatArray, FloatArray], FloatArray]:

@@ -25,8 +25,9 @@ from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
 _BLOCK_MM = 12.0
-"""Edge of the cubes whose vertices are left out together: errors of a shape are alike within. Positions are
-off by it times the angle that normals are off, in shapes from landmarks by 2 mm along each axis."""
+"""Edge of the cubes whose vertices are left out together, for errors of a shape are alike over such a length.
+So an error of the normals goes with one of positions, of the length times the angle: 2 mm along each axis in
+shapes from landmarks."""
 _LEAST_BLOCKS = 12
 """With fewer cubes there is no evidence."""
 _LEAST_GAIN = 0.07
@@ -81,7 +82,7 @@ class Evidence:
         else:
             believed = "" if self.accepted else "do not "
             reason = f"{what} {believed}predict parts of the photograph that were left out"
-        text = f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
+        text = "" if self.untested else f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
         if np.isfinite(self.error_before):
             text = (
                 f"colour of left-out blocks {100 * self.error_before:.2f} -> {100 * self.error_after:.2f} %, "

@@ -195,7 +195,8 @@ def insert_lenses(
             off = np.sqrt((lens.rim.deviation**2).mean())
             notes.append(f"the {lens.name}: masks refine its outline, to {off:.2f} mm (standard deviation)")
         elif len(rim_masks):
-            notes.append(f"the {lens.name}: no mask shows half of its outline, which stays as it is")
+            said = "no mask shows half of its outline and agrees with the rim, which stays"
+            notes.append(f"the {lens.name}: {said}")
         if not (seen == lens.side).any():
             notes.append(f"the {lens.name}: no pixel sees it")
     if made.glancing:

@@ -361,10 +361,11 @@ def refine_lens_rim(
 
         sum rho((n_ci . (e_ci - project_c(T x_i)) - b_c) / s) + sum rho((ray_j - x_j) / r) + priors,
 
-    x_i the curve, e_ci where along the inward normal n_ci of its image the mask of view c ends, T what the
-    frame's place is off by, left out of the result, b_c by how much the mask is too wide, rho Cauchy's. Wide
-    gaps start as the curve through the rim points. Where no mask shows half of the edge, as with dark lenses,
-    the rim is returned as it is.
+    x_i the curve, e_ci where along the inward normal n_ci of its image the mask of view c ends, T a small
+    motion of the frame, left out of the result, b_c by how much the mask is too wide, rho Cauchy's. Wide gaps
+    start as the curve through the rim points. A mask whose edge is far from what rays met, by the median, is
+    of something else and left out. Where none shows half of the edge, as with dark lenses, the rim is
+    returned as it is.
 
     Parameters
     ----------
@@ -379,8 +380,7 @@ def refine_lens_rim(
 
     Notes
     -----
-    Li et al. (supplement, section S4) subdivide between key points. Most of ours are on the rim's outside, so
-    that their labels do not say where its inner edge is; the masks do.
+    Li et al. (supplement, section S4) subdivide between key points; most of ours are on the rim's outside.
     """
     plane, count = LensPlane.at(rim.center, rim.normal), len(rim.points)
     angles, profile = plane.angles(rim.points), plane.profile(rim.points)
@@ -411,19 +411,20 @@ def refine_lens_rim(
     moves[..., shift] = np.eye(3)
     moves[..., turn] = np.cross(np.eye(3), (start - plane.center)[:, None]).transpose(0, 2, 1)
     open_mm = np.sqrt(np.einsum("np,pq,nq->n", basis, np.linalg.inv(stiff), basis))
-    met, state, seen = np.flatnonzero(rim.measured), np.zeros(len(prior)), False
+    met, state = np.flatnonzero(rim.measured), np.zeros(len(prior))
     matrices = normalized_cameras(np.reshape([np.asarray(camera) for camera, _ in masks], (-1, 3, 4)))
     covered = [np.asarray(mask) != 0 for _, mask in masks]
     fields = [MaskDistance.of(mask) if mask.any() and not mask.all() else None for mask in covered]
     for _ in range(12):
-        seen, precision, pull = False, prior.copy(), np.zeros(len(prior))
+        off_px, precision, pull = np.full(len(masks), np.nan), prior.copy(), np.zeros(len(prior))
         for part, off, deviation in zip((radii, heights), (profile - first)[:, met], noise, strict=True):
             # Rays between two control points err alike.
             weight = len(one) / count / deviation**2
             weight /= 1 + ((off - basis[met] @ state[part]) / (ROBUST * deviation)) ** 2
             precision[part, part] += (basis[met] * weight[:, None]).T @ basis[met]
             pull[part] += basis[met].T @ (weight * off)
-        for column, matrix, field in zip(range(widths.start, len(prior)), matrices, fields, strict=True):
+        for number, (matrix, field) in enumerate(zip(matrices, fields, strict=True)):
+            column = widths.start + number
             pixels, slopes, front = projected(matrix[None], start + moves @ state)
             if field is None or not front.all():
                 continue
@@ -436,15 +437,20 @@ def refine_lens_rim(
             found = search_edges(field, pixels, inward, np.minimum(reach, REACH_PX))
             if (kept := np.isfinite(found)).mean() < 0.5:
                 continue
-            seen, rows[:, column] = True, 1.0
+            rows[:, column] = 1.0
+            checked = kept & (rim.measured if (kept & rim.measured).any() else True)
+            off_px[number] = np.median(np.abs(found - state[column])[checked])
             rows, found = rows[kept], (found - state[column])[kept]
             weight = np.minimum(VOTE * np.linalg.norm(along[kept], axis=1) / 2, 1.0) / deviation_px**2
             weight /= 1 + (found / (ROBUST * deviation_px)) ** 2
             precision += (rows * weight[:, None]).T @ rows
             pull += rows.T @ (weight * (found + rows @ state))
         state = np.asarray(np.linalg.solve(precision, pull), np.float64)
-    if not seen:
+    if np.isnan(off_px).all():
         return rim
+    if off_px[worst := int(np.nanargmax(off_px))] > ROBUST * deviation_px:
+        others = [view for number, view in enumerate(masks) if number != worst]
+        return refine_lens_rim(rim, others, rim_points=rim_points, deviation_px=deviation_px)
     covariance = np.linalg.inv(precision)
     points = plane.points(angles, first + np.stack([basis @ state[part] for part in (radii, heights)]))
     variance = sum(np.einsum("np,pq,nq->n", basis, covariance[p, p], basis) for p in (radii, heights))

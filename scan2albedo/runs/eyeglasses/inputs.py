@@ -350,10 +350,11 @@ def _read_named(
             )
             files[f"{kind} {camera.name}"] = _hashed(path)
         else:
-            notes.append(f"no {kind} of {camera.name!r} ({named[0]} is not there)")
+            notes.append(f"no {kind} of {camera.name!r}: {folder} has no {camera.name}{' or '.join(endings)}")
     if folder is not None and all(one is None for one in found):
-        names = ", ".join(f"{camera.name}.png" for camera in cameras)
-        raise EyeglassesError(f"{kind}s {folder}: the folder holds none of {names}")
+        names = ", ".join(camera.name + endings[0] for camera in cameras)
+        more = f" (or {', '.join(endings[1:])})" if len(endings) > 1 else ""
+        raise EyeglassesError(f"{kind}s {folder}: the folder holds none of {names}{more}")
     return tuple(found)
 
 

@@ -87,6 +87,14 @@ def test_pictures_that_say_nothing_change_nothing(masks):
     assert refine_lens_rim(rim, [(camera, filled)], rim_points=MARKS) is rim
 
 
+def test_masks_of_other_views_are_left_out(masks):
+    rim = found(faces_of_rim(DAMAGE["gaps"]))
+    exchanged = [(camera, mask) for (camera, _), (_, mask) in zip(masks, masks[::-1], strict=True)]
+    for views in (exchanged, [masks[0], masks[1], (masks[2][0], masks[0][1])]):
+        refined = refine_lens_rim(rim, views, rim_points=MARKS)
+        assert np.sqrt((distances(refined.points, TRUTH) ** 2).mean()) < 0.3
+
+
 def test_the_unit_does_not_matter_and_surer_masks_leave_less_open(masks):
     kept = faces_of_rim(DAMAGE["half"])
     metres = [(camera * [1e3, 1e3, 1e3, 1.0], mask) for camera, mask in masks]
