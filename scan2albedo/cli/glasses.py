@@ -25,7 +25,7 @@ from scan2albedo.errors import EyeglassesError, OutputError, Scan2AlbedoError, o
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
 
-app = typer.Typer(help="Eyeglasses: canonical frames, frames registered on faces, lenses in pictures.", no_args_is_help=True)
+app = typer.Typer(help="Eyeglasses: canonical frames, frames on faces, lenses.", no_args_is_help=True)
 
 UnitOption = Annotated[str, typer.Option(help="Of the meshes: auto, mm, cm or m.")]
 KeyPointsOption = Annotated[

@@ -364,8 +364,7 @@ def refine_lens_rim(
     x_i the curve, e_ci where along the inward normal n_ci of its image the mask of view c ends, T a small
     motion of the frame, left out of the result, b_c by how much the mask is too wide, rho Cauchy's. Wide gaps
     start as the curve through the rim points. A mask whose edge is far from what rays met, by the median, is
-    of something else and left out. Where none shows half of the edge, as with dark lenses, the rim is
-    returned as it is.
+    left out. Where none shows half of the edge, as with dark lenses, the rim is returned as it is.
 
     Parameters
     ----------
@@ -423,8 +422,7 @@ def refine_lens_rim(
             weight /= 1 + ((off - basis[met] @ state[part]) / (ROBUST * deviation)) ** 2
             precision[part, part] += (basis[met] * weight[:, None]).T @ basis[met]
             pull[part] += basis[met].T @ (weight * off)
-        for number, (matrix, field) in enumerate(zip(matrices, fields, strict=True)):
-            column = widths.start + number
+        for column, matrix, field in zip(range(widths.start, len(prior)), matrices, fields, strict=True):
             pixels, slopes, front = projected(matrix[None], start + moves @ state)
             if field is None or not front.all():
                 continue
@@ -438,8 +436,9 @@ def refine_lens_rim(
             if (kept := np.isfinite(found)).mean() < 0.5:
                 continue
             rows[:, column] = 1.0
-            checked = kept & (rim.measured if (kept & rim.measured).any() else True)
-            off_px[number] = np.median(np.abs(found - state[column])[checked])
+            # A few hits may be of other pieces of the frame.
+            told = kept & rim.measured if (kept & rim.measured).sum() >= len(one) else kept
+            off_px[column - widths.start] = np.median(np.abs(found - state[column])[told])
             rows, found = rows[kept], (found - state[column])[kept]
             weight = np.minimum(VOTE * np.linalg.norm(along[kept], axis=1) / 2, 1.0) / deviation_px**2
             weight /= 1 + (found / (ROBUST * deviation_px)) ** 2
