@@ -1,5 +1,6 @@
 """Light found in a geometry image and divided out: the albedo."""
 
+from scan2albedo.albedo.common_albedo import CommonAlbedo, estimate_common_albedo
 from scan2albedo.albedo.estimate import estimate_albedo
 from scan2albedo.albedo.options import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.albedo.result import AlbedoError, AlbedoEstimate, albedo_error
@@ -10,8 +11,10 @@ __all__ = [
     "AlbedoError",
     "AlbedoEstimate",
     "Alternative",
+    "CommonAlbedo",
     "EstimateOptions",
     "LightUncertainty",
     "albedo_error",
     "estimate_albedo",
+    "estimate_common_albedo",
 ]

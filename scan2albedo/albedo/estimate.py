@@ -121,31 +121,44 @@ def estimate_albedo(
     x, y, z = (toward / length).tolist()
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
+    meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
+    scene, plan = lit_image(image, brdf, (x, y, z), options, meter, prior)
+    # The systems are small: further threads of BLAS would wait for work and burn as much time again.
+    with threadpool_limits(1, "blas"):
+        if brdf == "spherical-harmonics":
+            return divided(scene, harmonic_light(scene), None, plan, seed)
+        count = None if lights == "auto" else int(lights)
+        paper = options.objective == "albedo-deviation"
+        found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
+        return divided(scene, light_on_texels(scene, found), found, plan, seed)
+
+
+def lit_image(
+    image: GeometryImage,
+    brdf: str,
+    view: tuple[float, float, float],
+    options: EstimateOptions,
+    meter: Meter,
+    prior: AlbedoPrior | None = None,
+) -> tuple[LitImage, Plan]:
+    """Return an image as a search takes it, seen from the unit vector `view`; see `estimate_albedo`."""
     usable = usable_texels(image)
-    image, paper = with_every_normal(image), options.objective == "albedo-deviation"
-    if paper or options.choice(_CAMERAS) is False:
+    image = with_every_normal(image)
+    if options.objective == "albedo-deviation" or options.choice(_CAMERAS) is False:
         image = replace(image, camera=None, camera_positions=None)
-    facing, plan = float(np.mean((image.normal @ [x, y, z])[usable] > 0)), Plan()
+    facing, plan = float(np.mean((image.normal @ view)[usable] > 0)), Plan()
     if facing < FEWEST:
         reason = (
-            f"only {100 * facing:.1f} % of the texels face view_direction {np.round([x, y, z], 3).tolist()}, "
+            f"only {100 * facing:.1f} % of the texels face view_direction {np.round(view, 3).tolist()}, "
             "around which lights are sought, so they will be wrong; point it at the viewer, or turn the "
             "normals outward"
         )
         plan += [PlanStep.doubt("albedo.view", reason)]
-    meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
     known = prior or AlbedoPrior.named(options.prior, face=image.face_chart is not None)
-    scene = LitImage(image, usable, brdf, (x, y, z), options, meter, known)
-    # The systems are small: further threads of BLAS would wait for work and burn as much time again.
-    with threadpool_limits(1, "blas"):
-        if brdf == "spherical-harmonics":
-            return _divide(scene, harmonic_light(scene), None, plan, seed)
-        count = None if lights == "auto" else int(lights)
-        found = paper_search(scene, count, seed) if paper else LightSearch(scene).run(count)
-        return _divide(scene, light_on_texels(scene, found), found, plan, seed)
+    return LitImage(image, usable, brdf, view, options, meter, known), plan
 
 
-def _divide(
+def divided(
     scene: LitImage, lit: TexelLight, found: LightFound | None, plan: Plan, seed: int
 ) -> AlbedoEstimate:
     """Remove the light from the full-size image; `found` is None for spherical harmonics."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -29,7 +29,7 @@ from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.lighting.kernels import log_rows, shade_with_derivatives
-from scan2albedo.optimization import Damping, NormalEquations, minimize
+from scan2albedo.optimization import Damping, LeastSquaresPoint, NormalEquations, minimize
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's t of what single cells err by [1]_: hair, an outline, a mole are rare.
@@ -62,6 +62,7 @@ _LIGHT_SD = 0.25
 better."""
 _DAMPING = Damping(first=1e-2, increase=8.0, least=1e-4, after_failure=1e-3, largest=1e4)
 _SETTLED = 1e-4
+_State = TypeVar("_State", bound=LeastSquaresPoint)
 EXTRA = 2
 """Parameters beside the light's: log scale, and how much of the faces' mean albedo this one has."""
 
@@ -132,8 +133,10 @@ class Point:
     """The posterior at x = [light, scale, likeness]: one counted evaluation. NaN is the scale that fits best.
 
     The cells are weighed once more by what they err by under `known`, or have its weights when `fixed`.
-    `u` (M,) is the nodes' best field.
+    `u` (M,) is the nodes' best field, `shared` (M,) that of several images of one albedo.
     """
+
+    shared: FloatArray | None = None
 
     def __init__(
         self, problem: Posterior, model: LightModel, x: FloatArray, known: Start, *, fixed: bool = False
@@ -297,8 +300,11 @@ class Point:
     def albedo_nodes(self) -> tuple[float, FloatArray]:
         """Return a level and (M,) the nodes' log albedo beside the mean pattern, given this light.
 
-        Light that no part stands for is a part of the median light, relative to the light found here.
+        Light that no part stands for is a part of the median light, relative to the light found here. An
+        albedo that several images share is known from all of them.
         """
+        if self.shared is not None:
+            return float(self.x[-EXTRA]), self.shared
         p, scales = self.problem, self.known.scales
         dark = scales.light * deviation_of_light(self.light, float(np.median(self.light)))
         albedo = scales.albedo**2 * p.field.albedo_covariance
@@ -326,6 +332,6 @@ def _shrunk(square: float, count: float, deviation: float) -> float:
     return math.exp(0.5 * math.log(max(square, TINY**2)) * count / (count + 1 / (2 * deviation**2)))
 
 
-def descend(start: Point, trials: int, meter: Meter | None) -> Point:
+def descend(start: _State, trials: int, meter: Meter | None) -> _State:
     """Return where damped Gauss-Newton steps lead in at most so many evaluations, or within the budget."""
     return minimize(start, trials=trials, tolerance=_SETTLED, damping=_DAMPING, meter=meter).best

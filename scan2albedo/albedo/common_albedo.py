@@ -1,0 +1,200 @@
+"""`estimate_common_albedo`: one albedo from several images of a surface or person, each in its own light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from scan2albedo.albedo.estimate import divided, lit_image
+from scan2albedo.albedo.levels import cell_field
+from scan2albedo.albedo.light_colour import light_colours
+from scan2albedo.albedo.light_priors import parts_steps
+from scan2albedo.albedo.light_search import LightSearch
+from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
+from scan2albedo.albedo.node_field import FAINT, TINY, deviation_of_light
+from scan2albedo.albedo.options import EstimateOptions
+from scan2albedo.albedo.posterior import Point, robust_weights
+from scan2albedo.albedo.result import AlbedoEstimate
+from scan2albedo.albedo.shared_light import shared_lights
+from scan2albedo.albedo.texel_light import light_on_texels
+from scan2albedo.albedo.uncertainty import light_uncertainty
+from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.errors import LightingError
+
+_PASSES = 6
+"""Of robust weights and gains: they settle to .1 % in four."""
+
+
+@dataclass(frozen=True)
+class CommonAlbedo:
+    """Result of `estimate_common_albedo`; images are zero outside the mask."""
+
+    albedo_linear: NDArray[np.float32]
+    """(H, W, 3): up to one global scale, in the mean colours of all cameras."""
+    expected_error: NDArray[np.float32]
+    """(H, W): relative error that two texels in three stay below, best scale removed; 1 where nothing was
+    measured. It falls with the number of images that show a texel well lit."""
+    coverage: NDArray[np.uint16]
+    """(H, W): how many images show each texel."""
+    disagreement: NDArray[np.float32]
+    """(H, W): root mean square by which the images' own albedos differ from it, relative: make-up, a tan,
+    another expression or person; 0 where fewer than two images show a texel."""
+    gains: NDArray[np.float64]
+    """(K, 3): by what the colours of each image's own albedo are multiplied to agree."""
+    estimates: tuple[AlbedoEstimate, ...]
+    """Each image in its own light, beside the common albedo; empty where `on_estimate` took them."""
+    plan: Plan
+    trace: Trace
+    converged: bool
+    """False when the budget ended the search."""
+
+
+def estimate_common_albedo(
+    images: Sequence[GeometryImage],
+    *,
+    brdf: str = "oren-nayar",
+    budget: Budget | float | None = None,
+    seed: int = 0,
+    options: EstimateOptions = EstimateOptions(),
+    on_estimate: Callable[[int, AlbedoEstimate], None] | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> CommonAlbedo:
+    """Estimate one albedo, and a light for each of several images of it.
+
+    Photographs of one surface in several lights, or scans of one person on one chart: each image has its own
+    shape, camera and light. The light of each is sought alone (`estimate_albedo`); then all are refined at
+    once with one albedo between them (`SharedLight`), which separates what moves with the light from what
+    stays. Texels are averaged with gains a channel and an image, weighed by how well each is lit and seen, by
+    Student's t: what one image shows otherwise, a shadow that no ray finds or a brow a millimetre away,
+    counts little. Raises LightingError without images or where their charts differ; see `estimate_albedo`.
+
+    Parameters
+    ----------
+    images : sequence of GeometryImage
+        Each is taken twice and not kept: a sequence may read them from files.
+    brdf, seed, options
+        As in `estimate_albedo`, with a diffuse model of lamps.
+    budget : Budget or float, optional
+        Of the whole search.
+    on_estimate : callable, optional
+        Called with the number and the estimate of each image, which are then not kept.
+    on_progress : callable, optional
+        Called with each trace row.
+
+    Notes
+    -----
+    The memory is that of one image, and three numbers a texel and some thousand a cell for each. Lights of
+    one albedo are told apart by the ratios of images, which no albedo changes [1]_.
+
+    .. [1] R. Basri, D. Jacobs, I. Kemelmacher, "Photometric stereo with general, unknown lighting", IJCV
+       72(3), 2007.
+    """
+    if not len(images):
+        raise LightingError("no image was given: give one or more geometry images with a texture")
+    if brdf == "spherical-harmonics" or options.objective != "residual":
+        raise ValueError("a common albedo is found with lamps and the objective 'residual'")
+    meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
+
+    def scene_of(image: GeometryImage) -> tuple[LitImage, Plan]:
+        return lit_image(image, brdf, (0.0, 0.0, 1.0), options, meter)
+
+    # The systems are small: further threads of BLAS would wait for work.
+    with threadpool_limits(1, "blas"):
+        plan, searched, best, charts = Plan(), list[LightFound](), list[Point](), set[tuple[int, ...]]()
+        for image in images:
+            scene, steps = scene_of(image)
+            searched.append(LightSearch(scene).run(None))
+            told = searched[-1].explanation
+            assert told is not None
+            best.append(told.best)
+            plan += steps
+            charts.add((*image.shape, told.best.problem.level.factor))
+        if len(charts) > 1:
+            raise LightingError("the images lie on different charts: process all with one model and size")
+        (_, width, factor), light_sd = charts.pop(), None
+        if len(best) > 1:
+            across = -(-width // factor)
+            numbers = [point.problem.level.cell @ (across, 1) for point in best]
+            best, deviation, every = shared_lights(best, numbers, meter)
+            cells = np.stack(np.divmod(every, across), 1)
+            light_sd = replace(best[0].problem.level, cell=cells), deviation[:, None]
+        reason = "the lights of one albedo, found together"
+        plan += [PlanStep("albedo.shared", len(best) > 1, reason, f"{len(best)} image(s)")]
+        estimates = list[AlbedoEstimate]()
+        logs, weights = list[FloatArray](), list[FloatArray]()
+        for k, (image, found, point) in enumerate(zip(images, searched, best, strict=True)):
+            scene, _ = scene_of(image)
+            mask, alone = image.mask, found
+            if point.shared is not None:
+                alone = _with_shared(found, point, options)
+            estimate = divided(scene, light_on_texels(scene, alone), alone, Plan(), seed)
+            assert estimate.expected_error is not None
+            light = np.maximum(estimate.shading.mean(-1), TINY)
+            dark = deviation_of_light(light[mask], float(np.median(light[scene.usable])))
+            logs.append(np.log(np.maximum(estimate.albedo_linear[mask], FAINT)))
+            known = np.where(scene.usable[mask], 1.0, TINY)
+            weights.append(known / (estimate.expected_error[mask] ** 2 + dark**2))
+            if on_estimate is None:
+                estimates.append(estimate)
+            else:
+                on_estimate(k, estimate)
+    mean, gains, weight, chi = _averaged(np.array(logs), np.array(weights))
+    fields = dict[str, NDArray[Any]]()
+    error = 1 / weight.sum(0)
+    if light_sd is not None:
+        error += cell_field(*light_sd, mask)[:, 0] ** 2
+    shown = (np.array(weights) > 1.0).sum(0)
+    for name, values in {
+        "albedo_linear": np.exp(mean).astype(np.float32),
+        "expected_error": np.minimum(np.sqrt(error), 1.0).astype(np.float32),
+        "coverage": shown.astype(np.uint16),
+        "disagreement": np.where(shown > 1, chi, 0).astype(np.float32),
+    }.items():
+        fields[name] = np.zeros((*mask.shape, *values.shape[1:]), values.dtype)
+        fields[name][mask] = values
+    return CommonAlbedo(
+        **fields,
+        gains=gains,
+        estimates=tuple(estimates),
+        plan=plan,
+        trace=meter.trace,
+        converged=not meter.exhausted,
+    )
+
+
+def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> LightFound:
+    """Return what a search found with the light of `point`, which knows the albedo of all images."""
+    colours = light_colours(point, options.choice("albedo.light_colour"))
+    rows = parts_steps(point.model, point.x, point.covariance(), point.prior.rows, options)
+    cells = len(point.light)
+    explained = Explanation(point, colours, point.problem.level, np.zeros((cells, 3)), np.zeros(cells))
+    # Shadows, lamps and their sizes stay as they were.
+    steps = [*found.steps[:3], *rows, colours.step]
+    return LightFound(point.solution(), steps, light_uncertainty(point), explained)
+
+
+def _averaged(logs: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the mean (N, 3) of log albedos (K, N, 3), gains (K, 3), weights (K, N) and spread (N,).
+
+    Gains and mean are the least squares of log a_k + log g_k = log a, weighed anew by Student's t.
+    """
+    robust, gains = weights, np.zeros((len(logs), 3))
+    for _ in range(_PASSES if len(logs) > 1 else 1):
+        total = robust.sum(0)
+        mean = np.einsum("kn,knc->nc", robust, logs) / total[:, None]
+        system = np.diag(robust.sum(1)) - robust @ (robust / total).T
+        right = -np.einsum("kn,knc->kc", robust, logs - mean)
+        gains = np.linalg.lstsq(system, right, rcond=1e-9)[0]
+        mean += np.einsum("kn,kc->nc", robust / total, gains)
+        square = ((logs + gains[:, None] - mean) ** 2).mean(-1)
+        robust = robust_weights(np.sqrt(square), 1 / weights, 1.0)
+    spread = np.sqrt((weights * square).sum(0) / weights.sum(0))
+    return mean, np.exp(gains), robust, spread
