@@ -271,7 +271,7 @@ def _processed(
     if options.unlit is not None or painted:
         with clock.timed("unlit"):
             lit = (scan, fitted, estimate, options)
-            unlit, template, plan["unlit"] = _without_light(*lit, unlit_s, clock.left_s())
+            unlit, template, plan["unlit"] = without_light(*lit, unlit_s, clock.left_s())
     ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
     return ProcessResult(
         scan=scan,
@@ -351,7 +351,7 @@ def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> lis
     return [*rows, *doubts(fitted)]
 
 
-def _without_light(
+def without_light(
     scan: RawScan,
     fitted: FittedFace | None,
     estimate: AlbedoEstimate | None,

@@ -47,7 +47,7 @@ FILES = OwnFiles(
     ResultRecord,
     (
         *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
-        *("landmarks.json", "landmarks.csv", "trace.csv"),
+        *("landmarks.json", "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
         *sorted(_LEFT_OUT),
         *(f"{mesh}{end}" for mesh in ("template", "unlit") for end in _MESH),
         *("template_normal.png", "template_normal.*.png", "unlit_confidence.png", "unlit_confidence.*.png"),

@@ -1,0 +1,300 @@
+"""`process_person`: one shape and one albedo from several scans of a person, with a light for each."""
+
+from __future__ import annotations
+
+import pickle
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
+from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core.first_run import compiled_beside
+from scan2albedo.core.raw_scan import is_folder_name, scan_name
+from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
+from scan2albedo.fitting import FittedFace, PersonShape, common_shape
+from scan2albedo.io.atomic import check_writable
+from scan2albedo.io.run_folder import RunFolder
+from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.process import process, without_light
+from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
+from scan2albedo.recognition import albedo_templates, same_person_log_odds
+from scan2albedo.sampling import geometry_image
+
+
+@dataclass(frozen=True)
+class PersonResult(ProcessResult):
+    """A person's neutral face with the albedo of all scans, and what each scan adds.
+
+    `scan` is the neutral face as a mesh, `fitted` the model on it, `albedo` without any light.
+    """
+
+    shape: PersonShape | None = None
+    """The neutral face and each scan's expression."""
+    common: CommonAlbedo | None = None
+    """The albedo of all scans, its error and where they disagree; None when no scan has colour."""
+    members: tuple[str, ...] = ()
+    """Names of the scans of this person."""
+    left_out: tuple[tuple[str, str], ...] = ()
+    """Names of scans that were left out, and why."""
+    results: tuple[ProcessResult, ...] = ()
+    """Each scan in its own light beside the common albedo; empty when they were written."""
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the figures of the person."""
+        found = super().metrics()
+        shape = self.shape
+        assert shape is not None
+        scans: dict[str, dict[str, object]] = {name: {} for name in self.members}
+        for k, row in enumerate(scans.values()):
+            row["distance_mm"] = round(float(shape.distance_mm[k]), 3)
+            row["other_person_log_odds"] = round(float(shape.other_person[k]), 2)
+            if self.common is not None:
+                row["gains"] = np.round(self.common.gains[k], 4).tolist()
+        found["person"] = {
+            "scans": scans,
+            "left_out": dict(self.left_out),
+            "deviation_mm": round(float(np.median(shape.deviation_mm)), 3),
+        }
+        return found
+
+
+class _Spool(Sequence[GeometryImage]):
+    """Results of scans on disk, so that one at a time is in memory; as a sequence, their geometry images."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.names = folder, list[str]()
+
+    def keep(self, name: str, result: ProcessResult) -> None:
+        (self.folder / name).write_bytes(pickle.dumps(result, protocol=5))
+
+    def read(self, name: str) -> ProcessResult:
+        # Written by this process, into a folder of its own.
+        return pickle.loads((self.folder / name).read_bytes())  # type: ignore[no-any-return]
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, k: int) -> GeometryImage: ...
+    @overload
+    def __getitem__(self, k: slice) -> list[GeometryImage]: ...
+    def __getitem__(self, k: int | slice) -> GeometryImage | list[GeometryImage]:
+        if isinstance(k, slice):
+            return [self.read(name).geometry_image for name in self.names[k]]
+        return self.read(self.names[k]).geometry_image
+
+
+def process_person(
+    scans: Sequence[str | Path | RawScan],
+    out: str | Path | None = None,
+    *,
+    name: str = "person",
+    on_progress: ProgressCallback | None = None,
+    **options: Any,
+) -> PersonResult:
+    """Return one neutral shape and one albedo of a person from any number of scans.
+
+    Each scan is registered and fitted as `process` does; light, expression, pose, device, coverage and scale
+    may differ. `common_shape` and `estimate_common_albedo` find what they share. A scan that cannot be used,
+    and one that rather shows another person by the odds of shape and albedo, is left out by name; of two
+    scans that differ, none is.
+
+    Raises Scan2AlbedoError when no scan can be used or the results cannot be written; ValueError for no scan,
+    two of one name, and what `ProcessOptions` refuses; TypeError for unknown options.
+
+    Parameters
+    ----------
+    scans : sequence of path or RawScan
+    out : path, optional
+        Folder that gets a subfolder `name` with the files of a result, those of the neutral face with the
+        common albedo, coverage.png and disagreement.png; and in it a folder for each scan.
+    name : str
+        Of the person.
+    on_progress : callable, optional
+        Called with every `TraceRow`.
+    **options
+        Those of `process`; a budget holds for each scan, and once more for the common albedo.
+    """
+    if not scans:
+        raise ValueError("no scan was given: give one or more scans of the person")
+    if not is_folder_name(name):
+        raise ValueError(f"name is {name!r}, expected a name that a folder can have")
+    names = [scan.name if isinstance(scan, RawScan) else scan_name(scan) for scan in scans]
+    if twice := sorted({one for one in names if names.count(one) > 1}):
+        raise ValueError(f"{len(scans)} scans, of which several are called {twice[0]!r}: rename the files")
+    chosen, begin = ProcessOptions(**options), time.perf_counter()
+    if chosen.model == "none":
+        raise ValueError("a person needs the model of a face: leave model='none' out")
+    if out is not None:
+        RunFolder(Path(out) / name, FILES).check()
+        check_writable(Path(out))
+    left_out, plan = list[tuple[str, str]](), list[PlanStep]()
+    arguments = chosen.arguments() | {"skip": (*chosen.skip, "albedo"), "unlit": None, "files": "standard"}
+    with tempfile.TemporaryDirectory(prefix="scan2albedo") as folder, compiled_beside():
+        spool, fits = _Spool(Path(folder)), list[FittedFace]()
+        for one, scan in zip(names, scans, strict=True):
+            try:
+                result = process(scan, name=one, on_progress=on_progress, **arguments)
+            except Scan2AlbedoError as error:
+                left_out.append((one, one_line(error)))
+                continue
+            assert result.fitted is not None
+            spool.keep(one, result)
+            spool.names.append(one)
+            fits.append(result.fitted)
+        if not fits:
+            every = "; ".join(reason for _, reason in left_out)
+            raise RegistrationError(f"{name}: no scan can be used: {every}")
+        shape, common = common_shape(fits), None
+        while True:
+            colours = [k for k, image in enumerate(spool) if image.texture_linear is not None]
+            if colours and "albedo" not in chosen.skip:
+                coloured = _Spool(spool.folder)
+                coloured.names = [spool.names[k] for k in colours]
+                common = _common_albedo(coloured, chosen, on_progress)
+            odds = shape.other_person.copy()
+            if common is not None:
+                odds[colours] -= _same_person(coloured)
+            worst = int(odds.argmax())
+            if len(fits) < 3 or odds[worst] <= 0:
+                break
+            reason = f"rather shows another person (log odds {odds[worst]:.1f})"
+            left_out.append((spool.names.pop(worst), reason))
+            del fits[worst]
+            shape, common = common_shape(fits), None
+        if len(fits) == 2 and odds.max() > 0:
+            reason = f"the two scans rather show two people (log odds {odds.max():.1f})"
+            plan.append(PlanStep.doubt("person.people", reason))
+        plan += [PlanStep.doubt("person.scan", f"{one} is left out: {why}") for one, why in left_out]
+        person = _assembled(name, spool, fits, shape, common, chosen, plan)
+        person = replace(
+            person,
+            left_out=tuple(left_out),
+            timings_s={"person": time.perf_counter() - begin},
+            results=() if out is not None else tuple(map(spool.read, spool.names)),
+        )
+        if out is None:
+            return person
+        place = write_result(person, Path(out), files=chosen.files, pictures=chosen.pictures)
+        for one in spool.names:
+            write_result(spool.read(one), place, files=chosen.files, pictures=chosen.pictures)
+        return replace(person, out=place)
+
+
+def _common_albedo(
+    spool: _Spool, chosen: ProcessOptions, on_progress: ProgressCallback | None
+) -> CommonAlbedo:
+    """Return the albedo of all scans; each is kept with its own light."""
+
+    def keep(k: int, estimate: AlbedoEstimate) -> None:
+        result = spool.read(spool.names[k])
+        lit = result.scan, result.fitted, estimate, chosen
+        unlit, template, steps = without_light(*lit, 0.0, np.inf)
+        plan = Plan((*(step for step in result.plan if step.stage != "albedo"), *estimate.plan, *steps))
+        spool.keep(
+            spool.names[k],
+            replace(result, albedo=estimate, unlit=unlit, template=template, plan=plan),
+        )
+
+    budget, seed = Budget.of(chosen.budget), chosen.seed
+    return estimate_common_albedo(
+        spool,
+        brdf=chosen.brdf,
+        budget=budget,
+        seed=seed,
+        options=chosen.of_albedo(),
+        on_estimate=keep,
+        on_progress=on_progress,
+    )
+
+
+def _same_person(spool: _Spool) -> np.ndarray:
+    """Return (K,) the mean log odds by albedo that each scan shows the person of the others; 0 for one."""
+    albedos, masks, errors = list[Any](), list[Any](), list[Any]()
+    for name in spool.names:
+        estimate = spool.read(name).albedo
+        assert estimate is not None
+        albedos.append(estimate.albedo_linear)
+        masks.append(estimate.image.seen)
+        errors.append(estimate.expected_error)
+    if len(albedos) < 2:
+        return np.zeros(len(albedos))
+    templates = {"albedo": albedo_templates(albedos, spool.names, masks, expected_error=errors)}
+    odds = same_person_log_odds(templates, templates)
+    np.fill_diagonal(odds, 0.0)
+    return np.asarray(odds.sum(1) / (len(odds) - 1))
+
+
+def _assembled(
+    name: str,
+    spool: _Spool,
+    fits: Sequence[FittedFace],
+    shape: PersonShape,
+    common: CommonAlbedo | None,
+    chosen: ProcessOptions,
+    plan: Sequence[PlanStep],
+) -> PersonResult:
+    """Return the neutral face as a result like that of a scan."""
+    first = spool.read(spool.names[0])
+    near = np.nanmin([np.where(np.isnan(fit.residual_mm), np.inf, fit.residual_mm) for fit in fits], axis=0)
+    neutral = replace(
+        fits[0],
+        vertices=shape.vertices,
+        faces=shape.faces,
+        control_points=shape.control_points,
+        landmarks=shape.landmarks,
+        template_vertices=shape.model.template_of(shape.control_points),
+        residual_mm=np.where(np.isinf(near), np.nan, near),
+        model_from_scan=np.eye(4),
+    )
+    image, estimate, rows = geometry_image(neutral, None, chosen.texels), None, [*plan]
+    if common is not None:
+        mask, lit = image.mask, next(r.albedo for r in map(spool.read, spool.names) if r.albedo is not None)
+        source, seen = lit.image, common.coverage > 0
+        image = replace(
+            image,
+            texture_linear=common.albedo_linear,
+            texture_valid=seen & mask,
+            skin=source.skin,
+            labels=source.labels,
+        )
+        rows += common.plan
+        estimate = replace(
+            lit,
+            albedo_linear=common.albedo_linear,
+            lights=(),
+            parameters={"ambient": 1.0},
+            shading=np.repeat(mask[..., None], 3, 2).astype(np.float32),
+            specular=np.zeros(mask.shape, np.float32),
+            shadow=mask.astype(np.float32),
+            confidence=1 - common.expected_error,
+            plan=common.plan,
+            trace=common.trace,
+            converged=common.converged,
+            image=image,
+            uncertainty=None,
+            albedo_deviation=None,
+            environment=None,
+            expected_error=common.expected_error,
+        )
+    return PersonResult(
+        scan=RawScan(shape.vertices, shape.faces, name=name),
+        registration=None,
+        fitted=neutral,
+        geometry_image=image,
+        albedo=estimate,
+        plan=Plan(tuple(rows)),
+        trace=Trace() if common is None else common.trace,
+        timings_s={},
+        options=chosen.recorded(shape.model),
+        seed=chosen.seed,
+        shape=shape,
+        common=common,
+        members=tuple(spool.names),
+    )
