@@ -87,9 +87,7 @@ def load_catalogue(out: str | Path) -> pyarrow.Table:
     except FileNotFoundError as error:
         raise BatchError(f"{path}: no such file; give the folder that `scan2albedo batch` wrote") from error
     except (OSError, pa.ArrowInvalid) as error:
-        raise BatchError(
-            f"{path}: is not a whole catalogue ({error}); `batch --resume` makes it anew"
-        ) from error
+        raise BatchError(f"{path}: is no whole catalogue ({error}); `batch --resume` redoes it") from error
 
 
 def load_albedos(
@@ -121,9 +119,8 @@ def load_albedos(
     if missing := [name for name in columns if name not in table.column_names]:
         raise BatchError(f"{out}: its catalogue has no column {missing[0]}; {anew}")
     folder = Path(out) if Path(out).is_dir() else Path(out).parent
-    wanted = [
-        row for row in table.select(columns).to_pylist() if row["status"] == "done" and row["path_albedo_exr"]
-    ]
+    rows = table.select(columns).to_pylist()
+    wanted = [row for row in rows if row["status"] == "done" and row["path_albedo_exr"]]
     if not wanted:
         raise BatchError(f"{folder}: no scan of this batch has an albedo; see the reasons in its catalogue")
     if len(models := sorted({row["model"] for row in wanted})) > 1:
@@ -137,9 +134,7 @@ def load_albedos(
         path = str(row["path_albedo_exr"])
         file = folder / path
         if ".." in Path(path).parts or len(Path(path).parts) != 2 or file.parent.is_symlink():
-            raise BatchError(
-                f"{folder}: its catalogue names {path!r}, which is not a file of a scan in it; {anew}"
-            )
+            raise BatchError(f"{folder}: its catalogue names {path!r}, no file of a scan in it; {anew}")
         try:
             settle(file.parent)
         except OSError as error:
@@ -150,9 +145,7 @@ def load_albedos(
         arrays = read_npz(image, ("mask",), optional=("texture_valid",), **more)
         seen = arrays["mask"] & arrays.get("texture_valid", True)
         if seen.shape != albedo.shape[:2]:
-            raise BatchError(
-                f"{file}: has {albedo.shape[:2]} texels, {image.name} {seen.shape}: not of one run"
-            )
+            raise BatchError(f"{file}: has {albedo.shape[:2]} texels, {image.name} {seen.shape}: of two runs")
         if size is not None and albedo.shape[:2] != (size, size):
             # Means over the texels that were seen, over all where none was.
             weight = _resized(seen, size)

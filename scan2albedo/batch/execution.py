@@ -21,9 +21,7 @@ from scan2albedo.batch.worker import ScanTask
 from scan2albedo.errors import BatchError, OutputError, needs_extra
 
 _CAUSES = "for want of memory, or a library crashed"
-_ONE_THREAD = dict.fromkeys(
-    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
-)
+_ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 
 
 def run_in_processes(
@@ -141,9 +139,7 @@ def run_on_cluster(
         raise BatchError(f"no dask scheduler answers at {address} ({error}); check the address") from error
     with client:
         if not client.nthreads():
-            raise BatchError(
-                f"the dask scheduler at {address} has no worker; start one: dask worker {address}"
-            )
+            raise BatchError(f"the scheduler at {address} has no worker; start one: dask worker {address}")
         on_jobs(len(client.nthreads()))
         waiting = list(tasks)
         while waiting:

@@ -98,9 +98,7 @@ class Layout:
                 try:
                     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
-                    raise BatchError(
-                        f"another batch works in {self.out}; wait for it, or choose another folder"
-                    ) from None
+                    raise BatchError(f"a batch works in {self.out}; wait, or choose another folder") from None
             yield
         finally:
             os.close(descriptor)

@@ -78,8 +78,7 @@ def read_manifest(
     - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
     - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
 
-    Raises BatchError when it is missing, at fault or empty, or two scans have one name; the message names the
-    lines.
+    Raises BatchError when it is missing, at fault or empty, or two scans have one name, with the lines.
 
     Parameters
     ----------
@@ -119,9 +118,7 @@ def read_manifest(
     first: dict[str, ManifestScan] = {}
     for scan in manifest.scans:
         if not is_folder_name(scan.name):
-            raise BatchError(
-                f"{scan.where}: {scan.name!r} cannot name a folder for the result; give another name"
-            )
+            raise BatchError(f"{scan.where}: {scan.name!r} cannot name a result folder; give another name")
         other = first.setdefault(scan.name.casefold(), scan)
         if other is not scan:
             raise BatchError(
@@ -143,9 +140,7 @@ def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchMani
     header = [name.lower() if name.lower() in known else name for name in names]
     if SCAN not in header:
         found = f"its first line has {', '.join(header)}" if header else "it is empty"
-        raise BatchError(
-            f"{file} lacks the column {SCAN} ({found}); begin it with a header such as scan,name"
-        )
+        raise BatchError(f"{file} lacks the column {SCAN} ({found}); begin it with a header like scan,name")
     folded = [name.casefold() for name in header]
     if twice := [name for name in header if folded.count(name.casefold()) > 1]:
         raise BatchError(f"{file} has the column {twice[0] or 'without a name'} twice; rename one")
@@ -168,8 +163,6 @@ def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchMani
     count = Counter(scan.name.casefold() for scan in scans)
     for k, scan in enumerate(scans):
         if count[scan.name.casefold()] > 1:
-            before = [
-                text.strip() for column, text in scan.extra.items() if column.casefold() in name_columns
-            ]
+            before = [text.strip() for title, text in scan.extra.items() if title.casefold() in name_columns]
             scans[k] = replace(scan, name="-".join((*before, scan.name)))
     return BatchManifest(file, tuple(scans), extra)

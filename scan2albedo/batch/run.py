@@ -17,19 +17,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from scan2albedo import face_model
+from scan2albedo.batch import records
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import run_in_processes, run_on_cluster
 from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
 from scan2albedo.batch.memory import job_limit, worker_mb
-from scan2albedo.batch.records import (
-    FIXED,
-    BatchProgress,
-    BatchRecord,
-    BatchReport,
-    BatchScanRecord,
-    BatchStatus,
-)
+from scan2albedo.batch.records import BatchProgress, BatchRecord, BatchReport, BatchScanRecord, BatchStatus
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture
@@ -95,9 +89,7 @@ def run_batch(
     # Others lack the lock on the folder (`fcntl`), the time limit of a scan (`signal.setitimer`), the peak
     # memory of a worker (`resource`) and the change of parent by which a worker notices that it is an orphan.
     if not _POSIX:
-        raise BatchError(
-            "batches need Linux or macOS; here, process scans one after the other with `scan2albedo process`"
-        )
+        raise BatchError("batches need Linux or macOS; process scans one by one with `scan2albedo process`")
     with needs_extra("batch"):
         import psutil  # noqa: F401
         import pyarrow  # noqa: F401
@@ -118,7 +110,7 @@ def run_batch(
         advice = "it was edited, cut short, or is none of a batch: move it away, or choose another folder"
         if os.path.lexists(layout.record):
             read_record(layout.record, BatchRecord, advice=advice, error=BatchError)
-        elif os.path.lexists(layout.catalogue) and not set(FIXED) <= set(load_catalogue(out).column_names):
+        elif os.path.lexists(layout.catalogue) and set(records.FIXED) - set(load_catalogue(out).column_names):
             raise BatchError(f"{layout.catalogue}: is not a catalogue of a batch; {advice}")
         run = _Run(manifest, layout, options, jobs or int(cpu_count()), scheduler, on_progress, tasks[0].run)
         return run.report(tasks, resume)
@@ -296,9 +288,7 @@ class _Run:
         outcome = self.outcome().figures()
         del outcome["out"]
         sources = {scan.name: scan.source for scan in self.manifest.scans}
-        outcome["failures"] = [
-            {**failure, "source": sources[failure["name"]]} for failure in outcome["failures"]
-        ]
+        outcome["failures"] = [{**one, "source": sources[one["name"]]} for one in outcome["failures"]]
         record = BatchRecord(
             scan2albedo_version=VERSION,
             versions=installed_versions(),

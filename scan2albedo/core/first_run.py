@@ -29,8 +29,6 @@ RECORD = "first_run_kernels.txt"
 """File beside this one that `tools/record_kernels.py` writes: module, function and signature on a line."""
 _COLD = 0.25
 """Part of the kernels that must be missing on disk for helpers to be worth their start."""
-_ALLOCATIONS = 100_000
-"""Objects made between garbage collections while much is compiled; by Python's own rule they take a sixth."""
 _UNDER_WAY = threading.Lock()
 
 
@@ -69,7 +67,8 @@ def compiled_beside() -> Iterator[None]:
         count = _helper_count()
         if count and _is_cold([kernel.dispatcher() for kernel in recorded_kernels()]):
             if thresholds[0] > 0:
-                gc.set_threshold(max(thresholds[0], _ALLOCATIONS), *thresholds[1:])
+                # By Python's own rule garbage collections take a sixth of the time while much is compiled.
+                gc.set_threshold(max(thresholds[0], 100_000), *thresholds[1:])
             helpers = _started(count)
         yield
     finally:

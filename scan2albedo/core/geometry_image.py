@@ -102,9 +102,7 @@ class GeometryImage:
             array = np.ascontiguousarray(value)
             wanted = grid if channels is None else (*grid, channels)
             if len(grid) != 2 or array.shape != wanted:
-                raise GeometryImageError(
-                    f"{field} has shape {array.shape}, expected {wanted} to match the mask"
-                )
+                raise GeometryImageError(f"{field} has shape {array.shape}, expected {wanted} as the mask")
             array = array.astype(dtype, copy=False)
             if array.dtype.kind == "f" and not np.isfinite(array[mask]).all():
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
@@ -116,9 +114,7 @@ class GeometryImage:
         if self.camera is not None:
             positions = np.array(self.camera_positions, np.float64)
             if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
-                raise GeometryImageError(
-                    f"camera_positions has shape {positions.shape}, expected (K, 3), finite numbers"
-                )
+                raise GeometryImageError(f"camera_positions has {positions.shape}, expected (K, 3), finite")
             unknown = (self.camera >= len(positions)) & (self.camera != NO_CAMERA)
             if unknown.any():
                 raise GeometryImageError(

@@ -54,9 +54,7 @@ class PlacedLandmarks:
         unknown, absurd = np.isnan(points), np.abs(points) > LARGEST_COORDINATE
         partly = np.flatnonzero((unknown.any(1) & ~unknown.all(1)) | absurd.any(1))
         if len(partly):
-            raise ScanError(
-                f"landmark {partly[0]} is {points[partly[0]].tolist()}, expected three finite coordinates"
-            )
+            raise ScanError(f"landmark {partly[0]} is {points[partly[0]].tolist()}, not three finite numbers")
         if unknown.all():
             raise ScanError("no landmark among the 68 is given; give at least one, or leave them out")
         if not (sigma_mm > 0).all() or not np.isfinite(sigma_mm).all():

@@ -131,25 +131,22 @@ class RawScan:
         vertices = self._checked("vertices", np.float64, (None, 3))
         faces = self._checked("faces", np.int64, (None, 3))
         if len(faces) == 0:
-            raise ScanError(
-                f"{self.name}: the scan has no faces ({len(vertices)} vertices); a surface mesh is needed"
-            )
+            raise ScanError(f"{self.name}: no faces ({len(vertices)} vertices); a surface mesh is needed")
         require_valid_indices(faces, len(vertices), self.name)
         if (reach := float(np.abs(vertices).max(initial=0.0))) > LARGEST_COORDINATE:
             raise ScanError(
                 f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}; the file is "
                 "damaged: repair or re-export the scan"
             )
-        optional = (
-            ("uv", np.float64, (len(faces), 3, 2)),
-            ("texture_linear", np.float32, (None, None, 3)),
-            ("vertex_color_linear", np.float32, (len(vertices), 3)),
-        )
         if self.color_seen is not None:
             textured = self.uv is not None and self.texture_linear is not None
             grid = self.texture_linear.shape[:2] if textured else (len(vertices),)  # type: ignore[union-attr]
             self._checked("color_seen", np.bool_, grid)
-        for field, dtype, shape in optional:
+        for field, dtype, shape in (
+            ("uv", np.float64, (len(faces), 3, 2)),
+            ("texture_linear", np.float32, (None, None, 3)),
+            ("vertex_color_linear", np.float32, (len(vertices), 3)),
+        ):
             if (value := getattr(self, field)) is not None:
                 if dtype is np.float32:
                     require_linear(f"{self.name}: {field}", value)
@@ -173,30 +170,26 @@ class RawScan:
     def _checked(self, field: str, dtype: type, shape: tuple[int | None, ...]):  # type: ignore[no-untyped-def]
         """Convert an array of the scan to its type, and return it."""
         array = np.ascontiguousarray(getattr(self, field))
-        if array.ndim != len(shape) or any(
-            want not in (None, got) for got, want in zip(array.shape, shape, strict=False)
-        ):
+        fitting = (want in (None, got) for got, want in zip(array.shape, shape, strict=False))
+        if array.ndim != len(shape) or not all(fitting):
             wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
             raise ScanError(f"{self.name}: {field} has shape {array.shape}, expected {wanted}")
         array = array.astype(dtype, copy=False)
         if (bad := ~np.isfinite(array)).any():
-            first = tuple(int(i) for i in np.argwhere(bad)[0])
             raise ScanError(
                 f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, "
-                f"first at {first}; repair or re-export the scan"
+                f"first at {tuple(int(i) for i in np.argwhere(bad)[0])}; repair or re-export the scan"
             )
         object.__setattr__(self, field, array)
         return array
 
     def inside_out(self) -> RawScan:
         """Return the scan with every triangle reversed."""
-        uv = None if self.uv is None else self.uv[:, ::-1]
-        return replace(self, faces=self.faces[:, ::-1], uv=uv)
+        return replace(self, faces=self.faces[:, ::-1], uv=None if self.uv is None else self.uv[:, ::-1])
 
     def without_faces(self, gone: NDArray[np.bool_]) -> RawScan:
         """Return the scan without the faces marked in `gone` (F,); vertices stay."""
-        uv = None if self.uv is None else self.uv[~gone]
-        return replace(self, faces=self.faces[~gone], uv=uv)
+        return replace(self, faces=self.faces[~gone], uv=None if self.uv is None else self.uv[~gone])
 
     def scaled(self, factor: float) -> RawScan:
         """Return the scan `factor` times as large; a unit of its file is as many mm more."""

@@ -12,33 +12,10 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import (
-    KEY_POINT_COUNT,
-    KEY_POINT_NAMES,
-    checked_keypoints,
-    checked_weights,
-)
-from scan2albedo.eyeglasses.mean_keypoints import (
-    BEHIND,
-    WIDTHS_MM,
-    align_key_points,
-    front_width,
-    fullest,
-    in_own_axes,
-    mean_key_points,
-    outliers,
-    require_posable,
-    single_bridges,
-    unit_exponent,
-    unit_factors,
-)
+from scan2albedo.eyeglasses import mean_keypoints as means
+from scan2albedo.eyeglasses import unbending
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_weights
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
-from scan2albedo.eyeglasses.unbending import (
-    common_bend,
-    front_halves,
-    symmetric_key_points,
-    unbent_transforms,
-)
 from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.rigid import transform_points
 
@@ -53,7 +30,7 @@ class CanonicalizationOptions:
     """"unbend": the frame's own shape and sizes stay. "mean" (the paper's S2): it takes the mean's."""
     handles: Literal["turned", "translated"] = "turned"
     """In "mean": whether key points turn their surroundings, or only shift them (the paper's)."""
-    widths_mm: tuple[float, float] = WIDTHS_MM
+    widths_mm: tuple[float, float] = means.WIDTHS_MM
     """Least and greatest width of a front; a frame that no decimal unit brings between them is refused."""
     skip_failed: bool = False
     """Whether a frame that cannot be done is left out and named in the result, instead of ending the call."""
@@ -187,21 +164,21 @@ def canonicalize(
     reference, common = None, None
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
-        require_posable(reference, "mean_keypoints")
+        means.require_posable(reference, "mean_keypoints")
         try:
-            common = unit_exponent(reference, options.widths_mm)
+            common = means.unit_exponent(reference, options.widths_mm)
         except EyeglassesError as error:
             raise EyeglassesError(f"mean_keypoints: {error}") from error
-    anchor = fullest([frame.points for frame in given]) if reference is None else reference
+    anchor = means.fullest([frame.points for frame in given]) if reference is None else reference
     frames, failures = list[_Frame](), dict[int, str]()
     called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in given]
     for i, frame in enumerate(given):
         # Key points that the reference lacks do not count.
         shared = np.where(np.isfinite(anchor), frame.points, np.nan)
         try:
-            require_posable(shared)
-            width = front_width(frame.points, frame.vertices)
-            exponent = unit_exponent(frame.points, options.widths_mm, width)
+            means.require_posable(shared)
+            width = means.front_width(frame.points, frame.vertices)
+            exponent = means.unit_exponent(frame.points, options.widths_mm, width)
             used = frame if reference is None else replace(frame, points=shared)
             used = replace(used, unit_exponent=exponent, width=width)
             frames.append(used.weighted(spacing, len(given) - i, meter))
@@ -211,18 +188,18 @@ def canonicalize(
             failures[i] = str(error)
     if not frames:
         raise EyeglassesError("; ".join(map(": ".join, zip(called, failures.values(), strict=True))))
-    scales = unit_factors([f.unit_exponent for f in frames], common)
+    scales = means.unit_factors([f.unit_exponent for f in frames], common)
     points = [scale * f.points for scale, f in zip(scales, frames, strict=True)]
     widths = scales * [f.width for f in frames]
     mean, settled, rounds = reference, True, 0
     if mean is None:
         own = meter.sub_meter("eyeglasses.mean", "bones")
-        mean, settled, rounds = mean_key_points(points, own)
+        mean, settled, rounds = means.mean_key_points(points, own)
         meter.merge(own)
     place = mean
     if options.mode == "unbend":
-        place = symmetric_key_points(place)
-        place = in_own_axes(place) if reference is None else place
+        place = unbending.symmetric_key_points(place)
+        place = means.in_own_axes(place) if reference is None else place
     done = [f.moved(place, float(s), options) for f, s in zip(frames, scales, strict=True)]
     steps = {f.number: frame.plan for f, frame in zip(frames, done, strict=True)}
     steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
@@ -234,13 +211,13 @@ def canonicalize(
         rows.append(PlanStep("eyeglasses.units", True, "widths are those of different units", factors))
     else:
         rows.append(PlanStep("eyeglasses.units", False, "widths agree: one unit", wide))
-    unusual = outliers(points, widths)
+    unusual = means.outliers(points, widths)
     if not unusual:
         among = f"none among {len(frames)} frame{'s' * (len(frames) > 1)}"
         rows.append(PlanStep("eyeglasses.outliers", False, among))
     for i, why in unusual.items():
         rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
-    if single := single_bridges(points, widths, reference) if options.mode == "mean" else ():
+    if single := means.single_bridges(points, widths, reference) if options.mode == "mean" else ():
         reason = (
             f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the "
             "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
@@ -248,7 +225,8 @@ def canonicalize(
             "the two kinds to means of their own"
         )
         rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
-    if bare := [name for name, p in zip(names, points, strict=True) if np.isnan(p[BEHIND]).any(1).all()]:
+    behind = [np.isnan(p[means.BEHIND]).any(1).all() for p in points]
+    if bare := [name for name, unknown in zip(names, behind, strict=True) if unknown]:
         reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
         rows.append(PlanStep.doubt("eyeglasses.sides", reason))
     evidence = f"{'' if settled else 'not '}settled after {rounds} round{'s' if rounds != 1 else ''}"
@@ -307,7 +285,7 @@ class _Frame:
             found = solve_weights(*mesh, self.points[seen], spacing, names=names, meter=own)
         finally:
             meter.merge(own)
-        weights = np.zeros((len(self.vertices), KEY_POINT_COUNT))
+        weights = np.zeros((len(self.vertices), len(KEY_POINT_NAMES)))
         weights[:, seen] = found.weights
         how = "cut short by the budget" if own.exhausted else "did not settle"
         how = "solved" if found.converged else how
@@ -320,7 +298,7 @@ class _Frame:
         assert self.weights is not None
         points, stays = scale * self.points, ""
         if options.mode == "mean":
-            rigid = align_key_points(points, place)
+            rigid = means.align_key_points(points, place)
             aligned = transform_points(rigid, points)
             seen = np.isfinite((aligned + place).sum(1))
             carriers = (turned_translations if options.handles == "turned" else translations)(aligned, place)
@@ -329,11 +307,11 @@ class _Frame:
             carriers, targets = carriers @ rigid, np.where(seen[:, None], place, np.nan)
             step = PlanStep("eyeglasses.to_mean", True, "all key points on the mean's")
         else:
-            halves = front_halves(scale * self.vertices, self.faces, self.weights, points)
-            carriers = unbent_transforms(points, halves)
+            halves = unbending.front_halves(scale * self.vertices, self.faces, self.weights, points)
+            carriers = unbending.unbent_transforms(points, halves)
             straight = np.einsum("kij,kj->ki", carriers[:, :3, :3], points) + carriers[:, :3, 3]
-            even = straight if halves is None else symmetric_key_points(straight, halves.reflection)
-            pose = align_key_points(even, place)
+            even = straight if halves is None else unbending.symmetric_key_points(straight, halves.reflection)
+            pose = means.align_key_points(even, place)
             carriers, targets = pose @ carriers, transform_points(pose, straight)
             reason = "too few key points are known on both sides to compare them: only the pose is taken away"
             evidence = ""
@@ -343,11 +321,12 @@ class _Frame:
                 if not np.isnan(halves.apart):
                     reason = "own shape kept, halves compared by their surfaces"
                     evidence += f"; rims then {halves.apart:.3g} apart, rms"
-                stays = common_bend(straight * (10.0**self.unit_exponent / scale), halves.reflection)
+                points_mm = straight * (10.0**self.unit_exponent / scale)
+                stays = unbending.common_bend(points_mm, halves.reflection)
             step = PlanStep("eyeglasses.unbend", halves is not None, reason, evidence)
         reason = "a bend common to both sides stays, as it cannot be told from the design"
         rows = [step, PlanStep("eyeglasses.common_bend", False, reason, stays)] if stays else [step]
-        rigid = align_key_points(points, targets)
+        rigid = means.align_key_points(points, targets)
         transforms = carriers @ np.diag([scale, scale, scale, 1.0])
         off = transform_points(rigid, points) - targets
         return CanonicalEyeglasses(

@@ -22,8 +22,7 @@ from scan2albedo.geometry.rays import RayCaster
 MAX_NODES = 10_000
 """Lattice nodes that the automatic spacing may use."""
 _REACH = 0.05
-"""Gaps up to this part of the size, the diagonal of the key points' box, are bridged: between parts, and from
-key points to the mesh."""
+"""Gaps up to this part of the size, the diagonal of the key points' box, are bridged, also to key points."""
 _THIN_PART = 0.1
 """Part of the surface that may be thinner than the automatic spacing."""
 _SKIN = 1e-5

@@ -15,15 +15,9 @@ from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 from scan2albedo.core import Plan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
+from scan2albedo.eyeglasses import keypoints as places
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
-from scan2albedo.eyeglasses.keypoints import (
-    KEY_POINT_COUNT,
-    KEY_POINT_NAMES,
-    MIRROR,
-    PARENTS,
-    checked_keypoints,
-    typical_key_points,
-)
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, PARENTS, checked_keypoints
 from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
 from scan2albedo.geometry.rigid import is_rigid, procrustes, transform_points
 from scan2albedo.io.npz import read_npz, write_npz
@@ -42,7 +36,7 @@ _Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
 def _layout(rows: str) -> _Layout:
     """Return the layout that `rows` of "name type length length ..." say, K for the number of key points."""
     own = "vertices float V 3; faces int F 3; weights float V K; keypoints float K 3; " + rows
-    sizes: dict[str, int] = {"K": KEY_POINT_COUNT, "3": 3, "4": 4}
+    sizes: dict[str, int] = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
     types: dict[str, type] = {"float": float, "int": int, "bool": bool}
     split = [row.split() for row in own.split(";")]
     return {name: (types[kind], *(sizes.get(n, n) for n in shape)) for name, kind, *shape in split}
@@ -111,10 +105,9 @@ def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKn
     ----------
     path, keypoints, unit
     """
-    points = checked_keypoints("keypoints", keypoints)
     entries = {
         name: (float(p[0]), float(p[1]), float(p[2])) if np.isfinite(p).all() else None
-        for name, p in zip(KEY_POINT_NAMES, points, strict=True)
+        for name, p in zip(KEY_POINT_NAMES, checked_keypoints("keypoints", keypoints), strict=True)
     }
     write_record(path, KeyPointsFile(unit=unit, key_points=entries))
 
@@ -156,7 +149,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     # Fewer place no frame.
     if known.sum() < 6:
         return []
-    typical = typical_key_points()
+    typical = places.typical_key_points()
     number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
     pairs = [(0, 1)] + [(k, MIRROR[k]) for k in range(2, 11)]
     for side in ("left", "right"):
@@ -185,9 +178,8 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
             break
         current = changed
         found.append(" and ".join(KEY_POINT_NAMES[k] for k in best))
-    size = np.linalg.norm(np.ptp(points[known], axis=0))
     rms = np.sqrt(laid(current)[1] / known.sum())
-    return found if rms < _LIKE_GLASSES * size else []
+    return found if rms < _LIKE_GLASSES * np.linalg.norm(np.ptp(points[known], axis=0)) else []
 
 
 def _write(path: str | Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> None:

@@ -38,8 +38,7 @@ class Lattice:
         """Return the lattice of distinct cells (C, 3) in lexicographic order."""
         low = cells.min(0)
         shape = tuple(cells.max(0) - low + 2)
-        places = (cells - low)[:, None, :] + CORNERS
-        keys = np.ravel_multi_index(tuple(np.moveaxis(places, 2, 0)), shape)
+        keys = np.ravel_multi_index(tuple(np.moveaxis((cells - low)[:, None] + CORNERS, 2, 0)), shape)
         keys, corners = np.unique(keys, return_inverse=True)
         nodes = np.stack(np.unravel_index(keys, shape), 1).astype(np.int64) + low
         return cls(cells, nodes, corners.reshape(-1, 8).astype(np.int64))
@@ -174,8 +173,7 @@ def enclosed_cells(cells: IntArray) -> IntArray:
     empty = np.ones(tuple(shape), bool)
     empty[tuple((cells - low).T)] = False
     regions, _ = ndimage.label(empty)
-    inside = empty & (regions != regions[0, 0, 0])
-    return np.argwhere(inside).astype(np.int64) + low
+    return np.argwhere(empty & (regions != regions[0, 0, 0])).astype(np.int64) + low
 
 
 @njit(cache=True, nogil=True)

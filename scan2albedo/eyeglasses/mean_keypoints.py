@@ -29,8 +29,7 @@ _DEVIATIONS = 6.0
 _TWO_BRIDGES = 0.07
 """Height of bridges, as a part of the front's width, above which they are taken for two: 10 mm of 140."""
 _LEAST = 0.04
-"""Distance of an outlier's key points from the median frame's, as a part of the median width; its own width
-differs by four times as much."""
+"""Distance of an outlier's key points from the median frame's, by the median width; of widths four times."""
 BEHIND = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
 """(20,) True for the key points behind the hinges."""
 _LEFT = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
@@ -130,8 +129,7 @@ def in_own_axes(points: FloatArray) -> FloatArray:
     if not np.linalg.norm(z) > _FLAT * np.linalg.norm(forward):
         return points
     z = normalized(z)
-    turned = (points - points[known].mean(0)) @ np.stack([x, np.cross(z, x), z]).T
-    return np.asarray(turned)
+    return np.asarray((points - points[known].mean(0)) @ np.stack([x, np.cross(z, x), z]).T)
 
 
 def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float:

@@ -65,8 +65,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
 
         sum over bones (k, j) of b_kj a_kj^T + 0.1 mean_j R_j,
 
-    a and b the bones' unit directions before and after, by sweeps from R = 1. Bones of key points (K, 3) with
-    NaN ends do not count.
+    a and b the bones' unit directions before and after, by sweeps from R = 1. Bones with NaN do not count.
     """
     k, j = known_bones(source + target).T
     before, after = (normalized(points[j] - points[k]) for points in (source, target))

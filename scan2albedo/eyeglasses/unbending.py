@@ -15,14 +15,7 @@ from scan2albedo.eyeglasses.skinning import turned_translations
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, normalized
-from scan2albedo.geometry.rigid import (
-    Similarity,
-    compose,
-    invert_rigid,
-    procrustes,
-    rotation_angle_rad,
-    transform_points,
-)
+from scan2albedo.geometry.rigid import Similarity, compose, procrustes, rotation_angle_rad, transform_points
 
 _RIMS, _TEMPLES = ((part, MIRROR[part]) for part in (np.arange(2, 7), np.arange(7, 11)))
 """Numbers of the key points of the left and the right side; of a temple from the hinge to the tip."""
@@ -57,7 +50,9 @@ class FrontHalves:
         # The rigid H with H H = left_from_mirrored, which turns by less than half a turn.
         turn = (Rotation.from_matrix(self.left_from_mirrored[:3, :3]) ** 0.5).as_matrix()
         half = compose(turn, np.linalg.solve(np.eye(3) + turn, self.left_from_mirrored[:3, 3]))
-        return invert_rigid(half), self.reflection @ half @ np.linalg.inv(self.reflection)
+        return np.asarray(np.linalg.inv(half), np.float64), self.reflection @ half @ np.linalg.inv(
+            self.reflection
+        )
 
     @property
     def bend_deg(self) -> float:
@@ -76,8 +71,7 @@ def front_halves(
     reflection = _reflection(points)
     if reflection is None:
         return None
-    both = np.asarray(np.isfinite(points + points[MIRROR]).all(1))
-    rim = _RIMS[0][both[_RIMS[0]]]
+    rim = _RIMS[0][np.asarray(np.isfinite(points + points[MIRROR]).all(1))[_RIMS[0]]]
     source, target = transform_points(reflection, points[MIRROR[rim]]), points[rim]
     if not is_posable(target):
         return FrontHalves(reflection, np.eye(4), np.nan)

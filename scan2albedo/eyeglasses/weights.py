@@ -98,9 +98,8 @@ def solve_weights(
 
     on the nodes of a lattice around (and inside) the surface; then the weights are divided by their sum and
     interpolated trilinearly at the vertices. The mesh may have parts, holes and bad faces of any kind. Raises
-    EyeglassesError when the mesh is empty or not finite, a key point lies far off the mesh, two of them
-    coincide, or a given spacing makes too large a lattice; ValueError when an array has the wrong shape, or
-    `spacing` is not positive.
+    EyeglassesError when the mesh is empty or not finite, a key point lies far off it, two of them coincide,
+    or a given spacing makes too large a lattice; ValueError for wrong shapes, or `spacing` not above 0.
 
     Parameters
     ----------
@@ -173,8 +172,7 @@ def solve_lattice(
     for number, level in enumerate(levels):
         finer = len(levels) - 1 - number
         # The handles' nodes hold 1 and 0, shared where coarse cells share nodes.
-        corners = level.corners[level.find(handle_cells // 2**finer)]
-        fixed, place = np.unique(corners, return_inverse=True)
+        fixed, place = np.unique(level.corners[level.find(handle_cells // 2**finer)], return_inverse=True)
         values = np.zeros((len(fixed), count))
         values[place.ravel(), np.repeat(np.arange(count), 8)] = 1.0
         values /= values.sum(1, keepdims=True)

@@ -107,9 +107,7 @@ class AnnotatedSurface:
             raise ModelError(f"{self.name}: region has shape {self.region.shape}, expected ({faces},)")
         unknown = sorted(set(np.unique(self.region).tolist()) - {r.index for r in self.regions.values()})
         if unknown:
-            raise ModelError(
-                f"{self.name}: faces carry region indices {unknown} that `regions` does not name"
-            )
+            raise ModelError(f"{self.name}: faces have region indices {unknown} that `regions` does not name")
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -167,9 +165,8 @@ class AnnotatedSurface:
     def subdivision(self, levels: int) -> LoopSubdivision:
         """Return the (cached) limit-surface matrices after `levels` refinements."""
         if levels not in self._subdivisions:
-            self._subdivisions[levels] = LoopSubdivision.of(
-                len(self.control_vertices), self.control_faces, levels
-            )
+            count = len(self.control_vertices)
+            self._subdivisions[levels] = LoopSubdivision.of(count, self.control_faces, levels)
         return self._subdivisions[levels]
 
     def refined_uv(self, levels: int) -> FloatArray:
@@ -331,25 +328,21 @@ def _check_arrays(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
         "control_faces": (entry.control_faces, 3),
         "uv": (entry.control_vertices, 2),
         "region": (entry.control_faces,),
+        "landmark_face": (entry.landmarks,),
+        "landmark_barycentric": (entry.landmarks, 3),
+        "template_face": (entry.template_vertices,),
+        "template_barycentric": (entry.template_vertices, 3),
+        "template_faces": (entry.template_faces, 3),
+        "template_offset": (entry.template_vertices, 3),
+        "template_from_model": (4, 4),
+        "template_uv": (entry.template_faces, 3, 2),
+        "face_uv": (entry.control_vertices, 2),
     }
-    if entry.landmarks:
-        expected |= {"landmark_face": (68,), "landmark_barycentric": (68, 3)}
-    if entry.template_vertices:
-        expected["template_face"] = (entry.template_vertices,)
-        expected["template_barycentric"] = (entry.template_vertices, 3)
-    if "template_offset" in arrays:
-        expected["template_offset"] = (entry.template_vertices, 3)
-    if "template_from_model" in arrays:
-        expected["template_from_model"] = (4, 4)
-    if entry.template_faces:
-        expected["template_faces"] = (entry.template_faces, 3)
-    if "template_uv" in arrays:
-        expected["template_uv"] = (entry.template_faces, 3, 2)
-    if "face_uv" in arrays:
-        expected["face_uv"] = (entry.control_vertices, 2)
+    optional = ("template_offset", "template_from_model", "template_uv", "face_uv")
     for name, shape in expected.items():
         got = arrays[name].shape if name in arrays else None
-        if got != shape:
+        needed = shape[0] > 0 and name not in optional
+        if got != shape and (got is not None or needed):
             found = "missing" if got is None else f"of shape {got}"
             raise ModelError(
                 f"face model: {name} in {path} is {found}, the .json file says {shape}; "
@@ -358,12 +351,11 @@ def _check_arrays(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
     for name, values in arrays.items():
         if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
             raise ModelError(f"face model: {name} in {path} holds NaN or infinite values")
-    limits = {
+    for name, limit in {
         "control_faces": entry.control_vertices,
         "landmark_face": entry.control_faces,
         "template_face": entry.control_faces,
         "template_faces": entry.template_vertices,
-    }
-    for name, limit in limits.items():
+    }.items():
         if name in arrays and (arrays[name].min() < 0 or arrays[name].max() >= limit):
             raise ModelError(f"face model: {name} in {path} points outside 0 ... {limit - 1}")

@@ -4,8 +4,7 @@ Texels of about a millimetre have four features, all relative to this face's own
 redder and bluer they are (logarithms), and how much stronger their grain is. Of each class there are the
 distribution of the features and the places on a face's chart, learned by ``tools/fit_appearance.py`` from
 heads in many lights. The colour of the skin turns with the light: it is a quadratic in the normal [1]_,
-fitted together with the classes by expectation maximisation. Neighbours are likely of one class (mean field
-of a Potts model).
+fitted together with the classes by expectation maximisation. Neighbours are likely alike (a Potts model).
 
 .. [1] R. Ramamoorthi, P. Hanrahan, "An efficient representation for irradiance environment maps",
    SIGGRAPH 2001.
@@ -38,22 +37,14 @@ _SAME_MATERIAL = 0.12
 """Chroma [log] within which texels are one material under one light."""
 _LIGHT_SD = np.array([3.0] + [1.0] * 8), np.array([3.0] + [0.3] * 3 + [0.15] * 5)
 """Standard deviations of how skin's log brightness and chroma turn with the normal; first their own."""
-_FREEDOM, _POWER, _AGREEMENT, _ROUNDS = 15.0, 0.6, 2.0, 5
+_FREEDOM, _POWER = 15.0, 0.6
 """Degrees of freedom of the features' t distributions; power of their likelihood, for features of one texel
-are not independent of its neighbours'; log odds for the class that all neighbours have; mean-field rounds."""
-_SOME, _EVENTS = 1000, 1.0
-"""Texels of which the skin's light is found; patches that the usual share of a class counts, against this
-face's."""
-_WIDER = (2.0, 1.5, 1.0, 1.0, 1.0)
-"""By what skin is wider in each round of expectation maximisation: light is known the less at first."""
+are not independent of its neighbours'."""
 PATCH_MM, _HIDDEN = 30.0, 0.1
 """Texels nearer than this speak together, not each for itself, of the whole face. Probability of a face that
 shows no features in its colours."""
-_PLACED = 3.0
-"""Weight of what places say of a texture beside its colours' own evidence, by right and wrong ones."""
 _FEWEST_TEXELS, _DARKEST, _GRAIN_MM, _FAINT = 64, 1e-3, 7.0, 0.004
-"""Parts of white below which there is no colour; side over which grain is averaged; contrast of an even
-skin."""
+"""Parts of white below which there is no colour; side over which grain is averaged; contrast of even skin."""
 _CLOSE_MM, _FAR_MM, _RELIEF_MM, _SMOOTH_MM = 1.0, 3.0, 12.0, 0.05
 """Residuals of a good fit, and of hair or glasses over it; side of the squares over which they are averaged
 to relief, and that of skin without noise."""
@@ -118,26 +109,13 @@ def appearance(
     residual_mm: FloatArray | None = None,
     model: AppearanceModel | None = None,
 ) -> Appearance:
-    """Return what the texels of a sampled surface are.
+    """Return what the texels of a sampled surface are; O(H W), 0.2 s at 512 x 512.
 
-    O(H W); 0.2 s at 512 x 512.
-
-    Parameters
-    ----------
-    position, normal : (H, W, 3) float64
-        mm, and of length 1.
-    seen : (H, W) bool
-        Texels of the surface with texture, or with scan near; the others are not read.
-    texture_linear : (H, W, 3) float32, optional
-        Linear colour; without it places and relief decide.
-    place : (H, W, 2) float, optional
-        Row and column, 0 to 1, on the default model's chart: `GeometryImage.face_chart`.
-    share : (H, W) float, optional
-        Part of each texel's region that is skin; used without `place`. 1 when None.
-    residual_mm : (H, W) float64, optional
-        Distance of the surface to the scan, NaN where there is no scan.
-    model : AppearanceModel, optional
-        The package's own when None.
+    `position`, `normal` (H, W, 3) are in mm and of length 1; only texels `seen` (H, W), with texture or scan
+    near, are read. Without `texture_linear` (H, W, 3) places and relief decide. `place` (H, W, 2) is row and
+    column, 0 to 1, on the default model's chart (`GeometryImage.face_chart`); without it counts `share`
+    (H, W), the part of each texel's region that is skin, 1 when None. `residual_mm` (H, W) is the distance to
+    the scan, NaN where there is none; `model` the package's own when None.
     """
     learned = AppearanceModel.default() if model is None else model
     seen = seen if residual_mm is None else seen & np.isfinite(residual_mm)
@@ -167,11 +145,11 @@ def appearance(
             likely = known & (prior[0] >= np.median(prior[0][known]))
             usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
             told[0] -= _PER_RELIEF * np.maximum(rough / usual_mm - _TOLERATED_RELIEF, 0)
-    # The shares of the classes, for neighbours that likely agree.
+    # The shares of the classes, for neighbours that likely agree: log odds of 2 for the class of all of them.
     logs = log_prior + told
     shares = np.exp(logs - np.logaddexp.reduce(logs))
-    for _ in range(_ROUNDS):
-        agreeing = logs + _AGREEMENT * np.stack([local_mean(one, grid.part, 3) for one in shares])
+    for _ in range(5):
+        agreeing = logs + 2 * np.stack([local_mean(one, grid.part, 3) for one in shares])
         shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
     likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
     weight = np.where(seen, np.minimum(likeliest / SURE, 1), np.float32(0))
@@ -204,7 +182,8 @@ def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independ
     """Return what `placed` does of log likelihoods (C, N)."""
     anywhere = np.logaddexp.reduce(np.log(np.exp(log_prior).mean(1))[:, None] + likelihood)
     here = np.logaddexp.reduce(log_prior + likelihood)
-    told = np.array([_PLACED * (here - anywhere), likelihood[0] - anywhere, here]).sum(1)
+    # Places weigh three times as much as the colours' own evidence, by right and wrong textures.
+    told = np.array([3 * (here - anywhere), likelihood[0] - anywhere, here]).sum(1)
     return np.asarray(independent * told + (hue, np.log(_HIDDEN), 0.0))
 
 
@@ -263,7 +242,7 @@ def _explained(
     weight = np.exp(log_prior[0])
     colors, grain = features_of(texture, normal, grid.part, weight, grid.texel_mm)
     basis, values = light_basis(normal)[seen], np.column_stack([colors[seen], grain[seen]])
-    step = -(-len(values) // _SOME)
+    step = -(-len(values) // 1000)  # so many show the skin's light
     few = values[::step], basis[::step], log_prior[:, seen][:, ::step]
     fits = [
         _fitted(*few, start, grid.independent * step, model)
@@ -290,12 +269,13 @@ def _fitted(
     """
     light, often = np.zeros((basis.shape[1], 3)), np.zeros(len(prior))
     light[0], precision = start, 1 / model.covariance[0, 1, 1]
-    for wider in _WIDER:
+    # Skin is wider in the first rounds: light is known the less at first.
+    for wider in (2.0, 1.5, 1.0, 1.0, 1.0):
         features = values - np.pad(basis @ light, ((0, 0), (0, 1)))
         logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
         shares = np.exp(logs - np.logaddexp.reduce(logs))
-        # A cap or a beard is one event, however large: its share is learned from this face.
-        here, usual = (independent * one.sum(1) + _EVENTS for one in (shares, np.exp(prior)))
+        # A cap or a beard is one event, however large: its share is learned here, against one usual patch.
+        here, usual = (independent * one.sum(1) + 1 for one in (shares, np.exp(prior)))
         often = np.log(here / usual)
         often -= np.logaddexp.reduce(often + np.log(usual / usual.sum()))
         square = _square(features - model.mean[0], wider**2 * model.covariance[0])
@@ -356,9 +336,8 @@ class _Grid:
         flat = field.ndim == 2
         kept = np.where(self.seen if flat else self.seen[..., None], field, 0).astype(np.float32)
         weight = np.maximum(self.part, np.float32(1e-6))
-        return np.asarray(
-            _resized(kept, self.part.shape) / (weight if flat else weight[..., None]), np.float32
-        )
+        means = _resized(kept, self.part.shape) / (weight if flat else weight[..., None])
+        return np.asarray(means, np.float32)
 
 
 def _square(off: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -92,26 +92,22 @@ _MIRRORED = {2: 14, 3: 13, 4: 12, 5: 11, 19: 24, 21: 22, 31: 35, 36: 45, 37: 44,
 
 def displacement(bump: Bump, points: FloatArray, landmarks: FloatArray) -> FloatArray:
     """Return the (N, 3) displacement in mm of points (N, 3) by a bump of amount 1."""
-    direction = np.array(bump.direction, float)
-    if not bump.paired:
-        return _gaussian(points, landmarks[list(bump.landmarks)].mean(0), bump.radius_mm) * direction
-    left = landmarks[[_MIRRORED[k] for k in bump.landmarks]].mean(0)
-    return (
-        _gaussian(points, landmarks[list(bump.landmarks)].mean(0), bump.radius_mm) * (direction * [-1, 1, 1])
-        + _gaussian(points, left, bump.radius_mm) * direction
-    )
-
-
-def _gaussian(points: FloatArray, center: FloatArray, radius_mm: float) -> FloatArray:
-    return np.exp(-np.sum((points - center) ** 2, axis=1) / (2 * radius_mm**2))[:, None]
+    halves = [(bump.landmarks, -1 if bump.paired else 1)]
+    if bump.paired:
+        halves.append((tuple(_MIRRORED[k] for k in bump.landmarks), 1))
+    moved = np.zeros(points.shape)
+    for numbers, side in halves:
+        off = points - landmarks[list(numbers)].mean(0)
+        high = np.exp(-np.sum(off**2, axis=1) / (2 * bump.radius_mm**2))
+        moved += high[:, None] * (np.array(bump.direction) * [side, 1, 1])
+    return moved
 
 
 def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:
     """Return (K, C, 3) displacements in mm of the model's control points, each one standard deviation.
 
     The head's width, height and depth, bumps of identities, expressions and captures, and smooth waves. None
-    moves, turns or scales the control points as a whole, weighed by `weights` (C,). A model without
-    landmarks has no bumps.
+    moves, turns or scales the control points as a whole, weighed by `weights` (C,). Bumps need landmarks.
     """
     rest = model.control_vertices
     modes = [sd * rest * axis for sd, axis in zip(STRETCH_SD, np.eye(3), strict=True)]

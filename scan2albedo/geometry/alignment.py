@@ -14,10 +14,6 @@ from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
 
-_INDEPENDENT = 300
-"""Neighbouring pairs err together: all of them count as this many against the prior."""
-_MOST_CELLS = 1_500_000
-
 
 @dataclass(frozen=True)
 class Pairs:
@@ -99,7 +95,8 @@ def align(
         matrix = weighted.T @ rows
         gradient = -(weighted.T @ np.einsum("ij,ij->i", found.offset[index], normal))
         size = np.log(pose.scale)
-        prior = found.noise**2 * weights.sum() / _INDEPENDENT * known
+        # Neighbouring pairs err together: all of them count as 300 against the prior.
+        prior = found.noise**2 * weights.sum() / 300 * known
         matrix[6:, 6:] += prior
         gradient[6:] += prior @ np.concatenate([[size], c])
         upper, lower = np.full(7 + count, np.inf), np.full(7 + count, -np.inf)
@@ -133,7 +130,7 @@ class NearestGrid:
     def of(cls, samples: OrientedPoints, *, cell: float, margin: float) -> NearestGrid:
         """Build the grid over the samples' box widened by `margin`; huge boxes get larger cells."""
         low, high = samples.points.min(0) - margin, samples.points.max(0) + margin
-        cell = max(cell, float(np.cbrt(np.prod(high - low) / _MOST_CELLS)))
+        cell = max(cell, float(np.cbrt(np.prod(high - low) / 1_500_000)))
         shape = np.ceil((high - low) / cell).astype(np.int64) + 1
         nearest = _nearest_by_sweeps(samples.points, low, cell, shape[0], shape[1], shape[2])
         return cls(samples, nearest, low, cell)

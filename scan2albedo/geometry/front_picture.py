@@ -11,8 +11,6 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rasterization import bilinear, rasterize
 from scan2albedo.geometry.rigid import transform_points
 
-_LARGEST_FACE_MM = 30.0
-"""Triangles larger than this are left out: those of a torn scan hide what they were torn across."""
 _HAIR = 1e-6
 """By so much a coordinate may be off a whole number."""
 
@@ -36,7 +34,7 @@ def front_picture(
 ) -> FrontPicture:
     """Return the picture of a scan with colour, moved by a (4, 4) transform, between two corners (2,).
 
-    Triangles that look away are left out, and those that a torn scan has.
+    Triangles that look away are left out, and those of more than 30 mm, which torn scans have across holes.
     """
     columns, rows = (np.ceil((high - low) / step_mm).astype(int) + 1).tolist()
     # Texels are finer than squares: each square is the mean of two looks along both axes.
@@ -44,7 +42,7 @@ def front_picture(
     vertices = transform_points(frame_from_scan, scan.vertices)
     corners = vertices[scan.faces]
     least, most = corners[..., :2].min(1), corners[..., :2].max(1)
-    inside = ((most > low) & (least < high) & (most - least < _LARGEST_FACE_MM)).all(1)
+    inside = ((most > low) & (least < high) & (most - least < 30)).all(1)
     across, beside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     used = np.flatnonzero(inside & (across[:, 0] * beside[:, 1] > across[:, 1] * beside[:, 0]))
     # The first look at a square lies half a square beside its centre, and half a look inward.

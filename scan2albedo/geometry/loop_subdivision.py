@@ -90,11 +90,9 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
 
     .. [1] C. Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
     """
-    corner_edges = np.stack([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]], 1)
-    ends = corner_edges.reshape(-1, 2).astype(np.int64)
-    keys, edge_of, uses = np.unique(
-        ends.min(1) * vertex_count + ends.max(1), return_inverse=True, return_counts=True
-    )
+    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+    numbers = ends.min(1) * vertex_count + ends.max(1)
+    keys, edge_of, uses = np.unique(numbers, return_inverse=True, return_counts=True)
     edges = np.stack([keys // vertex_count, keys % vertex_count], 1)
     edge_of = edge_of.reshape(-1, 3)
     boundary = uses != 2
@@ -104,12 +102,9 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
     columns = np.concatenate([edges[:, 0], edges[:, 1], opposite[inner]])
     weights = np.concatenate([end_weight, end_weight, np.full(inner.sum(), 0.125)])
     edge_rows = sparse.csr_matrix((weights, (rows, columns)), shape=(len(edges), vertex_count))
-    vertex_rows = _one_ring_rule(
-        vertex_count, faces, edges[boundary], lambda n: _n_beta(n) / n, boundary_neighbour=0.125
-    )
-    mid = vertex_count + edge_of
+    vertex_rows = _one_ring_rule(vertex_count, faces, edges[boundary], lambda n: _n_beta(n) / n, 0.125)
     a, b, c = faces.T
-    ab, bc, ca = mid.T
+    ab, bc, ca = (vertex_count + edge_of).T
     children = np.stack([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))], 1)
     return sparse.vstack([vertex_rows, edge_rows]).tocsr(), children.reshape(-1, 3)
 
@@ -126,9 +121,7 @@ def limit_matrix(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     """
     edges, uses = edges_with_faces(faces)
     boundary = edges[uses != 2]
-    return _one_ring_rule(
-        vertex_count, faces, boundary, lambda n: 1 / (0.375 * n / _n_beta(n) + n), boundary_neighbour=1 / 6
-    )
+    return _one_ring_rule(vertex_count, faces, boundary, lambda n: 1 / (0.375 * n / _n_beta(n) + n), 1 / 6)
 
 
 def _one_ring_rule(vertex_count, faces, boundary, weight_of, boundary_neighbour):  # type: ignore[no-untyped-def]
@@ -137,9 +130,8 @@ def _one_ring_rule(vertex_count, faces, boundary, weight_of, boundary_neighbour)
     valence = np.asarray(ring.sum(1)).ravel()
     on_boundary = np.zeros(vertex_count, bool)
     on_boundary[boundary.ravel()] = True
-    weight = np.where(on_boundary, 0.0, weight_of(np.maximum(valence, 1.0)))
     # An unreferenced vertex has no ring and stays where it is.
-    interior = sparse.diags(weight) @ ring
+    interior = sparse.diags(np.where(on_boundary, 0.0, weight_of(np.maximum(valence, 1.0)))) @ ring
     ends = np.concatenate([boundary, boundary[:, ::-1]])
     along = sparse.csr_matrix(
         (np.full(len(ends), boundary_neighbour), (ends[:, 0], ends[:, 1])), shape=(vertex_count, vertex_count)

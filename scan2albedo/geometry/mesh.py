@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 
-FAR_FACTOR, FAR_PERCENT, OBJECT_SHARE = 3.0, 75.0, 0.05
+_OBJECT_SHARE = 0.05
 
 
 def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -154,13 +154,12 @@ def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArra
 def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
     """Return (V,) True for vertices 3 times farther from the median of those `used` than 75 % of them.
 
-    Stereo puts up to a fifth of its vertices far away; the farthest of a head with shoulders lies at 2.1
-    times.
+    Stereo puts up to a fifth of its vertices far away; the farthest of a head with shoulders lies at 2.1.
     """
     far = ~used
     for _ in range(10):
         distance = lengths(vertices - np.median(vertices[~far], axis=0))
-        farther = distance > FAR_FACTOR * np.percentile(distance[~far], FAR_PERCENT)
+        farther = distance > 3 * np.percentile(distance[~far], 75)
         if not (farther & ~far).any():
             break
         far |= farther
@@ -179,7 +178,7 @@ def far_faces(vertices: FloatArray, faces: IntArray) -> BoolArray:
     if not reaching.any() or reaching.all():
         return np.zeros(len(faces), bool)
     part = vertex_components(len(vertices), faces[far[faces].all(1)])
-    return reaching & ~((np.bincount(part) >= OBJECT_SHARE * used.sum())[part] & far)[faces].any(1)
+    return reaching & ~((np.bincount(part) >= _OBJECT_SHARE * used.sum())[part] & far)[faces].any(1)
 
 
 def neighbour_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
@@ -203,6 +202,4 @@ def face_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
 def require_vertices(faces: IntArray, vertex_count: int) -> None:
     """Refuse faces that refer to a vertex that is not there."""
     if len(faces) and not (faces.min() >= 0 and faces.max() < vertex_count):
-        raise IndexError(
-            f"faces refer to vertices {faces.min()} to {faces.max()}, but there are {vertex_count}"
-        )
+        raise IndexError(f"faces refer to vertices {faces.min()} to {faces.max()} of {vertex_count}")

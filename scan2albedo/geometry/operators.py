@@ -13,7 +13,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.loop_subdivision import refine
 
-_WIDEST = 1e3
 MAX_COTANGENT = 5.0
 """Cotangents are clipped to [0, MAX_COTANGENT], so slivers (angles below 11 degrees) stay harmless."""
 
@@ -121,7 +120,7 @@ def surface_diffusion(
         raise ValueError(f"{int((~np.isfinite(vertices)).any(1).sum())} vertices are NaN or infinite")
     area = mesh.vertex_areas(vertices, faces)
     # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
-    deviation = min(float(deviation_mm), _WIDEST * float(np.ptp(vertices, axis=0).max(initial=0.0)))
+    deviation = min(float(deviation_mm), 1e3 * float(np.ptp(vertices, axis=0).max(initial=0.0)))
     mass = np.where(area > 0, area, 1.0)
     system = sparse.diags(mass) + 0.5 * deviation**2 * laplacian(vertices, faces)
     factor = splu(system.tocsc(), permc_spec="COLAMD")
@@ -131,9 +130,7 @@ def surface_diffusion(
         if given.ndim == 0 or len(given) != len(vertices):
             raise ValueError(f"values have shape {given.shape}, expected ({len(vertices)}, ...)")
         if not np.isfinite(given).all():
-            raise ValueError(
-                f"{int((~np.isfinite(given)).sum())} values are NaN or infinite, and would spread"
-            )
+            raise ValueError(f"{int((~np.isfinite(given)).sum())} values are not finite, and would spread")
         flat = given.reshape(len(given), int(np.prod(given.shape[1:])))
         if deviation_mm == 0:
             return given.copy()

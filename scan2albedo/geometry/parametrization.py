@@ -43,9 +43,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     origin, _, packed = atlas.get_mesh(0)
     span = packed.max(0) - packed.min(0)
     if atlas.chart_count != 1 or len(np.unique(origin)) != len(uv) or span.min() <= 0:
-        raise ModelError(
-            f"xatlas packed {atlas.chart_count} charts or lost vertices, expected one whole chart"
-        )
+        raise ModelError(f"xatlas packed {atlas.chart_count} charts or lost vertices, expected one chart")
     # float32 and texel snapping are xatlas's; its scale is kept, the double precision coordinates too.
     uv = 0.5 + (unit - 0.5) * np.minimum(span, 1.0)
     flipped = int(np.sum(signed_areas(uv, index) <= 0))

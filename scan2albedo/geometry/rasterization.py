@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,7 @@ def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[n
                         weights[row, column, 2] = wc
 
 
-def interpolate(
-    raster: Raster, faces: NDArray[np.int64], values: NDArray[np.floating]
-) -> NDArray[np.float64]:
+def interpolate(raster: Raster, faces: IntArray, values: NDArray[np.floating]) -> FloatArray:
     """Return per-vertex `values` (V, ...) interpolated over the raster (H, W, ...), zeros outside."""
     result = np.zeros(raster.face.shape + values.shape[1:])
     inside = raster.covered

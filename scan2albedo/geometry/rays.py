@@ -47,9 +47,7 @@ class RayCaster:
         if bad := int((~np.isfinite(xyz).all(1)).sum()):
             raise ValueError(f"{bad} of {len(xyz)} vertices of the mesh are not finite; repair it first")
         if len(index) and not (index.min() >= 0 and index.max() < len(xyz)):
-            raise ValueError(
-                f"the mesh's faces refer to vertices {index.min()} to {index.max()}, but it has {len(xyz)}"
-            )
+            raise ValueError(f"faces refer to vertices {index.min()} to {index.max()} of {len(xyz)}")
         self._vertices, self._faces = xyz, index
         low, high = xyz.min(0), xyz.max(0)
         self._center = (low + high) / 2

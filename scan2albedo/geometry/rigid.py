@@ -129,8 +129,7 @@ def procrustes(
     """Return the least-squares transform `target_from_source` (4, 4) between points (N, 3) [1]_.
 
     Minimises sum_i w_i |s R x_i + t - y_i|^2 over rotations R, translations t and, when `scale`, s > 0.
-    Raises ValueError for shapes that do not agree, points that are not finite or coincide, and weights of sum
-    0.
+    Raises ValueError for shapes that do not agree, points that are not finite or coincide, and no weight.
 
     .. [1] S. Umeyama, "Least-squares estimation of transformation parameters between two point patterns",
        IEEE PAMI 13(4), 1991.

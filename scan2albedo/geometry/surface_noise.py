@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import neighbour_lists, vertex_areas, vertex_normals
 
-_FEWEST_NEIGHBOURS, _FEWEST_VERTICES = 4, 20
 _NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution, relative to its median absolute deviation."""
 
@@ -30,11 +29,10 @@ class SurfaceNoise:
     def of(cls, vertices: FloatArray, faces: IntArray) -> SurfaceNoise:
         """Measure a mesh (V, 3), (F, 3)."""
         begins, neighbours = neighbour_lists(len(vertices), faces)
-        height = np.einsum(
-            "ij,ij->i", above_neighbours(vertices, begins, neighbours), vertex_normals(vertices, faces)
-        )
+        above, normals = above_neighbours(vertices, begins, neighbours), vertex_normals(vertices, faces)
+        height = np.einsum("ij,ij->i", above, normals)
         degree = np.diff(begins)
-        gap = np.where(degree >= _FEWEST_NEIGHBOURS, height / np.sqrt(1 + 1 / np.maximum(degree, 1)), np.nan)
+        gap = np.where(degree >= 4, height / np.sqrt(1 + 1 / np.maximum(degree, 1)), np.nan)
         return cls(gap, vertex_areas(vertices, faces))
 
     def among(self, chosen: BoolArray) -> tuple[float, float]:
@@ -43,7 +41,7 @@ class SurfaceNoise:
         Robustly about the median, so that neither curvature nor creases count. No noise among few vertices.
         """
         chosen = chosen & np.isfinite(self.gap)
-        if chosen.sum() < _FEWEST_VERTICES:
+        if chosen.sum() < 20:
             return 0.0, 0.0
         gap = self.gap[chosen]
         return float(_NORMAL_MAD * np.median(np.abs(gap - np.median(gap)))), float(self.area[chosen].mean())

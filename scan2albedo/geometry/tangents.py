@@ -43,9 +43,8 @@ def split_at_seams(faces: IntArray, uv: FloatArray, side: IntArray | None = None
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
     kept = first[order]
-    return SplitMesh(
-        faces.ravel()[kept].astype(np.int64), uv.reshape(-1, 2)[kept], rank[corner.reshape(faces.shape)]
-    )
+    vertex = faces.ravel()[kept].astype(np.int64)
+    return SplitMesh(vertex, uv.reshape(-1, 2)[kept], rank[corner.reshape(faces.shape)])
 
 
 @dataclass(frozen=True)
@@ -65,8 +64,7 @@ def tangent_mesh(vertices: FloatArray, faces: IntArray, uv: FloatArray, normals:
     """Return faces (F, 3) of a mesh (V, 3) with frames; `normals` (V, 3) are its vertices'.
 
     `uv` (F, 3, 2) are the places of corners. A vertex's tangent is the mean of the directions in which u
-    grows on its faces, each turned into its plane and weighted by the angle of its corner, as MikkTSpace [1]_
-    does.
+    grows on its faces, each turned into its plane, weighted by its corner's angle as by MikkTSpace [1]_.
 
     .. [1] M. Mikkelsen, "Simulation of Wrinkled Surfaces Revisited", 2008, and glTF 2.0, section 3.7.2.1.
     """

@@ -21,10 +21,7 @@ class ThinnedSurface:
 
     @cached_property
     def boundary(self) -> BoolArray:
-        """(V,) at edges of an odd number of faces.
-
-        Modulo 2 a border is the sum of all faces' borders, which joining vertices keeps.
-        """
+        """(V,) at edges of an odd number of faces: modulo 2 borders add up, which joining vertices keeps."""
         edges, uses = edges_with_faces(self.faces)
         mask = np.zeros(len(self.vertices), bool)
         mask[edges[uses % 2 == 1].ravel()] = True

@@ -40,9 +40,7 @@ def make_folder(path: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise OutputError(
-            f"cannot create the folder {folder}: {one_line(error)}; choose another folder"
-        ) from error
+        raise OutputError(f"cannot create the folder {folder}: {one_line(error)}; choose another") from error
     return folder
 
 

@@ -28,7 +28,6 @@ _KINDS = {
     **dict.fromkeys(("format_version", "region", "labels", "camera", "occluder_faces"), "iu"),
 }
 """Letters of the kinds of dtype that arrays of an archive have; real numbers for all others."""
-_DTYPES = {**dict.fromkeys(_MASKS, bool), **dict.fromkeys(("region", "labels"), np.uint8)}
 
 
 def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
@@ -103,8 +102,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
             letters = _EXR_CHANNELS.get(field, "Y")
             planes = [channels[f"{stored}.{c}"] for c in letters if f"{stored}.{c}" in channels]
             if len(planes) == len(letters):
-                value = np.stack(planes, axis=-1) if len(letters) > 1 else planes[0]
-                arrays[stored] = value.astype(_DTYPES.get(field, value.dtype))
+                arrays[stored] = np.stack(planes, axis=-1) if len(letters) > 1 else planes[0]
     missing = [name for name in ("position_mm", "normal", "mask") if name not in arrays]
     if missing:
         raise GeometryImageError(
@@ -137,9 +135,7 @@ def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float
             )
     image, albedo = read_geometry_image(files[0]), read_image_linear(files[1])
     if not image.mask.any():
-        raise GeometryImageError(
-            f"{files[0]}: its mask is empty, it holds no surface; process the scan again"
-        )
+        raise GeometryImageError(f"{files[0]}: its mask is empty: no surface; process the scan again")
     if albedo.shape[:2] != image.shape:
         raise GeometryImageError(
             f"{files[1]}: has {albedo.shape[:2]} texels and {files[0].name} {image.shape}; they come from "

@@ -168,8 +168,7 @@ def _part(
 
 def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
     """Return (N, 3), or with alpha (N, 4), in [0, 1] from whole integers or floats, not decoded."""
-    top = np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1.0
-    return (colors / top).astype(np.float32)
+    return (colors / (np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1.0)).astype(np.float32)
 
 
 def _skinning_transforms(

@@ -72,8 +72,7 @@ class GltfFile:
         """Raise TooLargeError for a file that declares more than is read, ScanError for unknown compression.
 
         Arrays, pictures and the scene are judged before they are made. Raises MissingDependencyError when the
-        library that decodes the file's compression is not installed; LookupError, TypeError or ValueError for
-        a damaged tree.
+        library that decodes the file's compression is missing; LookupError, TypeError, ValueError for damage.
         """
         tree, name = self.tree, self.path.name
         used, required = tree.get("extensionsUsed", ()), tree.get("extensionsRequired", ())
@@ -125,9 +124,7 @@ class GltfFile:
         for sizes in (meshes, shown):
             totals = [sum(column) for column in zip(*sizes, strict=True)] or [0, 0, 0]
             for (what, limit), count in zip(most.items(), totals, strict=True):
-                limits.require_at_most(
-                    name, f"{what} of all its meshes", count, limit, "decimate or join them"
-                )
+                limits.require_at_most(name, f"{what} of its meshes", count, limit, "decimate or join them")
         # Every picture by its header, and all base colours together.
         colors = set()
         for material in tree.get("materials", ()):

@@ -242,9 +242,7 @@ def write_image(path: str | Path, image: ArrayLike) -> None:
     elif extension in (".png", ".jpg", ".jpeg", ".tif", ".tiff"):
         write_bytes(path, encode_image(image, extension))
     else:
-        raise OutputError(
-            f"{path}: images are written as .png, .jpg, .tif or .exr, not {extension or 'no extension'}"
-        )
+        raise OutputError(f"{path}: images end with .png, .jpg, .tif or .exr, not {extension or 'nothing'}")
 
 
 def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> bytes:
@@ -302,9 +300,7 @@ def _check_rgb(image: NDArray[np.generic]) -> None:
 def picture_pixels(data: bytes, place: str | Path) -> int | None:
     """Return how many pixels a picture has, see `declared_pixels`; TooLargeError for too many."""
     pixels = declared_pixels(data)
-    limits.require_at_most(
-        f"image {place}", "pixels", pixels or 0, limits.PIXELS, "save it with fewer pixels"
-    )
+    limits.require_at_most(f"image {place}", "pixels", pixels or 0, limits.PIXELS, "save fewer pixels")
     return pixels
 
 
@@ -312,8 +308,7 @@ def declared_pixels(data: bytes) -> int | None:
     """Return how many pixels the header of a picture but EXR declares.
 
     Pixels that take more bytes than three 32-bit floats count as several. None when it is none of these, or
-    damaged. `data` may be the picture's beginning. EXR files have a header a part and are judged in
-    `read_exr_channels`.
+    damaged. `data` may be the picture's beginning. `read_exr_channels` judges EXR files.
     """
     readers = {b"\x89PNG\r\n\x1a\n": "Png", b"\xff\xd8": "Jpeg", b"BM": "Bmp"}
     pillows = next((reader for magic, reader in readers.items() if data.startswith(magic)), None)

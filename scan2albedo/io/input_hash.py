@@ -58,5 +58,5 @@ def files_of_scan(path: Path, textures: str | Path | None = None) -> tuple[Path,
     if reader and path.is_file():  # a pipe or a device may never end
         with suppress(TooLargeError):  # load_scan says so
             names = resolve_name(reader)(path, folder)
-    found = [folder.find(name) for name in names]
+    found = map(folder.find, names)
     return (path, *dict.fromkeys(file for file in found if file is not None))

@@ -89,8 +89,7 @@ def read_landmarks(file: str | Path, mm_per_unit: float = 1.0) -> PlacedLandmark
       `landmarks.json` of `process`.
     - ``.pp``: points picked with MeshLab, their names the numbers; inactive ones are left out.
 
-    The points are in the frame and unit, of `mm_per_unit`, of the scan's file. Raises ScanError that names
-    the file and the place.
+    The points are in the frame and unit, of `mm_per_unit`, of the scan's file. Raises ScanError.
     """
     path = Path(file)
     readers = {".csv": _of_table, ".txt": _of_table, ".json": _of_json, ".pp": _of_picked_points}

@@ -18,8 +18,6 @@ JOURNAL = ".publishing.json"
 """Lists the renames of a publication that cannot be a single one, while they last."""
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 _PATTERN = re.compile(r"\..*-([0-9a-f]{6})-(\d+)-[0-9a-f]{8}\.part(\.[^.]*)?")
-_AT_WORK_ELSEWHERE_S = 3600.0
-"""A file of another machine's process is left alone for so long: writing takes seconds."""
 _unfinished: set[Path] = set()
 
 
@@ -82,7 +80,7 @@ def _at_work(path: Path) -> bool:
     host, number = found[1], int(found[2])
     changed = path.stat(follow_symlinks=False).st_mtime
     if host != _HOST:
-        return time.time() - changed < _AT_WORK_ELSEWHERE_S
+        return time.time() - changed < 3600
     try:
         import psutil
     except ImportError:  # of the extra `batch`

@@ -87,9 +87,7 @@ def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None
     if not isinstance(landmarks, str | Path):
         placed = PlacedLandmarks.of(landmarks, scan.mm_per_unit)
     elif landmarks_option(landmarks) == AUTO:
-        raise ScanError(
-            f"landmarks is {landmarks!r}, which is an option of `process`: here, give a file or points"
-        )
+        raise ScanError(f"landmarks is {landmarks!r}, an option of `process`: here, give a file or points")
     elif (file := landmarks_file(landmarks, path)) is not None:
         placed = read_landmarks(file, scan.mm_per_unit)
     else:
@@ -122,9 +120,7 @@ def load_scan_with(
         require_usable(parsed, file.name)
         mesh = repair(parsed)
         if len(mesh.faces) == 0:
-            raise ScanError(
-                f"{file.name}: every face has zero area; the scan holds no surface: export it again"
-            )
+            raise ScanError(f"{file.name}: every face has zero area; it holds no surface: export it again")
         components = vertex_components(len(mesh.vertices), mesh.faces)
         factor, unit_note = decide_unit(mesh, components)
         rounding = rounding_note(mesh.vertices, largest_extent(mesh.vertices, components), factor, file.name)

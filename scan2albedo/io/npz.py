@@ -111,9 +111,8 @@ def read_npz_record(
     `arrays` and `optional` map the names of the arrays to the letters of the kinds of dtype they may have.
     """
     kinds = {**arrays, **(optional or {})}
-    found = read_npz(
-        path, ("header", *arrays), optional=optional or (), what=what, advice=advice, error=error
-    )
+    names = ("header", *arrays)
+    found = read_npz(path, names, optional=optional or (), what=what, advice=advice, error=error)
     header = parse_record(
         str(found.pop("header")), kind, place=f"{what} {path}", whole="the header", advice=advice, error=error
     )

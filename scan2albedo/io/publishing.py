@@ -21,8 +21,7 @@ from scan2albedo.io.leftovers import JOURNAL, finished, hidden_path, keep, remov
 def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
     """Give a new hidden folder to make the files of `target` in, removed when the block ends.
 
-    It is in `home`, beside `target` when omitted, so that `publish` can exchange both; where that fails,
-    in `target` itself.
+    It is in `home`, beside `target` when omitted, so that `publish` can exchange both; else in `target`.
     """
     home = target.parent if home is None else home
     with suppress(FileExistsError):

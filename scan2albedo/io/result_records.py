@@ -28,9 +28,7 @@ class InputRecord(Record):
     """The scan a result was made from."""
 
     file: str | None = Field(None, description="Path as given; null when the scan came from memory.")
-    sha256: str = Field(
-        pattern=SHA256, description="Of the scan file and the files it refers to; see input_sha256."
-    )
+    sha256: str = Field(pattern=SHA256, description="Of the scan and what it refers to; see input_sha256.")
     vertices: int = Field(ge=1, description="After repairs.")
     faces: int = Field(ge=1, description="After repairs.")
     texture_size: tuple[int, int] | None = Field(None, description="Width and height in texels.")
@@ -134,9 +132,7 @@ class ResultRecord(RunRecord):
     environment: Environment | None = Field(
         None, description="The soft light beside the lamps; null is a constant white ambient light of 1."
     )
-    parameters: Figures = Field(
-        description="Of the reflectance model; null is infinite, as a light's distance."
-    )
+    parameters: Figures = Field(description="Of the reflectance model; null is infinite, as a distance.")
     timings_s: dict[str, Number] = Field(description="Wall-clock seconds of each stage.")
     notes: tuple[str, ...] = Field((), description="What loading repaired, and warnings of the stages.")
     template_from_model: Matrix | None = Field(
@@ -179,9 +175,7 @@ class ApplicationRecord(Record):
     inputs: tuple[str, ...] = Field(description="Names of the faces it was made from, in order.")
     options: Figures = Field(description="What the application was called with.")
     model: str = Field(description="Name of the face model whose chart this is.")
-    chart_mesh: bool = Field(
-        description="The surface is the geometry image's texels; there is no other mesh."
-    )
+    chart_mesh: bool = Field(description="The surface is the geometry image's texels: there is no mesh.")
     casts_shadows: bool
     view_direction: tuple[float, float, float] = Field(description="Unit, toward the viewer.")
     shadow_offset_mm: float = Field(ge=0)

@@ -118,9 +118,7 @@ class RunFolder(Generic[Kind]):
                 assert files is not None, f"{self.files.command} writes a folder {below}"
                 folder = self.path / below
                 if folder.is_symlink() and (below or files.whole_folder):
-                    raise OutputError(
-                        f"{folder}: is a link to another folder, and links are not followed; remove it"
-                    )
+                    raise OutputError(f"{folder}: is a link to a folder, which is not followed; remove it")
                 if not os.path.lexists(folder):
                     continue
                 there = [name for name in sorted(os.listdir(folder)) if not is_hidden_path(folder / name)]
@@ -151,14 +149,13 @@ class RunFolder(Generic[Kind]):
         target = Path(os.path.realpath(self.path))
         with cannot_write(self.path), staged(target) as folder:
             yield Staging(folder, self.files)
-            made = {path.name: path.is_dir() for path in folder.iterdir()}
-            unknown = [
-                name for name, is_folder in made.items() if not is_folder and not self.files.holds(name)
-            ]
+            folders = [path.name for path in folder.iterdir() if path.is_dir()]
+            names = {path.name for path in folder.iterdir()}.difference(folders)
+            unknown = [name for name in names if not self.files.holds(name)]
             assert not unknown, f"{self.files.command} writes {unknown}, which OwnFiles does not name"
             with folder_lock(target) as locked:
                 roll_back(target, locked)
-                own = self.check([name for name, is_folder in made.items() if is_folder])
+                own = self.check(folders)
                 publish(folder, target, own, (self.files.record,))
 
     def read(self, error: type[Scan2AlbedoError] = Scan2AlbedoError) -> Kind:

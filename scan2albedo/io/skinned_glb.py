@@ -40,8 +40,7 @@ def write_skinned_glb(
     """Write a mesh with a node at each key point and the weights that tie it to them, as binary glTF 2.0.
 
     A viewer that moves the nodes moves the mesh: v' = sum over k of w_k J_k B_k v, J_k the joint's transform
-    to the world and B_k its inverse when the file was written (Khronos Group, "glTF 2.0 Specification",
-    section 3.7.3).
+    to the world and B_k its inverse when the file was written ("glTF 2.0 Specification", section 3.7.3).
 
     `vertices` and `faces` as in `write_glb`; `keypoints` (K, 3) in mm, NaN for a missing one, which gets no
     node; `weights` (V, K) not negative, rows sum to 1, 0 for missing key points; `parents` (K,) the joint
@@ -53,19 +52,16 @@ def write_skinned_glb(
     Raises OutputError when the folder cannot be written; ValueError for wrong shapes, numbers that are not
     finite, negative weights, weights of missing joints or parents that form a cycle.
     """
-    xyz, index, joints = (
-        np.asarray(a, t) for a, t in ((vertices, float), (faces, np.int64), (keypoints, float))
-    )
-    shares, parent = np.asarray(weights, np.float64), np.asarray(parents, np.int64)
+    xyz, joints, shares = (np.asarray(given, np.float64) for given in (vertices, keypoints, weights))
+    index, parent = np.asarray(faces, np.int64), np.asarray(parents, np.int64)
     count, joint_count = len(xyz), len(names)
-    expected = {
+    for name, (array, shape) in {
         "vertices": (xyz, (count, 3)),
         "faces": (index, (len(index), 3)),
         "keypoints": (joints, (joint_count, 3)),
         "weights": (shares, (count, joint_count)),
         "parents": (parent, (joint_count,)),
-    }
-    for name, (array, shape) in expected.items():
+    }.items():
         if array.shape != shape:
             raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
     if not (np.isfinite(xyz).all() and np.isfinite(shares).all() and len(index)):

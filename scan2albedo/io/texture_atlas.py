@@ -34,10 +34,9 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     """Bring all materials of a mesh into one texture.
 
     A single texture is kept as it is. Several are laid side by side, each with a gutter, and the
-    coordinates follow. Materials without a texture, and faces without coordinates, become a small patch
-    of their base colour, which no picture showed. Coordinates outside [0, 1] repeat the texture, as
-    renderers do: faces are moved by whole periods, and the texture is laid out repeatedly where a face
-    crosses a period's edge.
+    coordinates follow. Materials without a texture, and faces without coordinates, become a small patch of
+    their base colour, which no picture showed. Coordinates outside [0, 1] repeat the texture, as renderers
+    do: faces are moved by whole periods, and where one crosses an edge the texture is laid out repeatedly.
     """
     if mesh.uv is None:
         reason = "the texture was left out: the faces have no texture coordinates"

@@ -93,9 +93,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
         attributes: dict[str, tuple[NDArray[Any], str]] = {}
         if picture is not None:
-            material["pbrMetallicRoughness"]["baseColorTexture"] = file.add_picture(
-                picture.png, name=Path(picture.name).stem
-            )
+            material["pbrMetallicRoughness"]["baseColorTexture"] = file.add_picture(picture.png, name=name)
         if mesh.uv is None:
             vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)
         else:
@@ -104,9 +102,8 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
                 frames = tangent_mesh(mesh.vertices, mesh.faces[chosen], mesh.uv[chosen], normals)
                 split = frames.split
                 attributes["TANGENT"] = (frames.tangents.astype("f4"), "VEC4")
-                material["normalTexture"] = file.add_picture(
-                    picture.normal_png, name=Path(picture.normal_name).stem
-                )
+                stem = Path(picture.normal_name).stem
+                material["normalTexture"] = file.add_picture(picture.normal_png, name=stem)
             vertex, faces = split.vertex, split.faces
             attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
         if picture is None and mesh.vertex_color_linear is not None:

@@ -82,9 +82,8 @@ def glasses_millimetres_per_unit(
 ) -> tuple[float, str]:
     """Return (factor to millimetres, note on unit and size) of a pair of glasses with key points (K, 3).
 
-    Key points, NaN for missing ones, give the size: a screw may hold most of a mesh's vertices. Raises
-    ScanError when it is the size of no glasses in the unit given, or for "auto" in mm, cm or m; ValueError
-    for an unknown unit.
+    Key points, NaN for missing ones, give the size: a screw may hold most of a mesh's vertices. ScanError
+    for the size of no glasses in the unit given, or for "auto" in mm, cm or m; ValueError for another unit.
     """
     known = keypoints[np.isfinite(keypoints).all(axis=1)]
     extent = float(np.linalg.norm(known[:, None] - known, axis=2).max(initial=0.0))

@@ -167,8 +167,7 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     in it. Cost: one nearest-neighbour search a texel.
 
     `environment_linear` (H, W, 3) is radiance; rows from +y down to -y, columns by azimuth from -pi to pi,
-    from +z toward +x. `directions` (K, 3) are of any length but zero. ValueError when an array has the wrong
-    shape, is empty or not finite.
+    from +z toward +x. `directions` (K, 3) are of any length but zero. ValueError for others, or not finite.
 
     .. [1] J. Li et al., "MEGANE: Morphable Eyeglass and Avatar Network", CVPR 2023, supplement, section 6.3.
 

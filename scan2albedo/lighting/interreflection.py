@@ -15,8 +15,6 @@ from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 
 _DIRECTIONS = 128
 """Rays from each patch."""
-_NORMAL_MM = 20.0
-"""Distance that counts as much as a turn of the normal by 1 rad when points are looked up."""
 _CELLS = 24
 """Patches along the longest side of the points, of which they are chosen: some 900 on a face."""
 _NEIGHBOURS, SMALLEST_MM = 4, 0.5
@@ -24,8 +22,8 @@ _NEIGHBOURS, SMALLEST_MM = 4, 0.5
 
 
 def surface_keys(position: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return (N, 6) what distances along a surface are taken between: position in mm and scaled normal."""
-    return np.column_stack([position, _NORMAL_MM * normal])
+    """Return (N, 6) what distances along a surface are taken between: position, and normal times 20 mm."""
+    return np.column_stack([position, 20 * normal])
 
 
 def surface_weights(known: FloatArray, wanted: FloatArray) -> sparse.csr_matrix:

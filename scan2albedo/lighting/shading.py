@@ -45,8 +45,7 @@ class Reflectance:
 class Shading:
     """`light` (N,) = I_a + I_d with I_a = 1, and `specular` (N,) = I_s in the unit of the texture.
 
-    `light_linear` and `specular_linear` (N, 3) are both in the lamps' colours; `lamps` (L, N) is each lamp's
-    part of the light.
+    `light_linear` and `specular_linear` (N, 3) are in the lamps' colours; `lamps` (L, N) each lamp's part.
     """
 
     light: FloatArray

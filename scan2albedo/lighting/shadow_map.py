@@ -55,9 +55,8 @@ class ShadowMap:
         toward = np.asarray(direction, np.float64)
         inverse = 0.0 if math.isinf(distance_mm) else 1 / distance_mm
         result = np.zeros(len(self.position), np.uint8)
-        at, origin, ray = _needed_rays(
-            self.position, self.normal, self._origin, toward, inverse, self._above, result
-        )
+        points = self.position, self.normal, self._origin
+        at, origin, ray = _needed_rays(*points, toward, inverse, self._above, result)
         if self.caster is not None and len(at):
             result[at] = ~self.caster.occluded_local(origin, ray if inverse else toward)
         return result

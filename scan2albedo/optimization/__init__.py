@@ -1,20 +1,11 @@
 """Search for the least cost: simulated annealing and damped least squares."""
 
-from scan2albedo.optimization.annealing import AnnealingResult, simulated_annealing
-from scan2albedo.optimization.least_squares import (
-    Damping,
-    Descent,
-    LeastSquaresPoint,
-    NormalEquations,
-    damped_step,
-    minimize,
-)
+from scan2albedo.optimization.annealing import simulated_annealing
+from scan2albedo.optimization.least_squares import Damping, Descent, NormalEquations, damped_step, minimize
 
 __all__ = [
-    "AnnealingResult",
     "Damping",
     "Descent",
-    "LeastSquaresPoint",
     "NormalEquations",
     "damped_step",
     "minimize",

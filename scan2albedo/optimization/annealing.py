@@ -69,9 +69,7 @@ def simulated_annealing(
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     x = np.clip(np.asarray(start, float), low, high)
     if not (x.shape == low.shape == high.shape and np.all(low <= high)):
-        raise ValueError(
-            f"start {x.shape}, lower {low.shape}, upper {high.shape} must agree with lower <= upper"
-        )
+        raise ValueError(f"start {x.shape}, lower {low.shape}, upper {high.shape} must agree, lower <= upper")
     rng = np.random.default_rng(seed)
     step = (high - low) / 4 if initial_step is None else np.asarray(initial_step, float).copy()
     meter = meter if meter is not None else Meter("annealing", "cost")

@@ -56,8 +56,7 @@ class Damping:
     """How the damping, a factor of the matrix's diagonal, follows the success of the steps.
 
     It starts with `first`, is multiplied by `decrease` after a step that lowered the cost, by `increase`
-    after one that did not, and is at least `least` and `after_failure`; beyond `largest` the state is a
-    minimum.
+    after one that did not, and is at least `least` and `after_failure`; beyond `largest` is a minimum.
     """
 
     first: float = 1e-3

@@ -141,10 +141,8 @@ def probability(candidates: Candidates) -> float:
 
     Against it stand that there is no face, and every other pose of it.
     """
-    best = candidates[0]
-    rivals = [
-        c.log_odds for c in candidates[1:] if c.is_apart(best) and _distance_mm(c, best) <= _OTHER_FACE_MM
-    ]
+    best, *others = candidates
+    rivals = [c.log_odds for c in others if c.is_apart(best) and _distance_mm(c, best) <= _OTHER_FACE_MM]
     return float(expit(best.log_odds - np.logaddexp.reduce([0.0, *rivals])))
 
 
@@ -187,11 +185,10 @@ def proportion_doubts(shape: FloatArray) -> Iterator[PlanStep]:
     off = learned["weights"] @ shape - learned["mean"]
     excess = np.maximum(off / learned["reach"][1], off / learned["reach"][0])
     axis = int(np.argmax(excess[:3]))
-    reasons = {
+    for number, reason in {
         axis: "the scan may be stretched along an axis: its proportions are beyond those of faces measured",
         3: "the unit or scale of the scan may be wrong: its face has another size than adults'",
-    }
-    for number, reason in reasons.items():
+    }.items():
         if excess[number] > 1:
             ratio, low, high = np.exp([off[number], *learned["reach"][:, number]])
             text = (

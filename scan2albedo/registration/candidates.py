@@ -32,14 +32,7 @@ CONVINCING = 4.0
 """Log odds of a face (98 %) beyond which no other pose is refined."""
 _MOST_LOG_ODDS = 8.0
 """No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
-_LOOKED_AT = 3
-"""Candidates of a batch whose evidence is looked at."""
-_OTHER_ROTATION_RAD, _OTHER_POSITION_MM = np.deg2rad(20), 30.0
-_SAME_ROTATION_RAD, _SAME_POSITION_MM = np.deg2rad(3), 3.0
-_OPEN3D_REACH_MM, _OPEN3D_TUKEY_MM, _OPEN3D_STEPS = 20.0, 8.0, 20
-_SCALED_MM = np.geomspace(6.0, 3.0, 15)
-"""Scales of the ICP that also finds the face's size, step by step."""
-_ALLOWED_RMS_MM, _ENOUGH_COVERAGE = 7.0, 0.6
+_ENOUGH_COVERAGE = 0.6
 
 
 @dataclass(frozen=True)
@@ -59,7 +52,7 @@ class Candidate:
     @property
     def likeness(self) -> float:
         """Correlation of the relief times exp(-(rms / 7 mm)^2); 0.9 for the model itself."""
-        return self.relief.local * float(np.exp(-((self.rms_mm / _ALLOWED_RMS_MM) ** 2)))
+        return self.relief.local * float(np.exp(-((self.rms_mm / 7) ** 2)))
 
     @property
     def ranking(self) -> float:
@@ -80,8 +73,8 @@ class Candidate:
         return self.log_odds > CONVINCING
 
     def is_apart(self, other: Candidate) -> bool:
-        """Whether the poses are clearly not the same."""
-        return not self.pose.is_near(other.pose, _OTHER_ROTATION_RAD, _OTHER_POSITION_MM)
+        """Whether the poses are clearly not the same: 20 degrees or 30 mm from each other."""
+        return not self.pose.is_near(other.pose, np.deg2rad(20), 30)
 
 
 Candidates = tuple[Candidate, ...]
@@ -158,14 +151,14 @@ def _sorted(candidates: list[Candidate]) -> Candidates:
 def _with_evidence(
     scan: PreparedScan, template: Template, candidates: Candidates, meter: Meter, landmarks: PlacedPose | None
 ) -> Candidates:
-    """Look at the first `_LOOKED_AT` candidates that are apart from each other, those seen before among them.
+    """Look at the first three candidates that are apart from each other, those seen before among them.
 
     The answer is sorted by the odds, then by the ranking.
     """
     ranked = sorted(candidates, key=lambda c: -c.ranking)
     looked = list[Candidate]()
     for place, candidate in enumerate(ranked):
-        if len(looked) == _LOOKED_AT or (looked and meter.exhausted):
+        if len(looked) == 3 or (looked and meter.exhausted):
             break
         if not all(candidate.is_apart(other) for other in looked):
             continue
@@ -192,9 +185,8 @@ def _batches(
 
     def by_relief(count: int) -> IntArray:
         """Return the first `count` poses in the order of the relief that the scan's normals show there."""
-        relief = [
-            normal_relief(scan.grid, model, poses.rotations[i], poses.translations[i]) for i in range(count)
-        ]
+        first = zip(poses.rotations[:count], poses.translations[:count], strict=True)
+        relief = [normal_relief(scan.grid, model, *pose) for pose in first]
         return np.argsort(-np.array(relief), kind="stable")
 
     first = np.arange(min((candidates + 1) // 2, len(poses)))
@@ -229,10 +221,11 @@ def _with_refined(
             matrix = target.refine(few.samples, pose.rigid())
             pose = Similarity(matrix[:3, :3], matrix[:3, 3])
             meter.count()
-        if any(pose.is_near(other, _SAME_ROTATION_RAD, _SAME_POSITION_MM) for other in refined):
+        if any(pose.is_near(other, np.deg2rad(3), 3) for other in refined):
             continue
         refined.append(pose)
-        pose = icp(scan.samples, few, pose, _SCALED_MM).pose
+        # With the face's size, from a scale of 6 mm to one of 3.
+        pose = icp(scan.samples, few, pose, np.geomspace(6, 3, 15)).pose
         rms_mm = residuals(scan.samples, few.samples, pose).trimmed_rms_mm(few.samples.areas)
         relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
         candidates.append(Candidate(pose, relief, rms_mm))
@@ -257,19 +250,17 @@ class ScanTarget:
     def refine(self, model: OrientedPoints, scan_from_model: FloatArray) -> FloatArray:
         """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model with Tukey's loss.
 
-        On one thread: Open3D adds up its normal equations in the order the threads finish, which would give
-        other bits each time.
+        On one thread: Open3D adds up its equations as threads finish, which would give other bits each time.
         """
         registration = self._open3d.pipelines.registration
-        loss = registration.TukeyLoss(k=_OPEN3D_TUKEY_MM)
         with _one_thread(self._open3d):
             result = registration.registration_icp(
                 self._cloud_of(model),
                 self._cloud,
-                _OPEN3D_REACH_MM,
+                20.0,  # mm
                 scan_from_model,
-                registration.TransformationEstimationPointToPlane(loss),
-                registration.ICPConvergenceCriteria(1e-6, 1e-6, _OPEN3D_STEPS),
+                registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=8.0)),
+                registration.ICPConvergenceCriteria(1e-6, 1e-6, 20),
             )
         return np.array(result.transformation)
 

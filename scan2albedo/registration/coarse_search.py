@@ -15,13 +15,6 @@ from scan2albedo.registration.options import RegistrationOptions
 from scan2albedo.registration.scan_preparation import PreparedScan
 from scan2albedo.registration.template import Template
 
-_ROTATIONS, _CONE_RAD = 200, np.deg2rad(35.0)
-"""Rotations tried at an anchor, and greatest angle of the model's +z axis to the averaged normal there."""
-_ROUNDS = ((60, 4, (20.0, 10.0)), (200, 8, (12.0, 5.0)))
-"""Samples, steps, and first and last scale in mm: of the search from every start, and from the best."""
-_DISTINCT_POSES = 160
-_SAME_ROTATION_RAD, _SAME_POSITION_MM = np.deg2rad(8), 10.0
-
 
 @dataclass(frozen=True)
 class Poses:
@@ -45,10 +38,11 @@ def coarse_poses(
 
     The best `kept_starts` of the first round go on to the second; each start and round is one evaluation.
     """
-    poses = anchored_starts(scan.anchors, template.front, _ROTATIONS)
+    poses = anchored_starts(scan.anchors, template.front, 200)
     # In random order a budget that ends early has still seen starts from all over the scan.
     poses = poses.subset(np.random.default_rng(seed).permutation(len(poses)))
-    for count, steps, sigma_mm in _ROUNDS:
+    # Samples, steps, and first and last scale: of the search from every start, and from the best.
+    for count, steps, sigma_mm in ((60, 4, (20.0, 10.0)), (200, 8, (12.0, 5.0))):
         model, scores = template.first(count).samples, list[FloatArray]()
         rotations, translations = poses.rotations.copy(), poses.translations.copy()
         for begin in range(0, len(poses), 128):
@@ -60,15 +54,15 @@ def coarse_poses(
             meter.count(len(scores[-1]))
         order = np.argsort(-np.concatenate(scores), kind="stable")[: options.kept_starts]
         poses = Poses(rotations[order], translations[order])
-    # Of every group of like poses the first.
-    same_trace, kept, alike = 1 + 2 * np.cos(_SAME_ROTATION_RAD), list[int](), np.zeros(len(poses), bool)
+    # Of every group of like poses, within 8 degrees and 10 mm, the first; at most 160.
+    same_trace, kept, alike = 1 + 2 * np.cos(np.deg2rad(8)), list[int](), np.zeros(len(poses), bool)
     for i in range(len(poses)):
-        if alike[i] or len(kept) == _DISTINCT_POSES:
+        if alike[i] or len(kept) == 160:
             continue
         kept.append(i)
         offset = poses.translations[i + 1 :] - poses.translations[i]
         trace = np.einsum("nij,ij->n", poses.rotations[i + 1 :], poses.rotations[i])
-        near = np.einsum("ni,ni->n", offset, offset) < _SAME_POSITION_MM**2
+        near = np.einsum("ni,ni->n", offset, offset) < 10**2
         alike[i + 1 :] |= near & (trace > same_trace)
     return poses.subset(np.array(kept, np.int64))
 
@@ -76,9 +70,9 @@ def coarse_poses(
 def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: int) -> Poses:
     """Put the model's `front` (3,) on the scan's anchors, in every rotation facing outward there.
 
-    Of `rotation_count` super-Fibonacci rotations those are tried whose +z axis is near the averaged normal.
+    Of `rotation_count` super-Fibonacci rotations those are tried with +z within 35 degrees of the normal.
     """
     rotations = super_fibonacci_rotations(rotation_count)
-    anchor, rotation = np.nonzero(anchors.normals @ rotations[:, :, 2].T >= np.cos(_CONE_RAD))
+    anchor, rotation = np.nonzero(anchors.normals @ rotations[:, :, 2].T >= np.cos(np.deg2rad(35)))
     turned = rotations[rotation]
     return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(anchors.points[anchor] - turned @ front))

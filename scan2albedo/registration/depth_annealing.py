@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,12 +23,15 @@ _REACH = np.array([np.deg2rad(8.0)] * 3 + [8.0] * 2)
 
 @dataclass(frozen=True)
 class AnnealedPose:
-    """What annealing found: the pose, the objective before and at it, and whether the schedule ended."""
+    """What annealing found: the pose, the objective before and at it, and whether the schedule ended.
+
+    The objective is None where it did not run.
+    """
 
     pose: Similarity
-    start_error: float
-    error: float
-    converged: bool
+    start_error: float | None = None
+    error: float | None = None
+    converged: bool = False
 
 
 class DepthDerivativeObjective:
@@ -107,15 +110,12 @@ def anneal_depth_derivatives(
     meter.count()
     meter.record(start_error)
     # The coarse stage measures another objective, so its rows stay out of the trace.
-    rough = simulated_annealing(
-        coarse, here, -_REACH, _REACH, seed=seed, evaluations=half, meter=meter.untraced()
-    )
+    unseen = meter.untraced()
+    rough = simulated_annealing(coarse, here, -_REACH, _REACH, seed=seed, evaluations=half, meter=unseen)
     meter.count(rough.evaluations + 1)
     here = rough.x if fine(rough.x) < start_error else here
-    low, high = here - _REACH / 4, here + _REACH / 4
-    result = simulated_annealing(
-        fine, here, low, high, seed=seed, evaluations=evaluations - half, meter=meter
-    )
+    box, rest = (here - _REACH / 4, here + _REACH / 4), evaluations - half
+    result = simulated_annealing(fine, here, *box, seed=seed, evaluations=rest, meter=meter)
     delta = _moved(result.x, fine.depth_shift_mm(result.x))
     translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
     pose = Similarity(start.rotation @ delta[:3, :3], translation, start.scale)
@@ -127,15 +127,6 @@ def _moved(parameters: FloatArray, z_mm: float) -> FloatArray:
     return compose(rotation_from_vector(parameters[:3]), [parameters[3], parameters[4], z_mm])
 
 
-@dataclass(frozen=True)
-class Annealed:
-    """The pose after annealing (or before, when that was better), its objective and the step of the plan."""
-
-    pose: Similarity
-    depth_error: float | None
-    step: PlanStep
-
-
 def annealed(
     scan: PreparedScan,
     template: Template,
@@ -143,7 +134,7 @@ def annealed(
     options: RegistrationOptions,
     meter: Meter,
     seed: int,
-) -> Annealed:
+) -> tuple[AnnealedPose, PlanStep]:
     """Anneal on depth derivatives when forced, tighten, and keep the answer if the surface is nearer for it.
 
     Left out by default: ICP mostly returns to where it was, and annealing's optimum is as often nearer to the
@@ -157,7 +148,7 @@ def annealed(
     if options.annealing_evaluations == 0:
         reason = "switched off: 0 evaluations"
     if reason:
-        return Annealed(start, None, PlanStep(stage, False, reason))
+        return AnnealedPose(start), PlanStep(stage, False, reason)
     size, count = template.image.frame.size, options.annealing_evaluations
     found = anneal_depth_derivatives(
         scan.vertices, scan.faces, template, start, size=size, evaluations=count, seed=seed, meter=meter
@@ -180,4 +171,5 @@ def annealed(
     )
     verdict = "taken: the surface distance is less" if better else "dropped: the surface is no nearer"
     step = PlanStep(stage, True, f"its pose is {verdict}", evidence)
-    return Annealed(polished, found.error, step) if better else Annealed(start, found.start_error, step)
+    pose, error = (polished, found.error) if better else (start, found.start_error)
+    return replace(found, pose=pose, error=error), step

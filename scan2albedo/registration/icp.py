@@ -17,16 +17,13 @@ from scan2albedo.geometry.rigid import Similarity
 from scan2albedo.registration.template import Template
 
 _SCALE_SD = 0.1
-_FARTHEST_MM, _INLIER_MM = 30.0, 10.0
-_SHAPED_MM, _NARROWING_MM, TIGHT_MM = (4.0, 3.0), (3.0, 1.0), 0.35
+_SHAPED_MM, TIGHT_MM = (4.0, 3.0), 0.35
 """First and last scale of the weights of `shaped_icp` (with noise as in raw stereo, 2 mm scatters more than
-3) and of the tight ICP, and the scale at which that settles."""
+3), and the scale at which the tight ICP settles."""
 FEW, _FEW_STEPS, _MOST_STEPS = 500, 8, 16
 """Samples and steps with few samples; most steps with all of them."""
 _SETTLED = 0.02
 """Step, in degrees or mm, below which nothing more is gained; of the tight ICP a twentieth."""
-_LOOSE = 6.0
-"""Standard deviations that another width, height or depth may have where proportions are judged."""
 _STAGE = "shaped_icp"
 _RIGID_PART, _NOISE_MM = 0.3, 0.25
 """That part of the rigid face is within 0.22 mm on scans of the same person, smiles and open jaws too, and
@@ -51,7 +48,7 @@ class Residuals:
     @property
     def near(self) -> BoolArray:
         """(M,): the scan is within 10 mm."""
-        return self.distance_mm < _INLIER_MM
+        return self.distance_mm < 10
 
     @property
     def inlier(self) -> BoolArray:
@@ -93,7 +90,7 @@ class Residuals:
 def residuals(scan: OrientedPoints, model: OrientedPoints, pose: Similarity) -> Residuals:
     """Measure the model samples at a pose against the scan."""
     points, normals = pose.apply(model.points), model.normals @ pose.rotation.T
-    distance, index = scan.tree.query(points, distance_upper_bound=_FARTHEST_MM)
+    distance, index = scan.tree.query(points, distance_upper_bound=30)
     found = index < len(scan)
     index = np.where(found, index, 0)
     offset, normal = points - scan.points[index], normalized(normals + scan.normals[index])
@@ -120,8 +117,7 @@ def icp(
 
     of the residual r_i along the mean of the normals n_i, m_i (Geman-McClure). The scale takes up that people
     differ in size; when `shaped`, the template's modes how they differ in shape, its stretches with
-    `stretch_sd` standard deviations. The `meter` records the loss at the last scale where it is lower than
-    before.
+    `stretch_sd` standard deviations. The `meter` records the loss at the last scale where it falls.
     """
     samples, weights = template.samples, template.rigidity
     modes = template.modes if shaped else template.modes[:, :, :0]
@@ -142,17 +138,12 @@ def icp(
         trust = measured.trust() * (sigma_mm**2 / (sigma_mm**2 + measured.plane_mm**2)) ** 2
         return Pairs(-measured.offset, measured.normal, trust, noise=sigma_mm)
 
-    steps, known = len(sigmas_mm), np.diag(precision)
-    return align(
-        samples.points, weights, pairs, start, steps=steps, modes=modes, precision=known, settled=settled
-    )
+    given, steps, known = (samples.points, weights, pairs, start), len(sigmas_mm), np.diag(precision)
+    return align(*given, steps=steps, modes=modes, precision=known, settled=settled)
 
 
 def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, meter: Meter) -> Alignment:
-    """Refine a pose with a person's shape.
-
-    A template that cannot change is drawn aside by a smile or an open jaw; this one follows it.
-    """
+    """Refine a pose with a person's shape: one that cannot change is drawn aside by a smile or open jaw."""
     first = np.geomspace(*_SHAPED_MM, _FEW_STEPS)
     shaped = icp(scan, template.first(FEW), start, first, shaped=True, meter=meter)
     last = _MOST_STEPS * [_SHAPED_MM[1]]
@@ -160,9 +151,9 @@ def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, mete
 
 
 def loosely_shaped(scan: OrientedPoints, template: Template, shaped: Alignment) -> Alignment:
-    """Fit the shape further, with the template's stretches hardly held: for judging proportions."""
+    """Fit the shape further, stretches held by six standard deviations: for judging proportions."""
     last = _MOST_STEPS * [_SHAPED_MM[1]]
-    return icp(scan, template.first(FEW), shaped, last, shaped=True, stretch_sd=_LOOSE)
+    return icp(scan, template.first(FEW), shaped, last, shaped=True, stretch_sd=6)
 
 
 def tightened(
@@ -182,7 +173,7 @@ def tightened(
 
     record(start)
     meter.count(_FEW_STEPS)
-    pose = icp(scan, template, start, np.geomspace(*_NARROWING_MM, _FEW_STEPS)).pose
+    pose = icp(scan, template, start, np.geomspace(3, 1, _FEW_STEPS)).pose
     near_mm = residuals(scan, template.samples, pose).quantile_mm(template.rigidity, _RIGID_PART)
     evidence = f"{100 * _RIGID_PART:.0f} % of the rigid face within {near_mm:.2f} mm (limit {_NOISE_MM} mm)"
     if near_mm > _NOISE_MM:

@@ -13,14 +13,11 @@ from scan2albedo.geometry.rigid import Similarity, procrustes, transform_points
 from scan2albedo.registration.coarse_search import Poses
 from scan2albedo.registration.scan_preparation import PreparedScan
 
-_LEAST_AREA_MM2 = 300.0
-"""Of a triangle of landmarks that shows a pose: nearly straight ones leave a turn open."""
 _PERSON_MM, _ELSEWHERE_MM = 6.0, 40.0
 """Standard deviation along an axis between a person's landmarks and the model's in the same pose and size,
 and of a point that has nothing to do with the landmark, but lies on the face."""
 _WRONG = 0.1
 """Part of landmarks that are taken to be wrong."""
-_MOST_AGAINST = -2.0
 _SCALES = (0.6, 1.6)
 
 
@@ -48,7 +45,8 @@ class PlacedPose:
             return []
         corners = np.stack([self.of_model, self.of_scan])[:, every]
         across = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-        wide = np.flatnonzero(0.5 * np.linalg.norm(across, axis=2).min(0) > _LEAST_AREA_MM2)
+        # Nearly straight ones, of less than 300 mm2, leave a turn open.
+        wide = np.flatnonzero(np.linalg.norm(across, axis=2).min(0) > 600)
         if len(wide) > 200:
             wide = wide[np.random.default_rng(0).choice(len(wide), 200, replace=False)]
         return [every[i] for i in wide]
@@ -85,7 +83,7 @@ class PlacedPose:
         odds = float(np.log(_WRONG + (1 - _WRONG) * ratio).sum())
         # A pose with its size has seven numbers: as many coordinates agree with any landmarks.
         coordinates = self.of_model.size
-        return max(odds * max(coordinates - 7, 0) / coordinates, _MOST_AGAINST)
+        return max(odds * max(coordinates - 7, 0) / coordinates, -2.0)
 
     def _squared(self, pose: Similarity) -> FloatArray:
         return np.sum((pose.apply(self.of_model) - self.of_scan) ** 2, axis=1) / _PERSON_MM**2

@@ -104,14 +104,14 @@ def register(
     if best.evidence is not None and not step.ran:
         person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
-    final = annealed(prepared, person, tight, options, annealing, seed)
-    plan += (step, final.step)
+    final, annealed_step = annealed(prepared, person, tight, options, annealing, seed)
+    plan += (step, annealed_step)
     if best.evidence is not None and (shape := shape_of(prepared, model, best.evidence, seed)) is not None:
         plan += tuple(proportion_doubts(shape))
     return Registration(
         model_from_scan=invert_rigid(final.pose.rigid(model.front)) @ prepared.prepared_from_scan,
         rmse_mm=rms_mm(prepared.samples, template, final.pose),
-        depth_error=final.depth_error,
+        depth_error=final.error,
         converged=not any(m.exhausted for m in (meter, closing, annealing)),
         confidence=probability(candidates),
         iterations=meter.evaluations + closing.evaluations + annealing.evaluations,

@@ -21,9 +21,7 @@ _FEWEST_SAMPLES = 60
 _SIZE = 72
 LOOK_THROUGH_MM = 30.0
 """What lies farther before the model is not a face: a hand, a lock of hair."""
-_SAME_SURFACE_MM, _SAME_POINT_MM = 20.0, 10.0
-"""A vertex this near to the depth image is on the surface it shows, however steep and noisy that is."""
-_STEEPEST_SLOPE = 1.5
+_SAME_SURFACE_MM = 20.0
 _SMOOTHING_PIXELS, _WINDOW_PIXELS = 1.5, 4.0
 _FLAT_SLOPE_SQUARED = 0.01
 _NOISE_LEFT = 4.0
@@ -80,8 +78,7 @@ class ReliefAgreement:
 
     `coverage` is the part of the model's features with scan within 20 mm. `local` is the correlation of the
     depth derivatives, less their quadratic trend, averaged over windows of about 3 cm, `whole` that over all
-    windows together. `noise_mm` is that of the scan's vertices, `signal` the part of its slopes' variance
-    that is none.
+    windows together. `noise_mm` is that of the scan's vertices, `signal` the rest of its slopes' variance.
     """
 
     coverage: float
@@ -152,18 +149,17 @@ class FaceImage:
         local = float((weights * window((scan * model).sum(0)) / norm).sum() / max(weights.sum(), 1e-300))
         if noise is None:
             return ReliefAgreement(coverage, local, whole)
-        # Noise of the vertices that lie on the surface which the image shows.
+        # Noise of the vertices that lie on the surface which the image shows: within 10 mm, however steep.
         points = transform_points(model_from_scan, vertices)
         # Far vertices have pixels that no integer holds.
         column, row = np.rint(self.frame.pixels(points)).T
         shown = (column >= 0) & (column < _SIZE) & (row >= 0) & (row < _SIZE)
         at = np.where(common, seen, np.inf)[row[shown].astype(int), column[shown].astype(int)]
-        shown[shown] = np.abs(points[shown, 2] - at) < _SAME_POINT_MM
+        shown[shown] = np.abs(points[shown, 2] - at) < 10
         noise_mm, area_mm2 = noise.among(shown)
         # Variance of blurred slopes (both axes). Of independent depths, one in an area, under a Gaussian
         # blur s it would be noise^2 area / (4 pi s^4).
-        scale = float(np.linalg.norm(model_from_scan[0, :3]))
-        blur_mm = _SMOOTHING_PIXELS * self.frame.pixel / scale
+        blur_mm = _SMOOTHING_PIXELS * self.frame.pixel / float(np.linalg.norm(model_from_scan[0, :3]))
         of_noise = _NOISE_LEFT * noise_mm**2 * area_mm2 / (4 * np.pi * blur_mm**4)
         variance = max(of_scan / float(weights.sum()), _LEAST_VARIANCE)
         # Noise excuses no more than half: most of what it hides is not known to be there.
@@ -181,7 +177,7 @@ class FaceImage:
         relief = np.zeros((2, *mask.shape))
         for image, axis in zip(relief, (1, 0), strict=True):
             slope = np.diff(smooth, axis=axis, append=0.0)[used] / self.frame.pixel
-            slope = np.clip(slope, -_STEEPEST_SLOPE, _STEEPEST_SLOPE)
+            slope = np.clip(slope, -1.5, 1.5)
             image[used] = without_quadratic_trend(slope, position, np.ones(len(slope)))
         return relief, used
 

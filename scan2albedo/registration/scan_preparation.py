@@ -17,12 +17,8 @@ from scan2albedo.geometry.rigid import in_principal_frame
 from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.registration.options import RegistrationOptions
 
-_FEWEST_VERTICES, _FEWEST_SAMPLES = 50, 150
-_FACE_MM, _LARGEST_MM = 200.0, 6000.0
-_ANCHOR_LIMIT = 600
-"""Greatest number of anchors: a scan of a whole room is searched more coarsely."""
-SPACING_MM, _CELL_MM, _MARGIN_MM = 4.0, 6.0, 40.0
-"""Of the samples, and of the grid over them."""
+SPACING_MM = 4.0
+"""Of the samples."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +44,7 @@ class PreparedScan:
     @cached_property
     def grid(self) -> NearestGrid:
         """The voxel grid over the samples."""
-        return NearestGrid.of(self.samples, cell=_CELL_MM, margin=_MARGIN_MM)
+        return NearestGrid.of(self.samples, cell=6, margin=40)
 
     @cached_property
     def noise(self) -> SurfaceNoise:
@@ -67,35 +63,35 @@ def prepared_scan(scan: RawScan, options: RegistrationOptions) -> PreparedScan:
 
     Raises `RegistrationError` when it has too few vertices or too little surface, or is larger than a room.
     """
-    if len(scan.vertices) < _FEWEST_VERTICES:
-        raise RegistrationError(
-            f"{scan.name}: {len(scan.vertices)} vertices cannot show a face, at least "
-            f"{_FEWEST_VERTICES} are needed; scan the whole face"
-        )
+    fewest, face_mm, largest_mm = 50, 200, 6000
+    if (count := len(scan.vertices)) < fewest:
+        advice = f"at least {fewest} are needed; scan the whole face"
+        raise RegistrationError(f"{scan.name}: {count} vertices cannot show a face, {advice}")
     faces = scan.faces[~far_faces(scan.vertices, scan.faces)]
     corners = scan.vertices[faces].reshape(-1, 3)
     longest = float(np.ptp(corners, axis=0).max())
-    power = round(float(np.log10(_FACE_MM / longest))) if longest > 0 else 0
+    power = round(float(np.log10(face_mm / longest))) if longest > 0 else 0
     unit = "Scan the whole face, and check the unit of the file"
     if power:
         unit = (
             "Check the unit of the file: vertices are taken as millimetres "
             f"(multiplied by {10.0**power:g} it would have the size of a face)"
         )
-    if longest > _LARGEST_MM:
+    if longest > largest_mm:
         raise RegistrationError(
-            f"{scan.name}: the scan (box {box_text(corners)}) is too large: a face is about {_FACE_MM:.0f} "
-            f"mm, and it is looked for in at most {_LARGEST_MM / 1000:.0f} m. {unit}"
+            f"{scan.name}: the scan (box {box_text(corners)}) is too large: a face is about {face_mm} "
+            f"mm, and it is looked for in at most {largest_mm // 1000} m. {unit}"
         )
     vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
     samples = oriented_points(vertices, faces, SPACING_MM)
-    if len(samples) < _FEWEST_SAMPLES:
+    if len(samples) < 150:
         raise RegistrationError(
             f"{scan.name}: its surface of {samples.areas.sum():.3g} mm2 (box {box_text(corners)}) is "
-            f"too small for a face of about {_FACE_MM:.0f} mm. {unit}"
+            f"too small for a face of about {face_mm} mm. {unit}"
         )
+    # A scan of a whole room has too many anchors: it is searched more coarsely.
     spacing_mm = options.anchor_spacing_mm
-    far_apart = anchors(samples, spacing=spacing_mm, limit=_ANCHOR_LIMIT, reach=1.5 * spacing_mm)
+    far_apart = anchors(samples, spacing=spacing_mm, limit=600, reach=1.5 * spacing_mm)
     return PreparedScan(vertices, faces, samples, far_apart, prepared_from_scan, scan)
 
 

@@ -17,8 +17,6 @@ from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
 from scan2albedo.registration.relief import FaceImage
 
-_SPACING_MM = 6.0
-_FEWEST_CONTROL_VERTICES = 20
 _WEIGHT_RANGE = (0.2, 3.0)
 
 
@@ -53,13 +51,13 @@ class Template:
         key = (id(model), seed)
         if key in _KNOWN:
             return _KNOWN[key]
-        if len(model.control_vertices) < _FEWEST_CONTROL_VERTICES:
+        if (count := len(model.control_vertices)) < 20:
             raise RegistrationError(
-                f"{model.name}: a model of {len(model.control_vertices)} control vertices has no relief "
-                f"to find a face by; it needs at least {_FEWEST_CONTROL_VERTICES}, better some hundred"
+                f"{model.name}: a model of {count} control vertices has no relief to find a face by; at "
+                "least 20 are needed, better some hundred"
             )
         vertices, faces = model.surface(1)
-        samples = oriented_points(vertices, faces, _SPACING_MM)
+        samples = oriented_points(vertices, faces, 6)
         samples = samples.subset(np.random.default_rng(seed).permutation(len(samples)))
         coarse_vertices, coarse_faces = model.surface(0)
         stiffness, of_face = np.ones(len(coarse_vertices)), model.region_values("stiffness")[model.region]

@@ -21,8 +21,6 @@ _MOST_FACES = 50_000
 """Of more faces of a scan every so-manieth is looked at: they are far smaller than a feature then."""
 _NEAR_MM, _LEAST_SEEN = 8.0, 0.25
 """How near the scan must be, and of how much of the model."""
-_CAPS = (-2.0, 3.0)
-"""Noise, paint or another's picture look like a wrong pose: such textures alone must not refuse a face."""
 
 
 class ColourScorer:
@@ -65,4 +63,5 @@ class ColourScorer:
         texture, seen = np.zeros((*self._covered.shape, 3), np.float32), self._covered.copy()
         texture[self._covered], seen[self._covered] = color, near
         looks = appearance(face_scale * self._points, self._normals, seen, texture, place=self._place)
-        return float(np.clip(looks.log_odds, *_CAPS))
+        # Noise, paint or another's picture look like a wrong pose: they alone must not refuse a face.
+        return float(np.clip(looks.log_odds, -2, 3))

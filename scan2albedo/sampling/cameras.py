@@ -17,8 +17,6 @@ _LEAST_PART, _LEAST_FACES = 0.02, 100
 _OFF = 0.003
 """Median distance, as a part of a piece's span in the texture, by which a camera may miss it. Photographs of
 a stereo scanner have 0.0005, unwrapped surfaces 0.01 and more."""
-_OUTLIER = 4.0
-"""Each fit of a camera is to the corners that the last one missed by less than so many median distances."""
 _RELIEF = 0.02
 """Least thickness of a piece as a part of its length: nothing shows where the camera of a plane stood."""
 _FACING = 0.9
@@ -81,7 +79,7 @@ def _fitted(corners: FloatArray, pixels: FloatArray, normals: FloatArray) -> Flo
     for _ in range(4):
         camera = fit_camera(points[kept], places[kept])
         off = _distances(camera, points, places)
-        kept = off <= _OUTLIER * np.median(off)
+        kept = off <= 4 * np.median(off)
     if not np.median(off) < _tolerance(pixels):
         return None
     facing = np.einsum("ij,ij->i", camera_centers(camera[None])[0] - corners[:, 0], normals) > 0

@@ -95,8 +95,7 @@ def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDAr
     faces = np.where(turned_against_neighbours(faces)[:, None], faces[:, ::-1], faces)
     if len(faces) <= max_faces:
         return vertices, faces
-    # qslim returns nothing for a mesh that is not manifold, as where parts of a scan meet in one vertex, so
-    # such vertices are split first.
+    # qslim returns nothing where parts of a mesh meet in one vertex: such vertices are split first.
     split, source = igl.split_nonmanifold(faces)[:2]
     fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), max_faces, False)
     if len(index) == 0:

@@ -58,10 +58,7 @@ class ChartTexture:
 def texture_on_chart(
     scan: RawScan | None, inside: BoolArray, points: FloatArray, normals: FloatArray, steps: FloatArray
 ) -> ChartTexture:
-    """Return the texture on a chart.
-
-    `points`, `normals` and `steps` of `TextureLookup.sample` are those of the texels `inside` (H, W).
-    """
+    """Return the texture on a chart: of `TextureLookup.sample` at its texels `inside` (H, W)."""
     if scan is None or not scan.has_color:
         return ChartTexture()
     linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
@@ -106,8 +103,7 @@ class TextureLookup:
         """Return what the scan shows of points.
 
         `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
-        on the surface of one texel to the right and one down: the footprint that the photograph is averaged
-        over.
+        on the surface of one texel to the right and one down: the footprint for means of the photograph.
         """
         scan = self.scan
         # The faces near the points, all when none is: indexing the whole scan would cost most.

@@ -26,8 +26,6 @@ from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
 from scan2albedo.templates.from_mesh import DenseTemplate, model_from_surface, project
 from scan2albedo.templates.surface import TemplateSurface, template_surface
 
-_SAME_AXES_DEG = 25.0
-"""Templates look up or down by some degrees; only templates turned further get other axes."""
 _REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""
 _LIPS = ("upper_lip", "lower_lip")
@@ -61,12 +59,10 @@ class AnnotatedFaceModel(AnnotatedSurface):
         The template is mended and turned into the model's axes, its edges are collapsed to about
         `control_size` vertices, and these are moved until the Loop limit surface passes near the template.
         Every template vertex is placed on that surface, so that a fit returns the face in the template's own
-        topology. Regions and landmarks that are not given are carried over from the default model, registered
-        and fitted to the template.
+        topology. Regions and landmarks that are not given come from the default model, fitted to it.
 
         The model is in millimetres, its origin at the centroid of the template's vertices in faces; axes
-        within 25 degrees of the convention's stay. Raises ModelError when the template, the regions or the
-        landmarks cannot be used.
+        within 25 degrees of the convention's stay. Raises ModelError for what cannot be used.
 
         Parameters
         ----------
@@ -103,12 +99,10 @@ class AnnotatedFaceModel(AnnotatedSurface):
         """
         file = Path(path)
         try:
-            parsed = read_mesh_file(file)
+            mesh = read_mesh_file(file)
         except ScanError as error:
             raise ModelError(f"template {error}") from error
-        return cls.from_mesh(
-            parsed.vertices, parsed.faces, parsed.uv, control_size=control_size, name=file.stem
-        )
+        return cls.from_mesh(mesh.vertices, mesh.faces, mesh.uv, control_size=control_size, name=file.stem)
 
     @classmethod
     def _with_fields_of(cls, surface: AnnotatedSurface) -> Self:
@@ -128,9 +122,7 @@ def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFace
     if str(model) == "none":
         return None
     if not Path(model).is_file():
-        raise ModelError(
-            f"{model}: no such file; give a model's JSON file, a template's mesh, 'default' or 'none'"
-        )
+        raise ModelError(f"{model}: no such file; give a model's JSON, a template mesh, 'default' or 'none'")
     if Path(model).suffix.lower() in SUPPORTED_SCANS:
         return AnnotatedFaceModel.from_file(model)
     return AnnotatedFaceModel.load(model)
@@ -161,7 +153,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
     fitted = fit(scan, default, registration)
     rotation, axes = fitted.model_from_scan[:3, :3], "axes as they came"
     degrees = np.degrees(rotation_angle_rad(rotation))
-    if degrees <= _SAME_AXES_DEG:
+    if degrees <= 25:  # templates look up or down by some degrees
         rotation = np.eye(3)
     else:
         axes = f"turned by {degrees:.0f} degrees to x left, y up, z out of the face"
@@ -180,9 +172,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
     if given.regions is None:
         # Each control face gets the region that lies on it.
         first = 1 + max(region.index for region in model.regions.values())
-        added = {
-            name: replace(region, index=first + region.index) for name, region in default.regions.items()
-        }
+        added = {name: replace(own, index=first + own.index) for name, own in default.regions.items()}
         centres = model.control_vertices[model.control_faces].mean(1)
         hits = nearest.query_facing(centres, face_normals(model.control_vertices, model.control_faces))
         carried = (first + fitted.region[is_skin][hits.face]).astype(np.uint8)

@@ -12,7 +12,7 @@ from scan2albedo.errors import ModelError
 from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, without_unreferenced
 from scan2albedo.templates.surface import TemplateSurface, largest_component
 
-MAX_FILLED_LOOP, BACK_OF_HEAD = 600, 0.35
+_BACK_OF_HEAD = 0.35
 
 
 @dataclass(frozen=True)
@@ -20,8 +20,7 @@ class CleanTemplate:
     """A template ready for decimation: one disc, holes filled, counter-clockwise from outside.
 
     `vertices` (K, 3) in mm, origin at the centroid of `all_vertices` (T, 3), the template's own in the same
-    frame; `source` (K,) is the template vertex of each. `filled` (F,) marks faces that close one of the
-    `holes`.
+    frame; `source` (K,) is the template vertex of each. `filled` (F,) marks faces that close `holes`.
     """
 
     vertices: FloatArray
@@ -41,13 +40,12 @@ def clean_template(surface: TemplateSurface, name: str) -> CleanTemplate:
     if not len(boundary_loops(mesh)):
         depth = xyz[:, 2]
         low, high = depth[mesh].min(), depth[mesh].max()
-        front = mesh[(depth[mesh] > low + BACK_OF_HEAD * (high - low)).all(1)]
-        mesh = largest_component(len(xyz), front)
+        mesh = largest_component(len(xyz), mesh[(depth[mesh] > low + _BACK_OF_HEAD * (high - low)).all(1)])
     # Every boundary loop is closed but the one with the greatest length in mm.
     loops = [loop for loop in boundary_loops(mesh) if len(loop) >= 3]
     length = [float(np.linalg.norm(xyz[loop] - xyz[np.roll(loop, 1)], axis=1).sum()) for loop in loops]
     rim = int(np.argmax(length)) if loops else -1
-    holes = [loop for i, loop in enumerate(loops) if i != rim and len(loop) <= MAX_FILLED_LOOP]
+    holes = [loop for i, loop in enumerate(loops) if i != rim and len(loop) <= 600]
     closed = np.concatenate([mesh, *(fill_hole(xyz, mesh, loop) for loop in holes)])
     filled = np.arange(len(closed)) >= len(mesh)
     edges, _ = edges_with_faces(closed)

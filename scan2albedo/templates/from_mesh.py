@@ -13,14 +13,8 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model.annotation import (
-    FILLED_REGION,
-    LANDMARK_LEVELS,
-    REST_REGION,
-    AnnotatedSurface,
-    Region,
-    surface_frames,
-)
+from scan2albedo.face_model import AnnotatedSurface, Region
+from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, REST_REGION, surface_frames
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import adjacency, face_cross_products, vertex_normals
@@ -29,13 +23,9 @@ from scan2albedo.templates.surface import TemplateSurface
 
 LANDMARK_REACH_MM = 30.0
 MAX_REGIONS, MIN_CONTROL_SIZE = 253, 20
-WIDE_OFFSET_MM = 1.0
-NORMAL_WEIGHT_MM = 12.0
-"""Length equivalent to a turn of the normal by one radian when edges are collapsed."""
-SMOOTHNESS, MAX_TARGETS = 0.005, 30_000
+SMOOTHNESS = 0.005
 SAME_UV, UV_SLACK = 1e-6, 1e-3
-"""Corners of a vertex whose texture coordinates differ by less have one place; how far beyond the ten
-tiles of UDIM coordinates may lie."""
+"""Corners whose texture coordinates differ by less have one place; how far they may leave the ten tiles."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +91,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         f"holes filled: {template.holes}" if template.holes > 0 else "",
         f"the surface keeps {off.mean():.1f} mm (mean) and {off.max():.0f} mm (most) from the template; a "
         "greater control_size follows it better"
-        if off.mean() > WIDE_OFFSET_MM
+        if off.mean() > 1
         else "",
         chart_note,
         uv_note,
@@ -186,9 +176,7 @@ def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], 
     """Return the region (T,) of each template vertex, and the regions by name."""
     name, named, count = given.name, dict(given.regions or {}), len(given.vertices)
     if taken := sorted({REST_REGION, FILLED_REGION} & set(named)):
-        raise ModelError(
-            f"{name}: the region name {taken[0]!r} is taken for faces in no region, or over holes; rename it"
-        )
+        raise ModelError(f"{name}: region {taken[0]!r} is taken: faces in none or over holes; rename it")
     if len(named) > MAX_REGIONS:
         raise ModelError(f"{name}: {len(named)} regions given, at most {MAX_REGIONS} fit the region map")
     label, table = np.zeros(count, np.uint8), {REST_REGION: Region(REST_REGION, 0)}
@@ -242,26 +230,22 @@ def _landmarks(
             )
         chosen = template.source[nearest]
     else:
-        raise ModelError(
-            f"{name}: landmarks have shape {given.shape}, expected (68, 3) points or (68,) vertex indices"
-        )
+        raise ModelError(f"{name}: landmarks are {given.shape}, expected (68, 3) points or (68,) indices")
     return SurfacePoints(placed.face[chosen], placed.barycentric[chosen])
 
 
 def decimated(vertices: FloatArray, faces: IntArray, size: int) -> tuple[FloatArray, IntArray]:
     """Return a mesh of about `size` vertices, denser where the surface bends; smaller ones stay as they are.
 
-    Edges collapse shortest first, measured between (position, NORMAL_WEIGHT_MM times normal).
+    Edges collapse shortest first, measured between (position, 12 mm times normal).
     """
     import igl
 
     if len(vertices) <= 1.2 * size:
         return vertices, faces
-    lifted = np.hstack([vertices, NORMAL_WEIGHT_MM * vertex_normals(vertices, faces)])
+    lifted = np.asfortranarray(np.hstack([vertices, 12 * vertex_normals(vertices, faces)]))
     target = int(len(faces) * size / len(vertices))
-    collapsed, index, _, _ = igl.decimate(
-        np.asfortranarray(lifted), np.asfortranarray(faces.astype(np.int32)), target
-    )
+    collapsed, index, _, _ = igl.decimate(lifted, np.asfortranarray(faces.astype(np.int32)), target)
     return np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, np.int64)
 
 
@@ -276,7 +260,7 @@ def fit_limit_surface(
     """
     count = len(start)
     subdivision = LoopSubdivision.of(count, control_faces, 2)
-    chosen = np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), MAX_TARGETS)).astype(int))
+    chosen = np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), 30_000)).astype(int))
     targets, normals = vertices[chosen], vertex_normals(vertices, faces)[chosen]
     ring = adjacency(count, control_faces)
     valence = np.maximum(np.asarray(ring.sum(1)).ravel(), 1)
@@ -293,6 +277,5 @@ def project(
     subdivision: LoopSubdivision, control: FloatArray, points: FloatArray, normals: FloatArray
 ) -> SurfacePoints:
     """Return where on the control faces the limit surface comes closest to points (N, 3) with normals."""
-    surface = subdivision.matrix @ control
-    hits = ClosestPointQuery(surface, subdivision.faces).query_facing(points, normals)
+    hits = ClosestPointQuery(subdivision.matrix @ control, subdivision.faces).query_facing(points, normals)
     return subdivision.control_points(SurfacePoints(hits.face, hits.barycentric))

@@ -8,18 +8,11 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.geometry.mesh import (
-    edges_with_faces,
-    face_areas,
-    face_cross_products,
-    far_faces,
-    vertex_components,
-)
+from scan2albedo.geometry.mesh import edges_with_faces, face_cross_products, far_faces, vertex_components
 from scan2albedo.geometry.rigid import compose
 
 MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
-"""A template with fewer vertices is refused, and one of which a greater share of faces would have to go to
-make it a surface."""
+"""A template with fewer vertices is refused, and one that is a surface only without more of its faces."""
 HEAD_SIZE_MM, _TRIM_PERCENT = (80.0, 600.0), 0.5
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
 
@@ -67,9 +60,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
         raise ModelError(f"{name}: a face refers to vertex {wrong}, but there are {len(given)} vertices")
     used = np.unique(index)
     if len(used) < MIN_VERTICES:
-        raise ModelError(
-            f"{name}: the template has {len(used)} vertices in faces, at least {MIN_VERTICES} needed"
-        )
+        raise ModelError(f"{name}: only {len(used)} vertices in faces, at least {MIN_VERTICES} needed")
     low, high = np.percentile(given[used], [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
     size = float(np.max(high - low))
     least, most = HEAD_SIZE_MM
@@ -88,9 +79,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     if len(welded) == 0 or int(edges_with_faces(welded)[1].max()) > 2:
         welded = _proper(xyz, index)
     if len(welded) == 0:
-        raise ModelError(
-            f"{name}: every face of the template has zero area; it holds no surface: export it again"
-        )
+        raise ModelError(f"{name}: every face has zero area; it holds no surface: export it again")
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
     far = len(used) - len(np.unique(index[~far_faces(xyz, index)]))
@@ -108,7 +97,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
 
 def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
     """Drop faces with a repeated corner, no area, or the same corners as an earlier face."""
-    area = face_areas(xyz, faces)
+    area = np.linalg.norm(face_cross_products(xyz, faces), axis=1)
     good = faces[area > 1e-14 * area.max()]
     _, first = np.unique(np.sort(good, axis=1), axis=0, return_index=True)
     return good[np.sort(first)]
@@ -157,5 +146,4 @@ def _spoilt(faces: IntArray) -> IntArray:
         loose = at_knot & np.isin(keys, key[uses == 1]).any(1)
         return np.flatnonzero(loose if loose.any() else at_knot)
     # Vertices without a face count as pinched, but no face is at them.
-    pinched = np.flatnonzero(~igl.is_vertex_manifold(faces))
-    return np.flatnonzero(np.isin(faces, pinched).any(1))
+    return np.flatnonzero(np.isin(faces, np.flatnonzero(~igl.is_vertex_manifold(faces))).any(1))

@@ -119,5 +119,5 @@ def test_none_and_a_damaged_one_are_told(tmp_path):
     with pytest.raises(BatchError, match="no such file"):
         load_catalogue(tmp_path)
     (tmp_path / "catalogue.parquet").write_bytes(b"PAR1 cut short")
-    with pytest.raises(BatchError, match="not a whole catalogue"):
+    with pytest.raises(BatchError, match="no whole catalogue"):
         load_catalogue(tmp_path)

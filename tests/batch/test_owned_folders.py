@@ -65,7 +65,7 @@ def test_an_edited_result_of_a_batch_is_made_again(scans_in, tmp_path):
     [
         ("batch.json", '{"mine": 1}', "batch.json: .*none of a batch"),
         ("batch.json", "[" * 100_000, "batch.json: "),
-        ("catalogue.parquet", "mine", "is not a whole catalogue"),
+        ("catalogue.parquet", "mine", "is no whole catalogue"),
     ],
 )
 def test_a_record_or_catalogue_of_somebody_else_is_refused(scans_in, tmp_path, file, text, words):
@@ -157,7 +157,7 @@ def test_a_catalogue_that_names_files_elsewhere_is_refused(scans_in, tmp_path, p
     column = table.column_names.index("path_albedo_exr")
     (out / "link").symlink_to(out / "a")
     write_catalogue(out / "catalogue.parquet", table.set_column(column, "path_albedo_exr", [[path]]))
-    with pytest.raises(BatchError, match="which is not a file of a scan in it"):
+    with pytest.raises(BatchError, match="no file of a scan in it"):
         load_albedos(out)
     write_catalogue(out / "catalogue.parquet", table.drop_columns("path_albedo_exr"))
     with pytest.raises(BatchError, match="has no column path_albedo_exr"):

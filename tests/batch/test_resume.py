@@ -91,7 +91,7 @@ def test_a_batch_is_not_begun_over_another(scans_in, tmp_path, no_workers):
 
 def test_two_batches_in_one_folder_are_refused(scans_in, tmp_path):
     layout = Layout(tmp_path / "out")
-    with layout.locked(), pytest.raises(BatchError, match="another batch works in"):
+    with layout.locked(), pytest.raises(BatchError, match="a batch works in"):
         run_batch(scans_in("a"), layout.out, options=TINY, resume=True)
 
 

@@ -161,7 +161,7 @@ def test_raw_scans_from_memory_are_checked():
         RawScan(np.eye(3), [[0, 1, -1]], name="me")
     with pytest.raises(ScanError, match=r"me: vertices has shape \(3, 2\), expected \(any, 3\)"):
         RawScan(np.eye(3)[:, :2], [[0, 1, 2]], name="me")
-    with pytest.raises(ScanError, match=r"me: the scan has no faces \(3 vertices\)"):
+    with pytest.raises(ScanError, match=r"me: no faces \(3 vertices\)"):
         RawScan(np.eye(3), np.zeros((0, 3)), name="me")
 
 

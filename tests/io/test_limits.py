@@ -284,7 +284,7 @@ def minus(tree):
     [
         (doubling, ".* nodes"),
         (circle, "4,097 nodes in its scene"),
-        (repeated, "6,000 primitives of all its meshes"),
+        (repeated, "6,000 primitives of its meshes"),
         (placeholder, "12,000,.* bytes of arrays"),
         (minus, "cannot be read as GLB .*an accessor has -4 elements"),
     ],
@@ -301,7 +301,7 @@ def test_vertices_of_all_instances_count(tmp_path, monkeypatch):
         tree["nodes"] = [{"mesh": 0}] * 3
         tree["scenes"][0]["nodes"] = [0, 1, 2]
 
-    with pytest.raises(TooLargeError, match=r"a\.glb: 12 vertices of all its meshes"):
+    with pytest.raises(TooLargeError, match=r"a\.glb: 12 vertices of its meshes"):
         load_scan(gltf(tmp_path, three))
 
 

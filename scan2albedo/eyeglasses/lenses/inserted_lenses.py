@@ -11,16 +11,8 @@ from numpy.typing import ArrayLike
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.lenses import rims
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens, mirror_on_sphere, refract
-from scan2albedo.eyeglasses.lenses.rims import (
-    LensPlane,
-    LensRim,
-    find_lens_rim,
-    fit_normal,
-    is_covered,
-    pane_faces,
-    refine_lens_rim,
-)
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, Surface
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
@@ -30,8 +22,7 @@ RIMS = [np.flatnonzero([n.startswith(f"{side}_rim_") for n in KEY_POINT_NAMES]) 
 """Numbers of each rim's key points: top, bridge, inner, bottom, outer."""
 _BEHIND = np.array([n.split("_")[1] in ("hinge", "temple", "ear") for n in KEY_POINT_NAMES])
 _GLANCING = 1e-3
-"""Sine of the angle to the lens plane, and mm from the start to the lens, below which a ray does not count as
-passing the lens."""
+"""Sine of the angle to the lens plane, and mm from the start to the lens, below which a ray passes none."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +35,7 @@ class InsertedLens:
 
     side: int
     material: LensMaterial
-    rim: LensRim
+    rim: rims.LensRim
     vertices: FloatArray
     faces: IntArray
     optics: ThinLens
@@ -79,15 +70,15 @@ def insert_lens(
     # Three of the five lie on the nose's side, so their mean would be off.
     guess = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
     try:
-        normal = _viewers_side(fit_normal(marks, vertices), guess, keypoints)
-        rim = find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal)
+        normal = _viewers_side(rims.fit_normal(marks, vertices), guess, keypoints)
+        rim = rims.find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal)
         if len(rim_masks):
-            rim = refine_lens_rim(rim, rim_masks, rim_points=marks)
+            rim = rims.refine_lens_rim(rim, rim_masks, rim_points=marks)
         # The rim's own plane and the area's centroid in it take the place of what they were guessed to be.
         middle = rim.points.mean(0)
         axis = np.linalg.svd(rim.points - middle, full_matrices=False)[2][2]
         axis = axis * np.sign(axis @ rim.normal)
-        plane = LensPlane.at(middle, axis)
+        plane = rims.LensPlane.at(middle, axis)
         x, y = (rim.points - middle) @ plane.across, (rim.points - middle) @ plane.up
         twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
         cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
@@ -97,9 +88,8 @@ def insert_lens(
         if not 5 <= radius <= 100:
             said = f"its mean radius is {radius:.3g} mm, which no lens has"
             raise EyeglassesError(f"{said}; give everything in millimetres, as dioptres depend on it")
-        plane = LensPlane.at(rim.center, rim.normal)
-        outward = plane.directions(plane.angles(rim.points))
-        seated = rim.points + seat_mm * rim.measured[:, None] * outward
+        plane = rims.LensPlane.at(rim.center, rim.normal)
+        seated = rim.points + seat_mm * rim.measured[:, None] * plane.directions(plane.angles(rim.points))
         fan, triangles = lens_mesh(rim.center, seated, rim.normal)
     except EyeglassesError as error:
         raise EyeglassesError(f"the {SIDES[side]} lens: {error}") from error
@@ -131,7 +121,7 @@ def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
     # Where no rim has all of them, the left one says what it lacks.
     for side in [k for k in (0, 1) if np.isfinite(keypoints[RIMS[k]]).all()] or [0]:
         marks = rim_key_points(keypoints, side)
-        front += _viewers_side(fit_normal(marks, vertices), marks.mean(0), keypoints)
+        front += _viewers_side(rims.fit_normal(marks, vertices), marks.mean(0), keypoints)
         up += marks[0] - marks[3]
     front = normalized(front)
     up = normalized(up - (up @ front) * front)
@@ -177,21 +167,18 @@ def lens_mesh(
 def without_glass(
     frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray
 ) -> tuple[Surface, tuple[str, ...]]:
-    """Return a frame without the parts that lie across a lens, and notes.
-
-    Glass of one piece with the rim stays, and a note says so.
-    """
+    """Return a frame without parts across a lens, and notes, also on glass of one piece with the rim."""
     vertices, faces = np.asarray(frame.vertices), np.asarray(frame.faces)
     kept, notes = np.ones(len(faces), bool), []
     for lens in lenses:
-        plane = LensPlane.at(lens.rim.center, lens.rim.normal)
+        plane = rims.LensPlane.at(lens.rim.center, lens.rim.normal)
         marks = rim_key_points(keypoints, lens.side)
-        panes = pane_faces(vertices, faces[kept], plane, marks)
+        panes = rims.pane_faces(vertices, faces[kept], plane, marks)
         if panes.any():
             kept[np.flatnonzero(kept)[panes]] = False
             count = int(panes.sum())
             notes.append(f"the {lens.name}: the frame's own glass there, {count} faces, is left out")
-        if is_covered(vertices, faces[kept], plane, marks):
+        if rims.is_covered(vertices, faces[kept], plane, marks):
             said = "the frame covers it, it seems by glass of one piece with the rim, which may have been"
             notes.append(f"the {lens.name}: {said} taken for the rim; cut it out of the mesh")
     if not kept.all():

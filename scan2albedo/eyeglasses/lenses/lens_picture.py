@@ -12,23 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
-from scan2albedo.eyeglasses.lenses.inserted_lenses import (
-    SIDES,
-    InsertedLens,
-    insert_lens,
-    trace_lenses,
-    without_glass,
-)
+from scan2albedo.eyeglasses.lenses import inserted_lenses as inserted
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.scene_colors import LitScene, PhotographedScene, SceneColors
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
-from scan2albedo.geometry.pinhole import (
-    camera_centers,
-    normalized_cameras,
-    pixel_directions,
-    pixel_grid,
-    project,
-)
+from scan2albedo.geometry import pinhole
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.lighting.environment import DistantLights
 
@@ -65,7 +53,7 @@ class LensPicture:
     """(H, W) the lens that a pixel's centre sees first: 0 the wearer's left, 1 the right, -1 none."""
     unknown: BoolArray
     """(H, W) True where a lens shows what the photograph does not, and the colour is a guess."""
-    lenses: tuple[InsertedLens, ...]
+    lenses: tuple[inserted.InsertedLens, ...]
     """With their rims and meshes."""
     notes: tuple[str, ...]
     """What was left out or filled in, a sentence each."""
@@ -131,7 +119,7 @@ def insert_lenses(
     surfaces and lenses cast shadows; in photographs none do, whose background counts as far away. Light does
     not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
     """
-    matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
+    matrix = pinhole.normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     photograph = None if picture_linear is None else checked_image("picture_linear", picture_linear)
     around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
     if (shape is None) == (photograph is None):
@@ -155,14 +143,14 @@ def insert_lenses(
     given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
     seat: dict[str, Any] = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
-    placed = tuple(insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
-    bare, glass_notes = without_glass(frame, placed, marks)
+    placed = tuple(inserted.insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
+    bare, glass_notes = inserted.without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
     # The rows and columns of the pixels that may see a lens, with one to spare around them.
     size = np.array([width, height], np.float64)
     low, high = np.zeros(2), np.zeros(2)
     if placed:
-        pixels, depth = project(matrix, np.concatenate([lens.vertices for lens in placed]))
+        pixels, depth = pinhole.project(matrix, np.concatenate([lens.vertices for lens in placed]))
         if (depth > 0).all():
             low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
         elif (depth > 0).any():
@@ -204,7 +192,7 @@ def insert_lenses(
     if lost := int(unknown.sum()):
         notes.append(f"{lost} pixels show in a lens what the photograph hides; their colours are guesses")
     if not placed:
-        notes.append(f"no lens is given, neither {SIDES[0]} nor {SIDES[1]}")
+        notes.append(f"no lens is given, neither {inserted.SIDES[0]} nor {inserted.SIDES[1]}")
     if around is None and any(lens.material.beta > 0 or lens.material.fresnel for lens in placed):
         notes.append("no environment is given: lenses mirror surfaces only, and black")
     return LensPicture(image, without, seen, unknown, placed, tuple(notes))
@@ -241,7 +229,7 @@ class _View:
     """A normalised camera (3, 4) before a scene with lenses, which only pixels of a region may see."""
 
     scene: LensScene
-    lenses: Sequence[InsertedLens]
+    lenses: Sequence[inserted.InsertedLens]
     colors: SceneColors
     camera: FloatArray
     region: Window
@@ -250,7 +238,7 @@ class _View:
         """Return the pixels of a window; colours of those on edges are means of n x n rays."""
         rows, columns = window
         shape = rows.stop - rows.start, columns.stop - columns.start
-        pixels = pixel_grid(shape) + [columns.start, rows.start]
+        pixels = pinhole.pixel_grid(shape) + [columns.start, rows.start]
         once = self._rays(pixels)
         # Edges: pixels whose ray differs from a neighbour's in lens, surface or distance.
         kind = (once.lens + (once.surface + 1) * 4).reshape(shape)
@@ -283,13 +271,13 @@ class _View:
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
             joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
             return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
-        scene, center = self.scene, camera_centers(self.camera[None])[0]
-        straight = scene.rays(center, pixel_directions(self.camera, pixels), pixels)
+        scene, center = self.scene, pinhole.camera_centers(self.camera[None])[0]
+        straight = scene.rays(center, pinhole.pixel_directions(self.camera, pixels), pixels)
         rows, columns = self.region
         cell = np.floor(pixels + 0.5)
         inside = (cell >= [columns.start, rows.start]) & (cell < [columns.stop, rows.stop])
         near = np.flatnonzero(inside.all(1))
-        paths = trace_lenses(scene, self.lenses, straight.chosen(near))
+        paths = inserted.trace_lenses(scene, self.lenses, straight.chosen(near))
         bent = np.flatnonzero(paths.bent)
         reflecting = [np.flatnonzero(crossings.mirror_share.any(1)) for crossings in paths.crossings]
         mirrored = [

@@ -83,9 +83,7 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     flat = np.abs(height) <= _GRAZING * np.linalg.norm(from_center, axis=1)
     if flat.any():
         share = f"{int(flat.sum())} of {len(flat)} rays"
-        raise EyeglassesError(
-            f"the camera lies in the plane of the lens ({share}); move it, or leave this lens out"
-        )
+        raise EyeglassesError(f"the camera lies in the lens plane ({share}); move it, or leave this lens out")
     heading = normalized(through - origins)
     approach = -np.sign(height) * (heading @ normal)
     astray = np.flatnonzero(approach <= _GRAZING)

@@ -98,8 +98,7 @@ def fit_normal(rim_points: FloatArray, vertices: FloatArray) -> FloatArray:
 
     The temples are behind the lenses, so the viewer is on the side that holds less of the frame.
     """
-    offset = rim_points - rim_points.mean(0)
-    _, spread, axes = np.linalg.svd(offset, full_matrices=False)
+    _, spread, axes = np.linalg.svd(rim_points - rim_points.mean(0), full_matrices=False)
     if len(rim_points) < 3 or spread[1] <= _FLAT * spread[0]:
         raise EyeglassesError("rim points on one line hold no lens plane; give three or more around the lens")
     behind = (vertices - rim_points.mean(0)) @ axes[2]
@@ -127,13 +126,12 @@ def pane_faces(
         rest = kept & ~panes
         if not panes.any() or not rest.any():
             break
-        if rim_points is not None:
+        reach = np.linalg.norm(vertices[faces[panes].ravel()] - plane.center, axis=1).max()
+        if rim_points is not None and reach > _OUTER * radius:
             # The frame itself is larger than one lens, and without it there is no rim.
-            reach = np.linalg.norm(vertices[faces[panes].ravel()] - plane.center, axis=1).max()
-            if reach > _OUTER * radius:
-                apart = ClosestPointQuery(vertices, faces[rest]).query(rim_points).distance
-                if (apart > _AT_RIM * radius).mean() > 0.5:
-                    break
+            apart = ClosestPointQuery(vertices, faces[rest]).query(rim_points).distance
+            if (apart > _AT_RIM * radius).mean() > 0.5:
+                break
         kept = rest
     return ~kept
 
@@ -245,8 +243,7 @@ def find_lens_rim(
         # Gaps get the outline's shape, joined to what was measured at both their ends.
         if measured.any():
             for values, shape in zip(shot, filled, strict=True):
-                rest = (values - shape)[measured]
-                shape += np.interp(angles, angles[measured], rest, period=2 * np.pi)
+                shape += np.interp(angles, angles[measured], (values - shape)[measured], period=2 * np.pi)
         shot = np.where(measured, shot, filled)
     return LensRim(plane.points(angles, shot), measured, gaps, middle, plane.normal)
 
@@ -327,8 +324,7 @@ def subdivide_rim(
     """Return the profile (2, R) of an outline through rim points (K, 3), K >= 3, at ascending angles (R,).
 
     Each level puts a point into the middle of every edge, by the four-point rule (9 (b + c) - a - d) / 16
-    [1]_, and moves it to the closest vertex of the frame if there is one near: up to 4.5 mm off the inner
-    edge on synthetic frames.
+    [1]_, and moves it to the closest vertex of the frame if one is near: up to 4.5 mm off on drawn frames.
 
     .. [1] N. Dyn, D. Levin, J. A. Gregory, "A 4-point interpolatory subdivision scheme for curve design",
        Computer Aided Geometric Design 4, 1987, equation 1.2 with w = 1/16.

@@ -245,8 +245,7 @@ class PhotographedScene:
         assert straight.pixels is not None
         last = np.array(self._picture.shape[1::-1]) - 1
         column, row = np.clip(np.round(straight.pixels).astype(np.int64), 0, last).T
-        own = RayColors.known(self._picture[row, column])
-        return [own, self.seen(bent), *map(self.mirrored, mirrored)]
+        return [RayColors.known(self._picture[row, column]), self.seen(bent), *map(self.mirrored, mirrored)]
 
     def seen(self, rays: SceneRays) -> RayColors:
         """Return what the photograph shows at the ends of rays, and where it does not."""
@@ -268,8 +267,7 @@ class PhotographedScene:
                     way = pixel_directions(self._camera, np.stack([column, row], 1))
                     ends = self._scene.rays(self._center, way)
                     met = np.flatnonzero(ends.hits.face >= 0)
-                    colored = self._picture[row[met], column[met]]
-                    self._known[number] = cKDTree(ends.chosen(met).ends), colored
+                    self._known[number] = cKDTree(ends.chosen(met).ends), self._picture[row[met], column[met]]
                 tree, shown = self._known[number]
                 if len(shown):
                     colors[lost] = shown[tree.query(position[lost])[1]]
@@ -316,14 +314,12 @@ class PhotographedScene:
 
     def _sample(self, pixels: FloatArray, labels: IntArray) -> tuple[FloatArray, BoolArray]:
         """Return bilinear colours (N, 3) from pixels of the given labels, and where there are any."""
-        limit = np.array(self._labels.shape[::-1]) - 1
         at = np.where(np.isfinite(pixels), pixels, -1.0)
-        inside = np.asarray(((at >= 0) & (at <= limit)).all(1))
+        inside = np.asarray(((at >= 0) & (at <= np.array(self._labels.shape[::-1]) - 1)).all(1))
         total = np.zeros((len(at), 4))
         for number in np.unique(labels):
             own, wanted = (self._labels == number)[..., None], labels == number
-            parts = np.concatenate([own * self._picture, own], 2)
-            total[wanted] = bilinear(parts, at[wanted])
+            total[wanted] = bilinear(np.concatenate([own * self._picture, own], 2), at[wanted])
         share = total[:, 3]
         return total[:, :3] / np.where(share > 0, share, 1.0)[:, None], inside & (share >= _LEAST_SHARE)
 

@@ -138,8 +138,7 @@ class LensScene:
         size = np.linalg.norm(flat, axis=1) * np.linalg.norm(smooth, axis=1)
         believed = np.abs(agreement) > _SMOOTH * size
         normal = normalized(np.where(believed[:, None], np.sign(agreement)[:, None] * smooth, flat))
-        away = np.einsum("nc,nc->n", flat, rays.directions) > 0
-        return np.where(away[:, None], -normal, normal)
+        return np.where((np.einsum("nc,nc->n", flat, rays.directions) > 0)[:, None], -normal, normal)
 
     def albedo(self, rays: SceneRays) -> FloatArray:
         """Return (N, 3) linear albedo where rays that all hit end."""

@@ -23,8 +23,7 @@ _STRETCH = 0.001
 _SCALE = 0.01
 """Part by which the whole frame is usually too large or too small, as a mesh that somebody measured."""
 _RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
-"""How much neighbouring key points are usually turned against each other: of a rim, across the bridge, of
-hinges and temples."""
+"""How much neighbouring key points are usually turned against each other: of rims, bridge, and temples."""
 _RIGID_MM = 1e-3
 """Deviation of the rigid part of the shifts, which the frame's own motion stands for."""
 _BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
@@ -137,8 +136,7 @@ class FrameMotion:
     @property
     def _placement(self) -> tuple[FloatArray, ...]:
         filled = np.where(self.known[:, None], self.keypoints, self.center)
-        turns = np.ascontiguousarray(self.handles[:, :3, :3])
-        return turns, filled, self.state.rotation, self.state.origin
+        return np.ascontiguousarray(self.handles[:, :3, :3]), filled, self.state.rotation, self.state.origin
 
     @cached_property
     def turns(self) -> FloatArray:
@@ -206,8 +204,7 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     turn_rad = np.where(_BRIDGE[bones].all(1), _BRIDGE_TURN_RAD, _RIM_TURN_RAD)
     turn_rad = np.where(_TEMPLE[bones].any(1), _TEMPLE_TURN_RAD, turn_rad)[:, None]
     rotations = motion.handles[:, :3, :3]
-    relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])
-    turn = Rotation.from_matrix(relative).as_rotvec() / turn_rad
+    turn = Rotation.from_matrix(np.einsum("bij,blj->bil", rotations[j], rotations[k])).as_rotvec() / turn_rad
     turns = motion.turns.reshape(len(rotations), 3, -1)
     turn_rows = ((turns[j] - turns[k]) / turn_rad[:, None]).reshape(3 * len(bones), -1)
     # Rigid motions of the shifts; key points that the frame lacks stay where they are.
@@ -216,8 +213,7 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     about = np.cross(arm[:, None], np.eye(3)) / np.linalg.norm(arm, axis=1).mean()
     rigid_rows = np.concatenate([moves, about], 2) * motion.known[:, None, None]
     rigid_rows = rigid_rows.transpose(2, 0, 1).reshape(6, -1) / _RIGID_MM / motion.known.sum()
-    still = np.eye(rigid_rows.shape[1])[np.repeat(~motion.known, 3)]
-    rigid_rows = np.concatenate([rigid_rows, still])
+    rigid_rows = np.concatenate([rigid_rows, np.eye(rigid_rows.shape[1])[np.repeat(~motion.known, 3)]])
     rigid = rigid_rows @ motion.state.shifts.ravel()
     rows = np.concatenate([stretch_rows, turn_rows, rigid_rows])
     return np.concatenate([stretch, turn.ravel(), rigid]), np.pad(rows, ((0, 0), (RIGID, 0)))

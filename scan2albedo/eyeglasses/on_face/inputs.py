@@ -12,13 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import (
-    KEY_POINT_COUNT,
-    KEY_POINT_NAMES,
-    checked_keypoints,
-    checked_mesh,
-    checked_weights,
-)
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_mesh, checked_weights
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
@@ -165,10 +159,10 @@ def checked_inputs(
             raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
     labels, matrices = np.asarray(keypoints_2d, np.float64), normalized_cameras(cameras)
     count = len(matrices)
-    if labels.shape != (count, KEY_POINT_COUNT, 2) or count == 0:
+    if labels.shape != (count, len(KEY_POINT_NAMES), 2) or count == 0:
         raise ValueError(
-            f"keypoints_2d must have shape (C, {KEY_POINT_COUNT}, 2) for C cameras of shape (C, 3, 4), got "
-            f"{labels.shape} and {matrices.shape}"
+            f"keypoints_2d must have shape (C, {len(KEY_POINT_NAMES)}, 2) for C cameras of shape (C, 3, 4), "
+            f"got {labels.shape} and {matrices.shape}"
         )
     given_masks: list[Any] = [None] * count if masks is None else list(masks)  # type: ignore[arg-type]
     for name, listed in (("masks", given_masks), ("shapes", shapes), ("pictures", pictures)):
@@ -188,17 +182,13 @@ def checked_inputs(
         picture = None if pictures is None or pictures[number] is None else np.asarray(pictures[number])
         if picture is not None:
             if picture.ndim != 3 or picture.shape[2] != 3 or shape not in (None, picture.shape[:2]):
-                raise ValueError(
-                    f"picture {number} has shape {picture.shape}, expected its view's (H, W, 3): {shape}"
-                )
+                raise ValueError(f"picture {number} has shape {picture.shape}, expected (H, W, 3) of {shape}")
             if not np.isfinite(picture).all():
                 raise EyeglassesError(f"picture {number} holds numbers that are not finite")
             shape = picture.shape[:2]
         if mask is not None:
             if mask.ndim != 2 or min(mask.shape) < 2:
-                raise ValueError(
-                    f"mask {number} must have shape (H, W) of 2 pixels or more, got {mask.shape}"
-                )
+                raise ValueError(f"mask {number} must have shape (H, W), of 2 pixels or more: {mask.shape}")
             outside = ((found < -0.5) | (found > np.array(mask.shape[::-1]) - 0.5)).any(1)
             if len(found) and outside.mean() > 0.5:
                 raise EyeglassesError(
@@ -231,6 +221,5 @@ def checked_inputs(
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
     frame = vertices / unit, faces, keypoints / unit, weights
-    return RegistrationInputs(
-        *frame, tuple(views), tuple(checked), tuple(shown), skull, pose, unit, tuple(plan)
-    )
+    seen = tuple(views), tuple(checked), tuple(shown)
+    return RegistrationInputs(*frame, *seen, skull, pose, unit, tuple(plan))

@@ -71,8 +71,7 @@ def fit_lenses_to_masks(
         corners = np.vstack([rim, rim[:1]])
         way = np.linspace(0, len(rim), 24, endpoint=False)
         edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
-        steps_out = np.arange(2, 13)[:, None, None] / 20
-        places = (rim.mean(0) + steps_out * (edge - rim.mean(0))).reshape(-1, 3)
+        places = (rim.mean(0) + np.arange(2, 13)[:, None, None] / 20 * (edge - rim.mean(0))).reshape(-1, 3)
         shares = np.full(count, np.nan)
         for view, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
             if mask is not None:
@@ -115,10 +114,9 @@ def fit_lenses_to_masks(
             for number in np.flatnonzero(shown):
                 extra[number].append(faces)
             steps.append(PlanStep("glasses.lenses", True, f"{reason}: a flat one is put in", evidence))
-    faces_of = tuple(np.concatenate([mesh.faces[kept[n]], *extra[n]]) for n in range(count))
     if not steps:
         steps = [PlanStep("glasses.lenses", False, "masks and mesh agree on lenses, or have none")]
-    return added, faces_of, steps
+    return added, tuple(np.concatenate([mesh.faces[kept[n]], *extra[n]]) for n in range(count)), steps
 
 
 def _views(which: BoolArray) -> str:

@@ -11,13 +11,8 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.on_face.frame_motion import (
-    RIGID,
-    FrameMotion,
-    FrameState,
-    SkinnedPoints,
-    bend_prior,
-)
+from scan2albedo.eyeglasses.on_face import frame_motion
+from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, ObservedView, OutlineSamples
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -76,8 +71,7 @@ class HeadContact:
 
     def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
         """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
-        place = motion.positions(self._front)
-        hits = self._query.query(place)
+        hits = self._query.query(motion.positions(self._front))
         toward = viewers.mean(0) - hits.points
         if np.einsum("ni,ni->n", self._normals[hits.face], toward).sum() < 0:
             self._normals = -self._normals
@@ -86,8 +80,7 @@ class HeadContact:
         """Choose the vertices that may touch next."""
         if len(self._front.rest) > _CANDIDATES:
             distance = self._query.query(motion.positions(self._front)).distance
-            nearest = np.argpartition(distance, _CANDIDATES)[:_CANDIDATES]
-            self._candidates = self._front[nearest]
+            self._candidates = self._front[np.argpartition(distance, _CANDIDATES)[:_CANDIDATES]]
 
     def __bool__(self) -> bool:
         return len(self._front.rest) > 0
@@ -160,7 +153,7 @@ class RegistrationObjective:
             cost, gradient, matrix = sums.cost, sums.gradient[:RIGID], sums.matrix[:RIGID, :RIGID]
         else:
             gradient, matrix = motion.chained(sums.gradient, sums.matrix)
-            value, rows = bend_prior(motion)
+            value, rows = frame_motion.bend_prior(motion)
             cost = sums.cost + float(value @ value)
             gradient, matrix = gradient + rows.T @ value, matrix + rows.T @ rows
         return Linearization(cost, gradient, matrix, labels_px, outline_px)
@@ -186,9 +179,8 @@ class RegistrationObjective:
             np.add.at(matrix, mark, np.einsum("n,nki,nkj->nij", weight, slopes, slopes))
             np.add.at(pull, mark, np.einsum("n,nki,nk->ni", weight, slopes, residual))
             offset = -np.asarray(np.linalg.solve(matrix + prior, pull[:, :, None])[:, :, 0], np.float64)
-        inverse = np.linalg.inv(matrix + prior)
         # What is left of each key point's sums without its offset, as three values along the matrix's axes.
-        values, axes = np.linalg.eigh(matrix - matrix @ inverse @ matrix)
+        values, axes = np.linalg.eigh(matrix - matrix @ np.linalg.inv(matrix + prior) @ matrix)
         # Less than rounding leaves, of labels in standard deviations a mm, says nothing.
         size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(np.finfo(float).eps)
         along = np.einsum("nji,nj->ni", axes, -offset / _OFFSET_MM**2)

@@ -78,8 +78,7 @@ def search_edges(
     edge = 0.5  # from the mask's outermost pixels
     farthest = int(np.ceil(reach_px.max()))
     ways = np.arange(-farthest, farthest + 1.0)
-    places = pixels[:, None] + ways[:, None] * outward[:, None]
-    value, slope = distance.sample(places.reshape(-1, 2))
+    value, slope = distance.sample((pixels[:, None] + ways[:, None] * outward[:, None]).reshape(-1, 2))
     value = value.reshape(len(pixels), -1)
     along = np.einsum("nki,ni->nk", slope.reshape(*value.shape, 2), outward)
     steep = along >= _FACING * np.linalg.norm(slope.reshape(*value.shape, 2), axis=2)
@@ -87,8 +86,7 @@ def search_edges(
         leaves = (value[:, :-1] <= edge) & (value[:, 1:] > edge) & (steep[:, :-1] | steep[:, 1:])
     share = (edge - value[:, :-1]) / np.where(leaves, value[:, 1:] - value[:, :-1], 1.0)
     way = np.where(leaves, ways[:-1] + share - edge, np.inf)
-    nearest = np.abs(way).argmin(1)
-    found = way[np.arange(len(way)), nearest]
+    found = way[np.arange(len(way)), np.abs(way).argmin(1)]
     within = np.abs(found) <= reach_px
     result[within] = found[within]
     return result
@@ -328,8 +326,7 @@ class OutlineSampler:
                 # A stretch of the frame is there or hidden: what is found of a hidden one is something else.
                 kept = kept[share[number, owner_of[kept]] > 0.5]
             rest, weights = (seen.chosen(kept).interpolated(a) for a in (points.rest, points.weights))
-            own = np.full(len(kept), number), rest, weights, edges[kept], outward[kept], noise[kept]
-            parts.append(own)
+            parts.append((np.full(len(kept), number), rest, weights, edges[kept], outward[kept], noise[kept]))
         columns = zip(*parts, strict=True)
         number_of, rest, weights, edges, outward, noise = (np.concatenate(part) for part in columns)
         return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward, noise, share)

@@ -14,37 +14,12 @@ from threadpoolctl import threadpool_limits
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
+from scan2albedo.eyeglasses.on_face import inputs, objective, outline, start_poses
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
-from scan2albedo.eyeglasses.on_face.inputs import (
-    FaceRegistrationOptions,
-    RegisteredEyeglasses,
-    RegistrationInputs,
-    checked_inputs,
-)
+from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.lens_panes import fit_lenses_to_masks
-from scan2albedo.eyeglasses.on_face.objective import (
-    FrameEstimate,
-    HeadContact,
-    RegistrationObjective,
-    descend,
-)
-from scan2albedo.eyeglasses.on_face.outline import (
-    REACH_PX,
-    FrameMesh,
-    ObservedView,
-    OutlineSampler,
-    color_odds,
-    grouped_colors,
-)
+from scan2albedo.eyeglasses.on_face.objective import FrameEstimate, RegistrationObjective, descend
 from scan2albedo.eyeglasses.on_face.report import WORN_MM, depth_open, mark_deviations, report
-from scan2albedo.eyeglasses.on_face.start_poses import (
-    LEANS_RAD,
-    place_in_pictures,
-    poses_on_face,
-    require_unmirrored,
-    starting_poses,
-    states_of,
-)
 from scan2albedo.eyeglasses.weights import solve_weights
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.geometry.rays import RayCaster
@@ -52,8 +27,7 @@ from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.thinning import thinned
 
 _RESOLUTION_MM = 2.0
-"""Deviation of depth up to which a frame need not rest on the nose, and cells in which the head's vertices
-are joined."""
+"""Deviation of depth up to which a frame need not rest on the nose; cells that join the head's vertices."""
 
 _FOUND = 0.9
 """Share of the front's outline from which a frame counts as found in pictures: they show .96 and more of one
@@ -120,7 +94,7 @@ def register_on_face(
     a rendered segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
     """
     meter = Meter("glasses", "px", Budget.of(budget), on_progress)
-    given = checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes, pictures)
+    given = inputs.checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes, pictures)
     with threadpool_limits(1, "blas"):
         # Matrices of 66 rows: more threads only wait for each other.
         return _Registration(given, options, meter).run()
@@ -129,7 +103,9 @@ def register_on_face(
 class _Registration:
     """One registration: what its stages share."""
 
-    def __init__(self, given: RegistrationInputs, options: FaceRegistrationOptions, meter: Meter) -> None:
+    def __init__(
+        self, given: inputs.RegistrationInputs, options: FaceRegistrationOptions, meter: Meter
+    ) -> None:
         self.given, self.options, self.meter = given, options, meter
         self.steps: list[PlanStep] = list(given.plan)
         self.bend_found = True
@@ -145,22 +121,20 @@ class _Registration:
         else:
             seconds = meter.budget.seconds
             left = None if seconds is None else Budget(seconds=max(seconds - meter.elapsed_s, 1e-3))
-            marks = given.keypoints[given.known]
             try:
-                solved = solve_weights(given.vertices, given.faces, marks, budget=left)
+                solved = solve_weights(given.vertices, given.faces, given.keypoints[given.known], budget=left)
             except EyeglassesError as error:
                 raise EyeglassesError(f"the glasses' weights: {error}") from error
             evidence = f"{solved.node_count} nodes, {meter.elapsed_s:.2f} s"
             self._note("weights", True, "the glasses bring none", evidence)
             weights = np.zeros((len(given.vertices), len(given.keypoints)))
             weights[:, given.known] = solved.weights
-        mesh = FrameMesh(SkinnedPoints(given.vertices, weights), given.faces)
+        mesh = outline.FrameMesh(SkinnedPoints(given.vertices, weights), given.faces)
         occluder = None
         if given.head is not None:
             coarse = thinned(*given.head, _RESOLUTION_MM)
-            mesh_of_head = (coarse.vertices, coarse.faces) if len(coarse.faces) else given.head
-            occluder = RayCaster(*mesh_of_head)
-        self.sampler = OutlineSampler(mesh, given.views, occluder)
+            occluder = RayCaster(*((coarse.vertices, coarse.faces) if len(coarse.faces) else given.head))
+        self.sampler = outline.OutlineSampler(mesh, given.views, occluder)
 
     def run(self) -> RegisteredEyeglasses:
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
@@ -176,9 +150,10 @@ class _Registration:
         rigid = partial(self.objective.linearize, samples=None, rigid=True)
         if not given.labelled:
             if given.start is None:
-                starts, where = poses_on_face(given), "the head puts it on its nose"
+                starts, where = start_poses.poses_on_face(given), "the head puts it on its nose"
             else:
-                starts, where = states_of([given.start], given.keypoints), "the start is taken as given"
+                starts = start_poses.states_of([given.start], given.keypoints)
+                where = "the start is taken as given"
             self._note("pose", False, f"no key point is labelled: {where}")
             unseen = FrameEstimate(starts[len(starts) // 2], rigid(starts[len(starts) // 2]), True)
             self._look_at_pictures(unseen.state)
@@ -186,19 +161,18 @@ class _Registration:
                 return unseen
             self.unseen = unseen
             seen = given.keypoints, self.objective.views, self.sampler.head
-            state, spread_mm, gain = place_in_pictures(starts, self.sampler.mesh, *seen)
+            state, spread_mm, gain = start_poses.place_in_pictures(starts, self.sampler.mesh, *seen)
             evidence = f"{gain:.0f} nats a view; known to {', '.join(f'{s:.1f}' for s in spread_mm)} mm"
             self._note("pictures", True, "placed where its projection parts the colours best", evidence)
             return FrameEstimate(state, rigid(state), True)
-        starts = starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
-        first = min(starts, key=lambda state: rigid(state).cost)
+        starts = start_poses.starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
         self.meter.count(len(starts))
-        found = self._fit_labels("pose", rigid, first)
+        found = self._fit_labels("pose", rigid, min(starts, key=lambda state: rigid(state).cost))
         error_px = found.at.median_label_px
         self._note("pose", True, f"the best of {len(starts)} starts, refined", f"{error_px:.2f} px")
         # A descent that the budget cut short fits badly without being mirrored.
         if error_px > options.label_noise_px and not self.meter.exhausted:
-            require_unmirrored(given, options, error_px)
+            start_poses.require_unmirrored(given, options, error_px)
         return found
 
     def _look_at_pictures(self, state: FrameState) -> None:
@@ -208,7 +182,7 @@ class _Registration:
         for view, picture in zip(self.given.views, self.given.pictures, strict=True):
             colors = None
             if view.distance is None and picture is not None:
-                colors = grouped_colors(picture, project(view.camera, place)[0])
+                colors = outline.grouped_colors(picture, project(view.camera, place)[0])
             views.append(replace(view, colors=colors))
         self._watch(tuple(views))
 
@@ -219,12 +193,12 @@ class _Registration:
         self._watch(tuple(replace(view, colors=None) for view in self.given.views))
         return self.unseen
 
-    def _watch(self, views: tuple[ObservedView, ...]) -> None:
+    def _watch(self, views: tuple[outline.ObservedView, ...]) -> None:
         """Take other views from here on."""
         given, sampler = self.given.keypoints, self.sampler
         self.given = replace(self.given, views=views)
         self.objective = RegistrationObjective(given, views, self.options, self.objective.contact)
-        self.sampler = OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
+        self.sampler = outline.OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
         if not (self.options.bend and self.given.labelled):
@@ -249,7 +223,7 @@ class _Registration:
             reason = "the views see depth" if depth <= _RESOLUTION_MM else "there is no head to rest on"
             self._note("contact", False, reason, evidence)
             return before
-        contact = HeadContact(self.sampler.mesh.points, *self.given.head)
+        contact = objective.HeadContact(self.sampler.mesh.points, *self.given.head)
         if not contact or self.meter.exhausted:
             self._note("contact", False, "the frame has no front, or the budget has ended", evidence)
             return before
@@ -290,11 +264,11 @@ class _Registration:
         masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
         for number, view in enumerate(views):
             if view.colors is not None:
-                masks[number] = color_odds(view.colors, self.sampler.mask(motion, number)[0]) > 0
+                masks[number] = outline.color_odds(view.colors, self.sampler.mask(motion, number)[0]) > 0
         given = self.sampler.mesh, motion, cameras, masks, self.sampler.head
         mesh, shown, steps = fit_lenses_to_masks(*given)
         self.steps += steps
-        self.sampler = OutlineSampler(mesh, views, self.sampler.head, shown)
+        self.sampler = outline.OutlineSampler(mesh, views, self.sampler.head, shown)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
         known = self.given.known
@@ -303,14 +277,14 @@ class _Registration:
         if not self.given.labelled and any(view.colors is not None for view in views):
             lever = np.linalg.norm(np.nan_to_num(self.given.keypoints - motion.center), axis=1)
             # Half the step between the slopes that were tried.
-            deviation_mm = float(np.diff(LEANS_RAD).max()) / 2 * lever
+            deviation_mm = float(np.diff(start_poses.LEANS_RAD).max()) / 2 * lever
         # One clock for all tracings: the rows of a stage count from its start.
         meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
         while len(moves) < 10 and not settled and not meter.exhausted:
             samples = self.sampler.sample(self.objective.motion(found.state), deviation_mm)
             if len(samples) == 0:
                 self.meter.merge(meter)
-                reach = f"{REACH_PX:g} px"
+                reach = f"{outline.REACH_PX:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
                 lost = self._unfound(reach) if any(view.colors is not None for view in views) else None
                 return lost or found

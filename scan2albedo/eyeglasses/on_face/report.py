@@ -218,9 +218,8 @@ def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) ->
     pixels, depth = project(view.camera, points)
     inside = depth > 0
     if view.shape is not None:
-        limit = np.array([view.shape[1], view.shape[0]]) - 0.5
         with np.errstate(invalid="ignore"):
-            inside &= ((pixels >= -0.5) & (pixels <= limit)).all(1)
+            inside &= ((pixels >= -0.5) & (pixels <= np.array(view.shape[::-1]) - 0.5)).all(1)
     return inside & ~hidden_by(sampler.head, view.camera, points)
 
 

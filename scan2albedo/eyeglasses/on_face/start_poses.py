@@ -157,8 +157,7 @@ def starting_poses(
     poses = [] if given is None else [given]
     labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
     placed = triangulate(labels, cameras, noise_px=noise_px)
-    known = np.isfinite(keypoints).all(1)
-    good = np.isfinite(placed.points).all(1) & known & (placed.inliers.sum(0) >= 2)
+    good = np.isfinite(placed.points).all(1) & np.isfinite(keypoints).all(1) & (placed.inliers.sum(0) >= 2)
     if good.sum() >= 3:
         world, rest = placed.points[good], keypoints[good]
         away = (np.linalg.norm(points - np.median(points, axis=0), axis=1) for points in (world, rest))
@@ -219,8 +218,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -
     if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
         return None
     camera_from_frame = compose(cv2.Rodrigues(turn)[0], shift[:, 0])
-    offset = np.linalg.solve(intrinsic, view.camera[:, 3])
-    world_from_camera = compose(rotation.T, -rotation.T @ offset)
+    world_from_camera = compose(rotation.T, -rotation.T @ np.linalg.solve(intrinsic, view.camera[:, 3]))
     return world_from_camera @ camera_from_frame
 
 
@@ -234,8 +232,7 @@ def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptio
     except EyeglassesError:
         return
     first = min(starts, key=lambda state: rigid(state).cost)
-    found = descend(rigid, first, Meter("mirrored", "px"), error="median_label_px")
-    mirrored_px = found.at.median_label_px
+    mirrored_px = descend(rigid, first, Meter("mirrored", "px"), error="median_label_px").at.median_label_px
     if mirrored_px < error_px / 2:
         raise EyeglassesError(
             "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "

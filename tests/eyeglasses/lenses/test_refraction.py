@@ -138,7 +138,7 @@ def test_any_point_on_a_ray_names_it():
 
 def test_what_no_lens_can_do_is_said():
     points = lens_points(np.random.default_rng(6), 4)
-    with pytest.raises(EyeglassesError, match="camera lies in the plane"):
+    with pytest.raises(EyeglassesError, match="camera lies in the lens plane"):
         refract(FLAT, [0.0, 0, 0], points)
     with pytest.raises(EyeglassesError, match=r"1 of 2 rays .* never reach"):
         refract(FLAT, [0.0, 0, 600], [[0, 0, 0], [0, 0, 700.0]])
