@@ -10,7 +10,7 @@ import scan2albedo as s2a
 from benchmarks.landmark_cases import LightStage, expressions_of_light_stage
 from benchmarks.raw_like import raw_like
 from benchmarks.scan_files import face_data
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.rigid import transform_points
 
 SMILE = "generic_mouthSmile_L_mouthSmile_R"
@@ -48,3 +48,9 @@ def person_scan(
         x = transform_points(np.linalg.inv(scan_from_shape), scan.vertices)[:, 0] * rng.choice([-1, 1])
         scan = scan.without_faces((x > rng.uniform(5, 40))[scan.faces].any(1))
     return PersonScan(scan, scan_from_shape, weights)
+
+
+def face_area(people: LightStage) -> IntArray:
+    """Return the triangles (F, 3) of the face, without head and neck."""
+    with np.load(face_data("ict_faces.npz")) as data:
+        return people.faces[: int(data["face_area_faces"])]
