@@ -67,7 +67,7 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     Parameters
     ----------
     fits : iterable of FittedFace
-        Walked through once; control points and weights of each are kept, some 50 kB.
+        Walked through once; of each, control points and weights are kept: 70 kB with the default model.
     """
     points, shown, model, levels = list[FloatArray](), list[FloatArray](), None, 0
     for fit in fits:
@@ -77,10 +77,10 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
                 f"fit {len(points)} is of {fit.model.name!r}, the first of {model.name!r}, whose triangles "
                 "are others; fit all scans with one model"
             )
-        area = vertex_areas(fit.vertices, fit.faces)
-        spread = model.subdivision(levels).matrix.T
+        area, spread = vertex_areas(fit.vertices, fit.faces), model.subdivision(levels).matrix.T
         points.append(fit.control_points)
-        shown.append((spread @ (area * ~np.isnan(fit.residual_mm))) / np.maximum(spread @ area, 1e-300))
+        around_mm2 = np.maximum(spread @ area, np.finfo(float).tiny)
+        shown.append(spread @ (area * ~np.isnan(fit.residual_mm)) / around_mm2)
     if model is None:
         raise ValueError("no fits were given; common_shape needs one or more")
     rest, area = model.control_vertices, vertex_areas(model.control_vertices, model.control_faces)
@@ -91,50 +91,43 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     ridge = np.diag([1.0] * len(modes) + [np.finfo(float).eps] * len(similarities))
     variance = FIT_MM**2 + expression_variance(model) + (1 - np.array(shown)) * loose
     precision, poses = 1 / variance, np.tile(np.eye(4), (len(points), 1, 1))
-    neutral, likely, known = rest, rest, np.zeros(len(rest))
+    neutral, likely, known = rest, rest, np.ones(len(rest))
     for step in range(50):
-        total, pulled, before = np.full(len(rest), 1 / loose), likely / loose, neutral
+        seen, pulled, before = np.zeros(len(rest)), np.zeros_like(rest), neutral
         for k, own in enumerate(points):
             poses[k] = procrustes(own, neutral, weights=area * precision[k], scale=True)
             moved = transform_points(poses[k], own)
             if step:
                 square = np.sum((moved - neutral) ** 2, axis=1) + 3 / known
                 precision[k] = 4 / (variance[k] * (1 + around(square / variance[k])))
-            total += precision[k]
+            seen += precision[k]
             pulled += precision[k, :, None] * moved
-        neutral, known = pulled / total[:, None], total
-        # Where the scans say more, the modes follow them.
-        scans = (pulled - likely / loose) / (total - 1 / loose)[:, None] - rest
-        weighted = basis * np.repeat(patches / (loose + 1 / (total - 1 / loose)), 3)
-        likely = rest + np.tensordot(
-            np.linalg.solve(weighted @ basis.T + ridge, weighted @ scans.ravel()),
-            basis.reshape(-1, *rest.shape),
-            axes=1,
-        )
+        known = seen + 1 / loose
+        neutral = (pulled + likely / loose) / known[:, None]
+        # The modes follow the scans' mean.
+        weighted = basis * np.repeat(patches / (loose + 1 / seen), 3)
+        away = weighted @ (pulled / seen[:, None] - rest).ravel()
+        likely = rest + (np.linalg.solve(weighted @ basis.T + ridge, away) @ basis).reshape(rest.shape)
         if np.abs(neutral - before).max() < FIT_MM / 100:
             break
-    # What the other scans say of each one.
-    normals = vertex_normals(neutral, model.control_faces)
-    distance, other = np.zeros((2, len(points)))
+    size = np.exp(np.mean(np.log(np.linalg.det(poses[:, :3, :3])))) ** (1 / 3)
     expression = np.empty((len(points), *rest.shape))
-    size = np.exp(np.mean(np.log(np.cbrt(np.linalg.det(poses[:, :3, :3])))))
+    distance, other = np.zeros((2, len(points)))
+    normals = vertex_normals(neutral, model.control_faces)
     for k, own in enumerate(points):
-        moved = transform_points(poses[k], own)
-        expression[k] = (moved - neutral) / size
+        expression[k] = transform_points(poses[k], own) - neutral
         if len(points) == 1:
             break
-        rest_known = known - precision[k]
-        offset = np.sum((moved - neutral) * normals, axis=1) * known / rest_known
+        # The offset from what the other scans say, and Cauchy densities of one person's and of two's.
+        others = known - precision[k]
+        offset = np.sum(expression[k] * normals, axis=1) * known / others
         weight = area * shown[k] * precision[k]
         distance[k] = np.sqrt(weight @ offset**2 / weight.sum()) / size
-        square, same = around(offset**2), variance[k] + 1 / rest_known
-        # Cauchy densities of one person's faces and of two's.
+        square, same = around(offset**2), variance[k] + 1 / others
         two = same + PEOPLE_MM**2
-        ratio = 0.5 * np.log(same / two) + np.log1p(square / same)
-        other[k] = patches @ (ratio - np.log1p(square / two))
+        other[k] = patches @ (np.log(same / two) / 2 + np.log1p(square / same) - np.log1p(square / two))
     poses[:, :3] /= size
-    control = neutral / size
-    subdivision = model.subdivision(levels)
+    control, subdivision = neutral / size, model.subdivision(levels)
     return PersonShape(
         model=model,
         control_points=control,
@@ -143,7 +136,7 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
         landmarks=model.landmarks_of(control),
         deviation_mm=np.sqrt(subdivision.matrix @ (1 / known)) / size,
         common_from_fit=poses,
-        expression=expression,
+        expression=expression / size,
         distance_mm=distance,
         other_person=other,
     )

@@ -23,8 +23,6 @@ MIN_COVERAGE, MOST_IMBALANCE_MM, MOST_STRAIN = 0.1, 0.2, 0.16
 """Least part of the model's area with scan near it. Fits that ran to their end are within 0.03 mm of balance,
 on noise of 1 mm within 0.1 mm. Most faces end with a strain of 0.04 to 0.07, wide smiles of up to 0.13; faces
 upside down of 0.17 and more."""
-_MIRROR_STEPS = 20
-"""In which the mirror image of a scan comes to rest on it."""
 NEAR_MM, UNSEEN_MM = 12.0, 4.0
 """The surface around a landmark that shows it, about an eye's height, and the deviation of one, along an
 axis, around which there is no scan."""
@@ -162,7 +160,7 @@ def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
         return Pairs(offset, normal, (spread / (spread + plane_mm**2)) ** 2)
 
     image = scan.nearest.query(points).points * [-1.0, 1.0, 1.0]
-    laid = align(image, np.ones(len(image)), pairs, steps=_MIRROR_STEPS, scale_range=(1.0, 1.0))
+    laid = align(image, np.ones(len(image)), pairs, steps=20, scale_range=(1.0, 1.0))
     return float(np.median(scan.nearest.query(laid.pose.apply(image)).distance))
 
 
