@@ -103,18 +103,49 @@ def displacement(bump: Bump, points: FloatArray, landmarks: FloatArray) -> Float
     return moved
 
 
+def similarity_modes(points: FloatArray) -> FloatArray:
+    """Return (7, N, 3): small motions along and about the axes, and the growth, of points (N, 3)."""
+    moves = [np.broadcast_to(unit, points.shape) for unit in np.eye(3)]
+    return np.array([*moves, *(np.cross(unit, points) for unit in np.eye(3)), points])
+
+
+def identity_modes(model: AnnotatedSurface) -> FloatArray:
+    """Return (K, C, 3) displacements in mm of control points, each one standard deviation among people.
+
+    The head's width, height and depth, and bumps, which a model without landmarks has not.
+    """
+    rest = model.control_vertices
+    modes = [sd * rest * axis for sd, axis in zip(STRETCH_SD, np.eye(3), strict=True)]
+    if model.landmarks is not None:
+        modes += [displacement(b, rest, model.landmarks) for b in IDENTITY_BUMPS + ASYMMETRY_BUMPS]
+    return np.array(modes)
+
+
+def expression_variance(model: AnnotatedSurface) -> FloatArray:
+    """Return (C,) mm^2 along an axis by which expressions move control points; 0 without landmarks.
+
+    The mean over the EXPRESSION_BUMPS, the neutral face among them, and an open jaw, each as likely.
+    """
+    rest, faces = model.control_vertices, (*EXPRESSION_BUMPS.values(), CAPTURE_BUMPS[:1])
+    if model.landmarks is None:
+        return np.zeros(len(rest))
+    moved = [np.zeros_like(rest) for _ in faces]
+    for move, bumps in zip(moved, faces, strict=True):
+        for bump in bumps:
+            move += _EXPRESSION_SD * displacement(bump, rest, model.landmarks)
+    return np.asarray(np.mean(np.square(moved), axis=(0, 2)))
+
+
 def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:
     """Return (K, C, 3) displacements in mm of the model's control points, each one standard deviation.
 
     The head's width, height and depth, bumps of identities, expressions and captures, and smooth waves. None
     moves, turns or scales the control points as a whole, weighed by `weights` (C,). Bumps need landmarks.
     """
-    rest = model.control_vertices
-    modes = [sd * rest * axis for sd, axis in zip(STRETCH_SD, np.eye(3), strict=True)]
+    rest, modes = model.control_vertices, list(identity_modes(model))
     if model.landmarks is not None:
         expressions = [bump for bumps in EXPRESSION_BUMPS.values() for bump in bumps]
-        sd = [(b, 1.0) for b in IDENTITY_BUMPS + ASYMMETRY_BUMPS + CAPTURE_BUMPS]
-        for bump, weight in sd + [(b, _EXPRESSION_SD) for b in expressions]:
+        for bump, weight in [(b, 1.0) for b in CAPTURE_BUMPS] + [(b, _EXPRESSION_SD) for b in expressions]:
             modes.append(weight * displacement(bump, rest, model.landmarks))
     normals = vertex_normals(rest, model.control_faces)
     low, high = rest.min(0), rest.max(0)
@@ -123,9 +154,7 @@ def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:
         for m in range(_WAVES):
             modes += [_WAVE_MM * (np.cos(k * across) * np.cos(m * along))[:, None] * normals] if k + m else []
     # Less the motion, turn and growth nearest to each.
-    offset = rest - weights @ rest / weights.sum()
-    similarities = [np.broadcast_to(unit, rest.shape) for unit in np.eye(3)]
-    similarities += [np.cross(unit, offset) for unit in np.eye(3)] + [offset]
-    basis, flat = np.array(similarities).reshape(7, -1), np.array(modes).reshape(len(modes), -1)
+    basis = similarity_modes(rest - weights @ rest / weights.sum()).reshape(7, -1)
+    flat = np.array(modes).reshape(len(modes), -1)
     weighted = basis * np.repeat(weights, 3)
     return (flat - flat @ weighted.T @ np.linalg.inv(weighted @ basis.T) @ basis).reshape(-1, *rest.shape)

@@ -23,9 +23,7 @@ MIN_COVERAGE, MOST_IMBALANCE_MM, MOST_STRAIN = 0.1, 0.2, 0.16
 """Least part of the model's area with scan near it. Fits that ran to their end are within 0.03 mm of balance,
 on noise of 1 mm within 0.1 mm. Most faces end with a strain of 0.04 to 0.07, wide smiles of up to 0.13; faces
 upside down of 0.17 and more."""
-_MIRROR_STEPS = 20
-"""In which the mirror image of a scan comes to rest on it."""
-_NEAR_MM, _UNSEEN_MM = 12.0, 4.0
+NEAR_MM, UNSEEN_MM = 12.0, 4.0
 """The surface around a landmark that shows it, about an eye's height, and the deviation of one, along an
 axis, around which there is no scan."""
 _FEATURES_MM = np.repeat((8.0, 4.2, 8.0, 2.2, 1.9, 1.1, 2.0, 2.1), (1, 15, 1, 10, 4, 5, 12, 20))
@@ -162,7 +160,7 @@ def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
         return Pairs(offset, normal, (spread / (spread + plane_mm**2)) ** 2)
 
     image = scan.nearest.query(points).points * [-1.0, 1.0, 1.0]
-    laid = align(image, np.ones(len(image)), pairs, steps=_MIRROR_STEPS, scale_range=(1.0, 1.0))
+    laid = align(image, np.ones(len(image)), pairs, steps=20, scale_range=(1.0, 1.0))
     return float(np.median(scan.nearest.query(laid.pose.apply(image)).distance))
 
 
@@ -179,9 +177,9 @@ def residuals_mm(
 def landmark_deviation_mm(landmarks: FloatArray, vertices: FloatArray, residual_mm: FloatArray) -> FloatArray:
     """Return (68,) deviations along an axis, mm: more where no scan is near, or the fit lies off it."""
     unseen, off = np.ones(len(landmarks)), np.zeros(len(landmarks))
-    for number, index in enumerate(cKDTree(vertices).query_ball_point(landmarks, _NEAR_MM)):
+    for number, index in enumerate(cKDTree(vertices).query_ball_point(landmarks, NEAR_MM)):
         if index:
             seen = residual_mm[index][~np.isnan(residual_mm[index])]
             unseen[number] = 1 - len(seen) / len(index)
             off[number] = seen.mean() if len(seen) else 0.0
-    return np.sqrt(_FEATURES_MM**2 + (_UNSEEN_MM * unseen) ** 2 + off**2)
+    return np.sqrt(_FEATURES_MM**2 + (UNSEEN_MM * unseen) ** 2 + off**2)

@@ -16,8 +16,6 @@ from scan2albedo.geometry.thinning import thinned
 
 WELD_STEP_MM, CELL = 1e-3, 1.25
 """Vertices that lie in one cell of this size, CELL per mm of smoothing, are made one."""
-NORMAL_SMOOTHING = 2.0
-"""Normals are taken over this much wider a surface than positions: noise turns them more."""
 STRAY, TORN, MIN_COMPONENT = 5.0, 0.6, 0.005
 """Faces with a corner farther outside the box than STRAY times its sides are a scanner's error; a scan with a
 greater part of its vertices on borders than TORN is torn; loose parts with a smaller share of the faces
@@ -100,6 +98,7 @@ def scan_near_model(
     points, count = thin.vertices[kept], thin.count[kept]
     boundary = thin.boundary[kept] & (not torn)
     averages = SurfaceAverages(points, index, boundary, count)
-    fair = averages.smoothed(NORMAL_SMOOTHING * smoothing_mm)
+    # Normals are taken over a wider surface than positions: noise turns them more.
+    fair = averages.smoothed(2 * smoothing_mm)
     points = averages.smoothed(smoothing_mm, keep_curvature=True)
     return ScanSurface(points, index, vertex_normals(fair, index), boundary)
