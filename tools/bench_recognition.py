@@ -46,8 +46,8 @@ def random_fields(count: int, size: int) -> NDArray[np.float64]:
 
 def one_by_one(templates: Templates, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the similarity of each pair (N, 2)."""
-    held, mask = templates.coefficients, templates.mask
-    return np.array([pair_similarity(held[i], held[j], mask[i] & mask[j]) for i, j in pairs])
+    held, weight = templates.coefficients, templates.weight
+    return np.array([pair_similarity(held[i], weight[i], held[j], weight[j]) for i, j in pairs])
 
 
 def bench(count: int, plain: int, size: int) -> None:

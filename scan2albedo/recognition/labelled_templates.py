@@ -164,11 +164,12 @@ def _of_manifest(
     sets = {
         kind: Templates(
             np.stack([bands for bands, _ in of_kind.values()]),
-            np.stack([mask for _, mask in of_kind.values()]),
+            np.stack([weight > 0 for _, weight in of_kind.values()]),
             tuple(entries[k].person or entries[k].result for k in of_kind),
             options,
             chart,
             kind,
+            np.stack([weight for _, weight in of_kind.values()]),
         )
         for kind, of_kind in made.items()
         if of_kind
@@ -256,7 +257,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     header = TemplatesHeader(
         names=templates.names, options=options, chart=templates.chart, kind=templates.kind
     )
-    arrays = {"coefficients": templates.coefficients, "mask": templates.mask}
+    arrays = {name: getattr(templates, name) for name in ("coefficients", "mask", "weight")}
     write_npz_record(path, header, arrays, what="template")
 
 
@@ -270,14 +271,14 @@ def read_templates(path: str | Path) -> Templates:
         path,
         TemplatesHeader,
         {"coefficients": "c", "mask": "b"},
+        optional={"weight": "f"},
         what="templates",
         advice="give a file that write_templates wrote (data_schemas/template_set.schema.json)",
         error=RecognitionError,
     )
     try:
         options = TemplateOptions(size=header.options.size, unit_mean=header.options.unit_mean)
-        return Templates(
-            arrays["coefficients"], arrays["mask"], header.names, options, header.chart, header.kind
-        )
+        arrays |= {"names": header.names, "chart": header.chart, "kind": header.kind}
+        return Templates(**arrays, options=options)
     except (ValueError, RecognitionError) as error:
         raise RecognitionError(f"templates {path}: {error}; write the file again") from error
