@@ -22,10 +22,9 @@ from scan2albedo.recognition.templates import (
 STABILIZER = 1e-3
 """K of the index, in squared coefficients summed over a window: windows with less energy count as alike.
 Images have mean 1 before the pyramid."""
-WINDOW = 3
-"""Side of the square windows in coefficients. Charts of fitted faces are misaligned unevenly, and within a
-small window the phases still turn alike: 3 tells people who are alike apart better than the usual 7
-(`tools/experiment_recognition.py --other-templates`)."""
+WINDOW = 5
+"""Side of the square windows in coefficients, chosen on photographs of six people under twelve lamps, as size
+and response of the templates were (`tools/bench_recognition.py --windows`), and on synthetic people."""
 LANES = 64
 """Templates of a block of the compiled loop; they lie next to each other, so that every step is a vector
 operation."""
@@ -46,20 +45,20 @@ def cw_ssim(
 
         S = (2 |sum_i x_i conj(y_i)| + K) / (sum_i |x_i|^2 + sum_i |y_i|^2 + K),
 
-    averaged over the orientations and the windows inside the mask, each weighed by how certain both images are
-    within it. A small shift turns the phases of all
-    coefficients of a window alike and leaves S; a change of structure does not (Wang, Simoncelli, ICASSP
-    2005; Sampat, Wang, Gupta, Bovik, Markey, IEEE TIP 18(11), 2009). Raises `ValueError` when an image is not
-    (H, W) or (H, W, 3), or the window is not a whole number of 1 or more; `RecognitionError` when the sizes
-    differ, an image cannot be used, or no window lies inside the mask.
+    averaged over the orientations and the windows inside the mask, each weighed by how certain both images
+    are within it. A small shift turns the phases of all coefficients of a window alike and leaves S; a change
+    of structure does not (Wang, Simoncelli, ICASSP 2005; Sampat, Wang, Gupta, Bovik, Markey, IEEE TIP 18(11),
+    2009). Raises `ValueError` when an image is not (H, W) or (H, W, 3), or the window is not a whole number
+    of 1 or more; `RecognitionError` when the sizes differ, an image cannot be used, or no window lies inside
+    the mask.
 
     Parameters
     ----------
     a, b : (H, W) or (H, W, 3)
         Linear images of the same size.
     mask, mask_b : (H, W), optional
-        Pixels that count in the first and in the second image, as in `albedo_templates`; `mask` counts in both
-        when `mask_b` is omitted.
+        Pixels that count in the first and in the second image, as in `albedo_templates`; `mask` counts in
+        both when `mask_b` is omitted.
     options : TemplateOptions
     window : int
         Side of the windows in coefficients.

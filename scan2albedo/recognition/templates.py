@@ -18,8 +18,9 @@ from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
 
-Kind = Literal["albedo", "texture", "shape"]
-"""What is compared: the albedo, the texture as photographed, or the normals of the fitted surface."""
+Kind = Literal["albedo", "texture", "shape", "shading"]
+"""What is compared: the albedo, the texture as photographed, the normals of the fitted surface; and texture
+over albedo, which tells how alike the lights are, so how much of a texture's similarity is the light's."""
 SCALES: Final = 3
 ORIENTATIONS: Final = 10
 """`SCALES`, `ORIENTATIONS`: of the pyramid."""
@@ -47,7 +48,8 @@ class TemplateOptions:
     """Longest side in pixels to which larger images are averaged down; smaller ones stay as they are, and
     with None all do."""
     unit_mean: bool = True
-    """Divide by the mean over the mask: an albedo is known up to a scale, and the index depends on it."""
+    """Divide by the mean over the mask, for an albedo is known up to a scale, and take the cube root
+    (lightness, CIE 1976): light that is left scales contrasts, and in dim parts most of all."""
 
     def __post_init__(self) -> None:
         if self.size is not None and not (isinstance(self.size, Integral) and self.size >= 1):
@@ -135,7 +137,9 @@ class Templates:
             if not mask[k].any():
                 raise RecognitionError(f"template {k} ({name}) is masked everywhere; leave it out")
             if not (np.isfinite(coefficients[k]).all() and ((self.weight[k] > 0) == mask[k]).all()):
-                raise RecognitionError(f"template {k} ({name}) is not finite, or weighs what is masked; make it again")
+                raise RecognitionError(
+                    f"template {k} ({name}) is not finite, or weighs what is masked; make it again"
+                )
 
     def __len__(self) -> int:
         return len(self.names)
@@ -217,6 +221,20 @@ def shape_templates(
         As in `albedo_templates`, whose errors are raised.
     """
     return _templates("shape", normals, names, masks, options)
+
+
+def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> FloatArray:
+    """Return (H, W) the part of an albedo's contrast that is the albedo's own, 0 outside the mask.
+
+    That is v / (v + e^2) with the variance v of the albedo over its mean and the expected error e (H, W),
+    which `AlbedoEstimate.expected_error` holds; a texture is as certain, for its doubtful texels lie in
+    shadow.
+    """
+    values = np.asarray(albedo, np.float64)
+    of_mask = (values @ LUMINANCE if values.ndim == 3 else values)[mask]
+    contrast = of_mask.var() / max(of_mask.mean() ** 2, LEAST_WEIGHT)
+    known = contrast / np.maximum(contrast + np.asarray(expected_error, np.float64) ** 2, LEAST_WEIGHT)
+    return np.where(mask, np.maximum(known, LEAST_WEIGHT), 0.0)
 
 
 def _templates(
@@ -302,7 +320,7 @@ def image_coefficients(
                 f"{what} has the mean {mean:g} in its mask, expected > 0; leave a black image out, or "
                 "compare as it is (unit_mean=False)"
             )
-        pixels = pixels / mean
+        pixels = np.cbrt(pixels / mean)
     supported = supported_mask(without_holes(valid, HOLE_RADIUS))
     if not supported.any():
         raise NothingToCompareError(
