@@ -1,6 +1,8 @@
 """Cost of comparing templates, in blocks beside one pair after the other; choices on synthetic faces.
 
     python tools/bench_recognition.py [--templates 1000] [--plain 200] [--sizes 128 ...] [--faces 24]
+    python tools/bench_recognition.py --lights | --windows | --make FOLDER [--persons 12] [--seed 101]
+    python tools/bench_recognition.py --calibrate FOLDER | --pairs FOLDER ... [--cache lights_cache]
 
 Templates of random fields. CPU time of all threads; a pair one by one is `cw_ssim`'s own arithmetic (NumPy,
 running sums in float64) on finished templates. The largest difference between the two is printed too.
@@ -8,14 +10,31 @@ running sums in float64) on finished templates. The largest difference between t
 With --faces, that many synthetic persons are identified by their true albedo, made worse in three ways at
 once as an estimate is: the chart slips smoothly, smooth light is left in it, and there is noise. `separation`
 is the distance of the mean similarities, right person and others, over the root of their summed variances.
+
+--lights: rank 1 of the six people in ../shared/data/yale, one photograph a person as gallery, by texture,
+nine robust harmonics, multi-scale retinex, albedo, and fused; galleries of one lamp (all choices) and of
+random lamps; fused also with the calibration of the other three people (all 20 choices; with --calibrate
+FOLDER). --windows: the same for sizes and windows. --make: synthetic people, processed. --calibrate: the
+numbers of `CALIBRATION`. --pairs: one person or two, of all pairs of results PERSON_SCAN in a folder.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
+from pathlib import Path
 
 import numpy as np
+from benchmarks.people_in_lights import (
+    calibrated_on,
+    light_similarities,
+    make_people,
+    pair_similarities,
+    photographs,
+    rates,
+    verified,
+)
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
@@ -27,6 +46,7 @@ from scan2albedo.recognition import (
     roc_curve,
     similarity_matrix,
 )
+from scan2albedo.recognition.result_identification import CALIBRATION
 from scan2albedo.recognition.similarity import pair_similarity
 from scan2albedo.synthetic import face
 
@@ -46,8 +66,8 @@ def random_fields(count: int, size: int) -> NDArray[np.float64]:
 
 def one_by_one(templates: Templates, pairs: NDArray[np.int64]) -> NDArray[np.float64]:
     """Return the similarity of each pair (N, 2)."""
-    held, mask = templates.coefficients, templates.mask
-    return np.array([pair_similarity(held[i], held[j], mask[i] & mask[j]) for i, j in pairs])
+    held, weight = templates.coefficients, templates.weight
+    return np.array([pair_similarity(held[i], weight[i], held[j], weight[j]) for i, j in pairs])
 
 
 def bench(count: int, plain: int, size: int) -> None:
@@ -128,6 +148,37 @@ def bench_faces(count: int, side: int = 256) -> None:
                 )
 
 
+def bench_lights(cache: Path, calibrate: Path | None, windows: bool) -> None:
+    rows = photographs(cache)
+    people, lights = np.array([row["person"] for row in rows]), np.array([row["light"] for row in rows])
+    for size, window in [(s, w) for s in (128, 256) for w in (3, 5, 7)] if windows else ():
+        found = light_similarities(rows, ("texture", "albedo"), size, window)
+        shown = rates(found, people, lights, CALIBRATION)
+        print(
+            f"{size} pixels, window {window}: " + ", ".join(f"{k} {one:.1%}" for k, (one, _) in shown.items())
+        )
+    found = light_similarities(rows, ("texture", "harmonics", "retinex", "albedo", "shading"))
+    print("rank 1: gallery in one lamp, in random lamps")
+    for name, (one, mixed) in rates(found, people, lights, CALIBRATION).items():
+        print(f"  {name:10} {one:6.1%} {mixed:6.1%}")
+    if calibrate is None:
+        return
+    scans = pair_similarities(calibrate)
+    lit = {kind: found[kind] for kind in ("albedo", "texture", "shading")}
+    print(calibrated_on(lit, people, lights, *scans))
+    held: dict[str, list[tuple[float, float]]] = {}
+    for out in itertools.combinations(sorted(set(people)), 3):
+        kept, left = (np.flatnonzero(np.isin(people, out) == side) for side in (False, True))
+        of_kept, of_left = ({k: v[np.ix_(i, i)] for k, v in lit.items()} for i in (kept, left))
+        calibration = calibrated_on(of_kept, people[kept], lights[kept], *scans)
+        for name, rate in rates(of_left, people[left], lights[left], calibration, 20).items():
+            held.setdefault(name, []).append(rate)
+    print("three of the six people held out of the calibration")
+    for name, values in held.items():
+        one, mixed = np.mean(values, axis=0)
+        print(f"  {name:10} {one:6.1%} {mixed:6.1%}")
+
+
 def main() -> None:
     raw = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
@@ -135,7 +186,24 @@ def main() -> None:
     parser.add_argument("--plain", type=int, default=200, help="pairs that are compared one by one")
     parser.add_argument("--sizes", type=int, nargs="+", default=[128])
     parser.add_argument("--faces", type=int, default=0, help="synthetic persons to identify")
+    parser.add_argument("--lights", action="store_true", help="rank 1 over lights")
+    parser.add_argument("--windows", action="store_true", help="rank 1 by size and window")
+    parser.add_argument("--make", type=Path, help="folder for synthetic people")
+    parser.add_argument("--persons", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=101)
+    parser.add_argument("--calibrate", type=Path, help="folder of synthetic people")
+    parser.add_argument("--pairs", type=Path, nargs="+", default=[])
+    parser.add_argument("--cache", type=Path, default=Path("lights_cache"), help="keeps the albedos")
     arguments = parser.parse_args()
+    if arguments.make:
+        make_people(arguments.make, arguments.persons, arguments.seed)
+    for folder in arguments.pairs:
+        same, other, own, others = verified(*pair_similarities(folder))
+        print(f"{folder}: one person {same:.1%} of {own} pairs right, two {other:.1%} of {others}")
+    if arguments.lights or arguments.windows or arguments.calibrate:
+        bench_lights(arguments.cache, arguments.calibrate, arguments.windows)
+    if arguments.make or arguments.pairs or arguments.lights or arguments.windows or arguments.calibrate:
+        return
     for size in arguments.sizes:
         bench(arguments.templates, arguments.plain, size)
     if arguments.faces:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
@@ -27,23 +28,25 @@ def identify(
     ),
     out: Path | None = typer.Option(None, "--out", "-o", help="Folder for table, similarities and curves."),
     use: str = typer.Option(
-        "albedo,shape", help="What is compared: albedo, shape, or albedo,shape, both taken together."
+        "albedo,texture,shape",
+        help="What is compared: albedo, texture, shape, or several with commas between.",
     ),
-    combine: str = typer.Option("best", help="Of a person's several images in the gallery: best, or mean."),
+    combine: str = typer.Option("mean", help="Of a person's several images in the gallery: best, or mean."),
     size: int | None = typer.Option(
         None, help="Side that larger charts are averaged down to; 256, or that of the templates.", min=8
     ),
     save_templates: Path | None = typer.Option(
         None,
         help="Write the gallery's templates, to be given as --gallery: NAME.npz, and NAME.shape.npz "
-        "beside it where both albedo and shape are used.",
+        "and so on beside it.",
     ),
     json_summary: JsonOption = False,
 ) -> None:
-    """Find the person of a gallery whom each probe resembles most, by albedo and shape.
+    """Find the person of a gallery whom each probe resembles most, by albedo, texture and shape.
 
-    Somebody of the gallery is always the most similar: how similar, and by how much more than the next
-    person, shows how reliable that is. Where probes name their person, the rate of right answers is printed.
+    Somebody of the gallery is always the most similar: the log odds, and how much higher they are than the
+    next person's, show how reliable that is. Where probes name their person, the rate of right answers is
+    printed.
     """
     if combine not in ("best", "mean"):
         raise typer.BadParameter(f"--combine is {combine!r}, expected best or mean")
@@ -56,7 +59,7 @@ def identify(
     try:
         kinds = checked_use([name.strip() for name in use.split(",")])  # type: ignore[misc]
     except ValueError as error:
-        raise typer.BadParameter(f"--use is {use!r}, expected albedo, shape or albedo,shape") from error
+        raise typer.BadParameter(f"--use is {use!r}, expected some of albedo,texture,shape") from error
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
@@ -100,7 +103,9 @@ def identify(
         record = write_identification(found, out)
         counts = {"probe": len(record.results), "person": len(record.persons), "image": record.gallery_images}
         shown_probes, persons, images = (f"{n} {what}{'' if n == 1 else 's'}" for what, n in counts.items())
-        text = f"{shown_probes}, {persons} on {images}, by {' and '.join(record.use)}"
+        text = f"{shown_probes}, {persons} on {images}, decided by "
+        decided = Counter(probe.decided_by for probe in record.results)
+        text += ", ".join(f"{kind} ({n})" for kind, n in decided.most_common())
         if (rates := record.rates) is not None:
             low, high = rates.rank_1_interval
             text += (
@@ -111,10 +116,10 @@ def identify(
     if json_summary:
         echo_json(record.model_dump(mode="json"))
         return
-    rows = [("probe", "person", "predicted", "similarity", "rank", "next", "similarity")]
+    rows = [("probe", "person", "predicted", "log odds", "by", "rank", "next", "log odds")]
     for probe in record.results:
-        following = "" if probe.next_similarity is None else f"{probe.next_similarity:.3f}"
-        own = probe.probe, probe.person or "?", probe.predicted, f"{probe.similarity:.3f}"
+        following = "" if probe.next_log_odds is None else f"{probe.next_log_odds:.1f}"
+        own = probe.probe, probe.person or "?", probe.predicted, f"{probe.log_odds:.1f}", probe.decided_by
         rows.append((*own, str(probe.rank or "?"), probe.next_person or "", following))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:

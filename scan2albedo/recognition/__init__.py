@@ -15,6 +15,7 @@ from scan2albedo.recognition.result_identification import (
     ResultIdentification,
     fused,
     identify_results,
+    same_person_log_odds,
 )
 from scan2albedo.recognition.similarity import cw_ssim, similarity_matrix
 from scan2albedo.recognition.templates import (
@@ -22,6 +23,7 @@ from scan2albedo.recognition.templates import (
     TemplateOptions,
     Templates,
     albedo_templates,
+    certainty,
     shape_templates,
 )
 
@@ -39,6 +41,7 @@ __all__ = [
     "TemplateOptions",
     "Templates",
     "albedo_templates",
+    "certainty",
     "cmc_curve",
     "cw_ssim",
     "fused",
@@ -50,6 +53,7 @@ __all__ = [
     "read_manifest",
     "read_templates",
     "roc_curve",
+    "same_person_log_odds",
     "shape_templates",
     "similarity_matrix",
     "write_labelled_templates",

@@ -28,8 +28,8 @@ from scan2albedo.recognition.templates import (
     kind_coefficients,
 )
 
-DEFAULT_USE: tuple[Kind, ...] = ("albedo", "shape")
-"""Both together recognise best, see docs/recognition.md."""
+DEFAULT_USE: tuple[Kind, ...] = ("albedo", "texture", "shape")
+"""Together they recognise best, see docs/recognition.md."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,11 @@ class LabelledTemplates:
 
 
 def checked_use(use: Sequence[Kind]) -> tuple[Kind, ...]:
-    """Return the kinds to use; ValueError for none, an unknown one, or one named twice."""
-    known = get_args(Kind)
-    if isinstance(use, str) or not use or len(set(use)) < len(use) or set(use) - set(known):
-        raise ValueError(f"use is {use!r}, expected one or both of {', '.join(known)}, each once")
-    return tuple(kind for kind in known if kind in use)
+    """Return the kinds to use, with albedo and texture the shading; ValueError for none, unknown or twice."""
+    if isinstance(use, str) or not use or len(set(use)) < len(use) or set(use) - set(DEFAULT_USE):
+        raise ValueError(f"use is {use!r}, expected one or more of {', '.join(DEFAULT_USE)}, each once")
+    lit = {"albedo", "texture"} <= set(use)
+    return tuple(kind for kind in get_args(Kind) if kind in use or (kind == "shading" and lit))
 
 
 def read_labelled_templates(
@@ -96,7 +96,7 @@ def read_labelled_templates(
     ----------
     source : path
         From `write_labelled_templates` or `write_templates`, or a manifest as `read_manifest` takes it.
-    use : sequence of {"albedo", "shape"}
+    use : sequence of {"albedo", "texture", "shape"}
         What templates are made of. Results that lack one of them, or have nothing to compare, go on without,
         and a note says so.
     persons_required : bool
@@ -110,9 +110,9 @@ def read_labelled_templates(
     if file.suffix.lower() != ".npz":
         manifest = read_manifest(file, persons_required=persons_required)
         return _of_manifest(manifest, kinds, options or TemplateOptions(), on_count)
-    beside = file.with_suffix(".shape.npz")
-    read = map(read_templates, [file, beside] if beside.is_file() else [file])
-    found = {templates.kind: templates for templates in read if templates.kind in kinds}
+    beside = [of_kind for kind in get_args(Kind) if (of_kind := file.with_suffix(f".{kind}.npz")).is_file()]
+    read = {templates.kind: templates for templates in map(read_templates, [file, *beside])}
+    found = {kind: read[kind] for kind in kinds if kind in read}
     if not found:
         raise RecognitionError(
             f"{file}: holds no templates of {' or '.join(kinds)}; make the file anew with them"
@@ -125,9 +125,11 @@ def read_labelled_templates(
                 "or make the file anew"
             )
         if templates.names != first.names or templates.options != first.options:
-            raise RecognitionError(f"{file} and {beside.name} come from different runs; make both anew")
+            raise RecognitionError(f"{file} and those beside it come from different runs; make all anew")
     labels = tuple(f"{name} [{k}]" for k, name in enumerate(first.names))
-    missing = [f"{file}: holds no {kind}; it is left aside" for kind in kinds if kind not in found]
+    missing = [
+        f"{file}: holds no {kind}; it is left aside" for kind in kinds if kind not in (*found, "shading")
+    ]
     rows = {kind: np.arange(len(first)) for kind in found}
     return LabelledTemplates(file, found, rows, labels, first.names, tuple(missing))
 
@@ -147,7 +149,7 @@ def _of_manifest(
         for kind in kinds:
             try:
                 face = read_face(entry.path, kind)
-                made[kind][k] = kind_coefficients(kind, face.values, face.seen, options, entry.result)
+                made[kind][k] = kind_coefficients(kind, face.values, face.certainty, options, entry.result)
                 before, chart = chart, common_chart(chart, face.chart, first, where)
                 first = entry.result if chart != before else first
             except RecognitionError as error:
@@ -164,11 +166,12 @@ def _of_manifest(
     sets = {
         kind: Templates(
             np.stack([bands for bands, _ in of_kind.values()]),
-            np.stack([mask for _, mask in of_kind.values()]),
+            np.stack([weight > 0 for _, weight in of_kind.values()]),
             tuple(entries[k].person or entries[k].result for k in of_kind),
             options,
             chart,
             kind,
+            np.stack([weight for _, weight in of_kind.values()]),
         )
         for kind, of_kind in made.items()
         if of_kind
@@ -181,7 +184,7 @@ def _of_manifest(
     # A sentence for each result that lacks something, one for all where all lack it.
     notes = [
         f"{manifest.file}: no result has {kind}; they are compared without"
-        for kind in sorted(set(kinds) - set(sets))
+        for kind in sorted(set(kinds) - set(sets) - {"shading"})
     ]
     for lacking in reasons:
         own = {kind: reason for kind, reason in lacking.items() if kind in sets}
@@ -200,18 +203,18 @@ def _of_manifest(
 def write_labelled_templates(path: str | Path, labelled: LabelledTemplates) -> tuple[Path, ...]:
     """Return the NPZ files to which templates are written, each whole or not at all.
 
-    `labelled` goes to `path`, NAME.npz, and NAME.shape.npz where there are both albedo and shape. ValueError
-    when the name does not end in .npz, RecognitionError when some results have both albedo and shape and
-    others only one of them, OutputError when a file cannot be written.
+    The first kind of `labelled` goes to `path`, NAME.npz, others to NAME.shape.npz and so on. ValueError when
+    the name does not end in .npz, RecognitionError when some results have a kind that others lack,
+    OutputError when a file cannot be written.
     """
     file = Path(path)
     everybody = set(range(len(labelled)))
     if lacking := {labelled.labels[k] for rows in labelled.rows.values() for k in everybody - set(rows)}:
         raise RecognitionError(
-            f"{labelled.source}: {', '.join(sorted(lacking)[:5])} lack albedo or shape, which others have; "
-            "use one of the two for all, or leave them out"
+            f"{labelled.source}: {', '.join(sorted(lacking)[:5])} lack a kind of templates that others "
+            "have; use what all have, or leave them out"
         )
-    files = [file] if len(labelled.sets) == 1 else [file, file.with_suffix(".shape.npz")]
+    files = [file, *(file.with_suffix(f".{kind}.npz") for kind in list(labelled.sets)[1:])]
     for name, templates in zip(files, labelled.sets.values(), strict=True):
         write_templates(name, templates)
     return tuple(files)
@@ -236,7 +239,7 @@ class TemplatesHeader(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     format: Literal["scan2albedo templates"] = "scan2albedo templates"
-    format_version: Literal[1] = 1
+    format_version: Literal[2] = 2
     names: tuple[str, ...] = Field(min_length=1, description="Of the templates' persons, in order.")
     options: TemplateOptionsRecord
     kind: Kind = Field("albedo", description="What the templates are of.")
@@ -256,7 +259,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     header = TemplatesHeader(
         names=templates.names, options=options, chart=templates.chart, kind=templates.kind
     )
-    arrays = {"coefficients": templates.coefficients, "mask": templates.mask}
+    arrays = {name: getattr(templates, name) for name in ("coefficients", "mask", "weight")}
     write_npz_record(path, header, arrays, what="template")
 
 
@@ -269,15 +272,14 @@ def read_templates(path: str | Path) -> Templates:
     header, arrays = read_npz_record(
         path,
         TemplatesHeader,
-        {"coefficients": "c", "mask": "b"},
+        {"coefficients": "c", "mask": "b", "weight": "f"},
         what="templates",
         advice="give a file that write_templates wrote (data_schemas/template_set.schema.json)",
         error=RecognitionError,
     )
     try:
         options = TemplateOptions(size=header.options.size, unit_mean=header.options.unit_mean)
-        return Templates(
-            arrays["coefficients"], arrays["mask"], header.names, options, header.chart, header.kind
-        )
+        arrays |= {"names": header.names, "chart": header.chart, "kind": header.kind}
+        return Templates(**arrays, options=options)
     except (ValueError, RecognitionError) as error:
         raise RecognitionError(f"templates {path}: {error}; write the file again") from error

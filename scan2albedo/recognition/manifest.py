@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.geometry_image_files import read_geometry_image, read_image_and_albedo
 from scan2albedo.io.images import SUPPORTED_IMAGES, read_exr_channels, read_image_linear
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
-from scan2albedo.recognition.templates import Chart, Kind, NothingToCompareError
+from scan2albedo.recognition.templates import Chart, Kind, NothingToCompareError, certainty
 
 RESULT_FILE, CATALOGUE_FILE = "result.json", "catalogue.parquet"
-IMAGE_FILE, ALBEDO_FILE = "geometry_image.npz", "albedo.exr"
+IMAGE_FILE, ALBEDO_FILE, ERROR_FILE = "geometry_image.npz", "albedo.exr", "expected_error.exr"
 
 
 @dataclass(frozen=True)
@@ -166,22 +166,30 @@ class StoredFace:
     """An albedo, or the surface of a processed scan, from files."""
 
     values: NDArray[np.floating]
-    """(H, W, 3): linear albedo, or unit outward normals in the model's frame."""
-    seen: BoolArray
-    """(H, W): texels that the scanner saw; others were filled in."""
+    """(H, W, 3): linear albedo or texture, texture over albedo, or unit outward normals in the model's
+    frame."""
+    certainty: FloatArray
+    """(H, W): how certain they are (see `templates.certainty`), 0 where the scanner saw nothing."""
     chart: Chart
     """On which it lies."""
+
+    @property
+    def seen(self) -> BoolArray:
+        """(H, W): texels that the scanner saw; others were filled in."""
+        return self.certainty > 0
 
 
 def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
     """Return the albedo or the shape, by `kind`, of a processed scan, of an application, or of an image.
 
-    `path` is a folder with result.json or application.json, geometry_image.npz and, for an albedo,
-    albedo.exr; a file in such a folder means the folder. Any other image is an albedo and must be on the
-    model's chart: its texels count where alpha is half or more or, without alpha, where they are not black.
+    `path` is a folder with result.json or application.json, geometry_image.npz and, but for the shape,
+    albedo.exr and, where errors are known, expected_error.exr; a file in such a folder means the folder. Any
+    other image is an albedo and must be on the model's chart: its texels count where alpha is half or more
+    or, without alpha, where they are not black.
 
     RecognitionError, which names the file, when something is missing, cannot be read, or is not on a model's
-    chart: a `NothingToCompareError` for the shape of an image and the albedo of a scan without colour.
+    chart: a `NothingToCompareError` for anything but the albedo of an image or the shape of a scan without
+    colour.
     """
     source = Path(path)
     if source.is_file() and (source.parent / IMAGE_FILE).is_file():
@@ -211,17 +219,25 @@ def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
         )
     if kind == "shape":
         image = read_geometry_image(folder / IMAGE_FILE)
-        return StoredFace(image.normal, image.seen, Chart(model, image.shape))
+        return StoredFace(image.normal, image.seen.astype(np.float64), Chart(model, image.shape))
     lacks_albedo = (folder / IMAGE_FILE).is_file() and not (folder / ALBEDO_FILE).is_file()
     if lacks_albedo and read_geometry_image(folder / IMAGE_FILE).texture_linear is None:
-        raise NothingToCompareError(f"{folder}: has no albedo, for the scan has no colour; compare by shape")
+        raise NothingToCompareError(f"{folder}: has no {kind}, for the scan has no colour; compare by shape")
     image, albedo = read_image_and_albedo(folder)
-    return StoredFace(albedo, image.seen, Chart(model, image.shape))
+    values: NDArray[np.floating] | None = albedo if kind == "albedo" else image.texture_linear
+    if values is None:
+        raise NothingToCompareError(f"{folder}: has no texture; compare by albedo and shape")
+    if kind == "shading":
+        values = np.divide(values, albedo, out=np.zeros(albedo.shape), where=albedo > 0)
+    known = image.seen.astype(np.float64)
+    if (errors := folder / ERROR_FILE).is_file():
+        known = certainty(albedo, read_image_linear(errors)[..., 0], image.seen)
+    return StoredFace(values, known, Chart(model, image.shape))
 
 
 def _face_of_image(file: Path, kind: Kind) -> StoredFace:
-    if kind == "shape":
-        raise NothingToCompareError(f"{file}: is an image, which has no shape; give the folder of the scan")
+    if kind != "albedo":
+        raise NothingToCompareError(f"{file}: is an image, which has no {kind}; give the folder of the scan")
     if file.suffix.lower() not in SUPPORTED_IMAGES:
         raise RecognitionError(
             f"{file}: is neither the folder of a processed scan nor an image "
@@ -242,4 +258,4 @@ def _face_of_image(file: Path, kind: Kind) -> StoredFace:
         except (OSError, UnidentifiedImageError):  # a format without alpha that Pillow does not read
             alpha = None
     seen = albedo.max(-1) > 0 if alpha is None else alpha >= 0.5
-    return StoredFace(albedo, seen, Chart(None, (albedo.shape[0], albedo.shape[1])))
+    return StoredFace(albedo, seen.astype(np.float64), Chart(None, (albedo.shape[0], albedo.shape[1])))

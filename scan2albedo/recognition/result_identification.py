@@ -24,62 +24,131 @@ from scan2albedo.recognition.labelled_templates import (
     read_labelled_templates,
 )
 from scan2albedo.recognition.similarity import WINDOW, comparable_similarities, has_window
-from scan2albedo.recognition.templates import Kind, TemplateOptions, common_chart
+from scan2albedo.recognition.templates import Kind, TemplateOptions, Templates, common_chart
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Log likelihood ratios, one person over two, as linear functions of similarities.
+    """How similarities of K kinds are distributed over pairs of scans of one person, and of two.
 
-    Of normal similarities with one covariance C and means m_1 and m_2 they are exactly linear: slopes
-    C^-1 (m_1 - m_2), and 0 half-way between the means (Fisher's discriminant).
+    Both are normal with one covariance C and means m_1 and m_2, so the log odds at even prior odds are
+    linear: sum_k a_k (s_k - (m_1k + m_2k) / 2) with slopes a = C^-1 (m_1 - m_2) (Fisher's discriminant).
+    Where a kind is missing they are those of the others. How alike the shadings are says nothing of persons
+    by itself, but how much of the texture's similarity to expect from the light: its slope is negative.
     """
 
-    albedo: tuple[float, float]
-    shape: tuple[float, float]
-    """`albedo`, `shape`: slope and offset of one similarity alone."""
-    both: tuple[float, float, float]
-    """Slope of the albedo's, slope of the shape's, and offset, where both are known."""
+    kinds: tuple[Kind, ...]
+    same: tuple[float, ...]
+    other: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    """`kinds`, `same`, `other`, `covariance`: names of the kinds, means (K,) of pairs of one person and of
+    two, and their covariance (K, K)."""
+    shading_variance: float = 0.0
+    """Of the shading's similarity over persons where all pairs have the same two lights."""
 
 
-CALIBRATION = Calibration((135.0, -97.2), (893.0, -768.0), (94.0, 817.0, -770.0))
-"""Of the default templates, from synthetic people: `python tools/experiment_real.py pop/manifest.csv --make
-population --persons 8 --seed 7 --calibrate`."""
+CALIBRATION = Calibration(
+    ("albedo", "texture", "shape", "shading"),
+    (0.8135, 0.8024, 0.8674, 0.7325),
+    (0.6418, 0.6549, 0.8133, 0.6552),
+    (
+        (0.003886, 0.004409, 0.000153, 0.005006),
+        (0.004409, 0.006825, 0.000171, 0.008298),
+        (0.000153, 0.000171, 0.000105, 0.000210),
+        (0.005006, 0.008298, 0.000210, 0.011294),
+    ),
+    0.001615,
+)
+"""Of the default templates, by photographs of six people under twelve lamps and three scans each of twelve
+synthetic people: `python tools/bench_recognition.py --calibrate FOLDER`."""
+
+
+def log_odds_by_kind(
+    similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION
+) -> dict[Kind, FloatArray]:
+    """Return what each kind adds to the log odds (P, G) that both of a pair are one person; they are summed.
+
+    `similarities` map kinds to (P, G), NaN where a pair lacks the kind; where it lacks all, the sum is NaN.
+    """
+    kinds = [kind for kind in calibration.kinds if kind in similarities]
+    index = [calibration.kinds.index(kind) for kind in kinds]
+    same, other = np.array(calibration.same)[index], np.array(calibration.other)[index]
+    covariance = np.array(calibration.covariance)[np.ix_(index, index)]
+    values = np.stack([similarities[kind] for kind in kinds])
+    known = ~np.isnan(values)
+    found = np.where(known.any(axis=0), 0.0, np.nan) * np.ones_like(values)
+    for pattern in np.unique(known.reshape(len(kinds), -1), axis=1).T:
+        there = np.flatnonzero(pattern)
+        slopes = np.linalg.solve(covariance[np.ix_(there, there)], (same - other)[there])
+        pairs = (known == pattern[:, None, None]).all(axis=0)
+        for k, slope in zip(there, slopes, strict=True):
+            found[k][pairs] = slope * (values[k][pairs] - (same[k] + other[k]) / 2)
+    return dict(zip(kinds, found, strict=True))
+
+
+def common_similarities(
+    similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION
+) -> dict[Kind, FloatArray]:
+    """Return what of (P, G) similarities of probes and gallery compares persons, NaN for the rest.
+
+    A probe is compared by what it and all images of the gallery have, for log odds by one kind and by more
+    seldom agree; where nothing is common to all, by what each pair has. How alike the shadings are differs by
+    the lights, and by errors of the albedo: what is left of its variance over the gallery beyond that of
+    errors is the lights', so that among images in one light it counts for nothing (empirical Bayes).
+    """
+    values = np.stack(list(similarities.values()))
+    known = ~np.isnan(values)
+    common = known.all(axis=2, keepdims=True)
+    used = np.where(common.any(axis=0), common & known, known)
+    found = dict(zip(similarities, np.where(used, values, np.nan), strict=True))
+    if "shading" in found and used[list(found).index("shading")].any():
+        shading = np.ma.masked_invalid(found["shading"])
+        mean, spread = (np.ma.filled(f(axis=1, keepdims=True), 0.0) for f in (shading.mean, shading.var))
+        lights = np.maximum(spread - calibration.shading_variance, 0.0)
+        share = np.divide(lights, spread, out=np.zeros_like(lights), where=spread > 0)
+        found["shading"] = mean + share * (found["shading"] - mean)
+    return found
 
 
 def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION) -> FloatArray:
-    """Return one similarity for each pair: that of the only kind, or the mean of both by their weights.
+    """Return the log odds (P, G) that probe and image of the gallery show one person, by all kinds.
 
-    Weights are the calibration's slopes. A probe is compared by what it and all images of the gallery have,
-    since a likelihood ratio by one kind and one by both seldom agree; where nothing is common to all, by what
-    each pair has. Beside probes compared by both, similarities by one kind are brought to where the
-    likelihood ratio by both is the same; where one kind compares all probes, they stay as they are.
-    `similarities` map "albedo" and "shape" to (P, G), NaN where a probe or an image lacks the kind; (P, G)
-    is returned, NaN where a pair has no kind in common. The `calibration` is that of the default templates.
+    `similarities` map kinds to (P, G), NaN where a probe or an image lacks the kind; see
+    `common_similarities`. NaN is returned where a pair has no kind in common. The `calibration` is that of
+    the default templates.
 
     Examples
     --------
-    >>> even = Calibration((1.0, 0.0), (1.0, 0.0), (2.0, 2.0, 0.0))
+    >>> even = Calibration(("albedo", "shape"), (0.8, 0.8), (0.6, 0.6), ((0.01, 0.0), (0.0, 0.01)))
     >>> pairs = {"albedo": np.array([[0.9, np.nan]]), "shape": np.array([[0.5, np.nan]])}
-    >>> fused(pairs, even).tolist()
-    [[0.7, nan]]
+    >>> fused(pairs, even).round(6).tolist()
+    [[0.0, nan]]
     """
-    if len(similarities) == 1:
-        return next(iter(similarities.values()))
-    albedo, shape = similarities["albedo"], similarities["shape"]
-    of_albedo, of_shape, offset = calibration.both
-    total = of_albedo + of_shape
-    found = (of_albedo * albedo + of_shape * shape) / total
-    by_both = ~np.isnan(found).any(axis=1, keepdims=True)
-    if not by_both.any():
-        for one in (albedo, shape):
-            if not np.isnan(one).any():
-                return one
-    for one, (slope, start) in ((albedo, calibration.albedo), (shape, calibration.shape)):
-        alone = np.clip((slope * one + start - offset) / total, 0, 1)
-        by_one = ~np.isnan(one).any(axis=1, keepdims=True)
-        found = np.where((by_one & ~by_both) | np.isnan(found), alone, found)
-    return found
+    parts = log_odds_by_kind(common_similarities(similarities, calibration), calibration)
+    return np.asarray(sum(parts.values()))
+
+
+def same_person_log_odds(a: Mapping[Kind, Templates], b: Mapping[Kind, Templates]) -> FloatArray:
+    """Return the log odds (A, B), at even prior odds, that two processed scans show one person.
+
+    Above 0 they rather show one person than two; several scans of one person against one more are judged by
+    the mean of their log odds. Calibrated for the default `TemplateOptions`. Raises `RecognitionError` when
+    the sets have no kind in common, or cannot be compared.
+
+    Parameters
+    ----------
+    a, b : mapping of kind to Templates
+        A and B templates of each kind, as `albedo_templates` and `shape_templates` or
+        `read_labelled_templates(...).sets` give them. Pairs without a common window of a kind go without it;
+        log odds are 0 where they have none at all.
+    """
+    if not (kinds := [kind for kind in a if kind in b]):
+        raise RecognitionError(
+            f"one set has templates of {' and '.join(a) or 'nothing'}, the other of "
+            f"{' and '.join(b) or 'nothing'}; make both of one kind"
+        )
+    parts = log_odds_by_kind({kind: comparable_similarities(a[kind], b[kind], WINDOW) for kind in kinds})
+    return np.nan_to_num(sum(parts.values()), nan=0.0)
 
 
 @dataclass(frozen=True)
@@ -90,10 +159,13 @@ class ResultIdentification:
     probes: LabelledTemplates
     """`gallery`, `probes`: what was compared."""
     matches: Identification
-    """Of the probes, in their order."""
+    """Of the probes, in their order, by log odds."""
     by_kind: Mapping[Kind, FloatArray]
     """(P, G) of each kind that was used: similarities of each probe to each person by it alone, NaN where one
     of them lacks it."""
+    decided_by: tuple[Kind, ...]
+    """(P,): the kind that adds most to the lead of the predicted person over the next, the shading's part
+    being the texture's."""
     notes: tuple[str, ...]
     """What is odd about the input, one sentence each."""
 
@@ -103,7 +175,7 @@ def identify_results(
     probes: str | Path | LabelledTemplates,
     *,
     use: Sequence[Kind] = DEFAULT_USE,
-    combine: Combine = "best",
+    combine: Combine = "mean",
     options: TemplateOptions | None = None,
     on_count: Callable[[str, int, int], None] | None = None,
 ) -> ResultIdentification:
@@ -120,11 +192,12 @@ def identify_results(
         A CSV file with the columns person and result, each result the folder of a processed scan (see
         `read_face`); the folder of a batch (see `read_manifest`); or a file of templates. Several results may
         show one person; of the probes a cell of person may be empty.
-    use : sequence of {"albedo", "shape"}
-        What is compared; similarities by both are taken together as `fused` says. A result that lacks one of
-        them, as a scan without colour lacks the albedo, is compared by the other.
+    use : sequence of {"albedo", "texture", "shape"}
+        What is compared; similarities are taken together as `fused` says. A result that lacks one, as a scan
+        without colour lacks the albedo, is compared by the others.
     combine : {"best", "mean"}
-        A person's similarity is the best of, or the mean over, the images in the gallery.
+        A person's log odds are the best of, or the mean over, the images in the gallery: of three photographs
+        a person in random light the mean knew 98.7 %, the best 96.6 %.
     options : TemplateOptions, optional
         Those of a file of templates, otherwise the default ones, when omitted.
     on_count : callable, optional
@@ -147,6 +220,8 @@ def identify_results(
     known = read(gallery, "gallery", options)
     shown = read(probes, "probes", known.templates.options)
     kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
+    if not {"albedo", "texture"} <= set(kinds):
+        kinds = [kind for kind in kinds if kind != "shading"]
     if not kinds:
         raise RecognitionError(
             f"{known.source} can be compared by {' and '.join(known.sets)}, {shown.source} by "
@@ -164,29 +239,49 @@ def identify_results(
             here = np.ix_(shown.rows[kind], known.rows[kind])
             found = comparable_similarities(a, b, WINDOW)
             scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
-    total, names = fused(scores), [person or "" for person in known.persons]
+    names = [person or "" for person in known.persons]
+    compared = common_similarities(scores)
+    parts = log_odds_by_kind(compared)
+    total = np.asarray(sum(parts.values()))
+    # A pair with nothing in common is as unlike as similarities of 0.
+    unlike = sum(log_odds_by_kind({kind: np.zeros((1, 1)) for kind in kinds}).values())
     persons = [person if person in known.persons else None for person in shown.persons]
-    matches = identify_by_similarity(np.nan_to_num(total, nan=0.0), names, persons, combine=combine)
+    filled = np.where(np.isnan(total), unlike, total)
+    matches = identify_by_similarity(filled, names, persons, combine=combine)
     by_kind = {kind: similarities_by_person(values, names, combine)[1] for kind, values in scores.items()}
-    # What limits the comparison. First probes that are compared by one of two kinds alone, see `fused`.
+    if "shading" in parts:
+        parts["texture"] = parts["texture"] + parts.pop("shading")
+    decided_by = []
+    for probe, order in enumerate(matches.order):
+        lead = np.zeros(len(parts))
+        for sign, person in zip((1, -1), order[:2], strict=False):
+            images = np.flatnonzero(np.array(names) == matches.persons[person])
+            if combine == "best":
+                images = images[[filled[probe, images].argmax()]]
+            lead += sign * np.nan_to_num([part[probe, images].mean() for part in parts.values()])
+        decided_by.append(list(parts)[lead.argmax()])
+    # What limits the comparison. First probes that are compared by less than others are.
     notes = [*known.notes, *shown.notes]
-    for kind, other in zip(kinds, reversed(kinds), strict=True):
-        alone = np.isfinite(scores[other]).all(1) & ~np.isfinite(scores[kind]).all(1)
-        if alone.any():
-            lacking = sorted(set(range(len(known))) - set(known.rows.get(kind, ())))
-            images = _few([known.labels[k] for k in lacking])
-            reason = f"; of the gallery {images} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
-            notes.append(
-                f"{alone.sum()} of {alone.size} probes are compared by {other} alone, for {kind} counts "
-                f"where the probe and all images of the gallery have it{reason}"
-            )
+    cues = [kind for kind in kinds if kind != "shading"]
+    uses = np.array([(~np.isnan(compared[kind])).any(axis=1) for kind in cues])
+    for pattern in np.unique(uses[:, uses.any(axis=0) & ~uses.all(axis=0)], axis=1).T:
+        alone = (uses == pattern[:, None]).all(axis=0).sum()
+        by = " and ".join(kind for kind, used in zip(cues, pattern, strict=True) if used)
+        missing = [kind for kind, used in zip(cues, pattern, strict=True) if not used]
+        lacking = sorted(set(range(len(known))) - set(known.rows.get(missing[0], ())))
+        images_of = _few([known.labels[k] for k in lacking])
+        reason = f"; of the gallery {images_of} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
+        notes.append(
+            f"{alone} of {len(shown)} probes are compared by {by} alone, for {' or '.join(missing)} counts "
+            f"where the probe and all images of the gallery have it{reason}"
+        )
     people = zip(shown.labels, shown.persons, strict=True)
     if strangers := [f"{label} ({one})" for label, one in people if one not in (None, *known.persons)]:
         notes.append(
             f"{known.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
             "they are identified, but count in no rate"
         )
-    for pairs, lack in ((np.isnan(total), "have neither albedo nor shape"), (apart, "have no window")):
+    for pairs, lack in ((np.isnan(total), "have nothing to compare"), (apart, "have no window")):
         if pairs.any():
             notes.append(
                 f"{pairs.sum()} of {pairs.size} pairs of a probe and an image {lack} in common: they count "
@@ -200,7 +295,7 @@ def identify_results(
             f"{len(same)} of {len(shown)} probes are in the gallery themselves ({_few(same)}): that they are "
             "recognised means nothing"
         )
-    return ResultIdentification(known, shown, matches, by_kind, tuple(notes))
+    return ResultIdentification(known, shown, matches, by_kind, tuple(decided_by), tuple(notes))
 
 
 def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> LabelledTemplates:
@@ -211,7 +306,10 @@ def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> Labelle
     if usable.all():
         return labelled
     reasons = (
-        (lacking, f"no {' or '.join(kinds)}, which is all that both sides can be compared by"),
+        (
+            lacking,
+            f"no {' or '.join(set(kinds) - {'shading'})}, which is all that both sides can be compared by",
+        ),
         (~usable & ~lacking, f"no window of {WINDOW} x {WINDOW} coefficients lies inside the mask"),
     )
     left = [

@@ -11,15 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.templates import TemplateOptions, Templates, common_chart, image_coefficients
+from scan2albedo.recognition.templates import (
+    LEAST_WEIGHT,
+    TemplateOptions,
+    Templates,
+    common_chart,
+    image_coefficients,
+)
 
 STABILIZER = 1e-3
 """K of the index, in squared coefficients summed over a window: windows with less energy count as alike.
 Images have mean 1 before the pyramid."""
-WINDOW = 3
-"""Side of the square windows in coefficients. Charts of fitted faces are misaligned unevenly, and within a
-small window the phases still turn alike: 3 tells people who are alike apart better than the usual 7
-(`tools/experiment_recognition.py --other-templates`)."""
+WINDOW = 5
+"""Side of the square windows in coefficients, chosen on photographs of six people under twelve lamps, as size
+and response of the templates were (`tools/bench_recognition.py --windows`), and on synthetic people."""
 LANES = 64
 """Templates of a block of the compiled loop; they lie next to each other, so that every step is a vector
 operation."""
@@ -40,19 +45,20 @@ def cw_ssim(
 
         S = (2 |sum_i x_i conj(y_i)| + K) / (sum_i |x_i|^2 + sum_i |y_i|^2 + K),
 
-    averaged over the windows inside the mask and over the orientations. A small shift turns the phases of all
-    coefficients of a window alike and leaves S; a change of structure does not (Wang, Simoncelli, ICASSP
-    2005; Sampat, Wang, Gupta, Bovik, Markey, IEEE TIP 18(11), 2009). Raises `ValueError` when an image is not
-    (H, W) or (H, W, 3), or the window is not a whole number of 1 or more; `RecognitionError` when the sizes
-    differ, an image cannot be used, or no window lies inside the mask.
+    averaged over the orientations and the windows inside the mask, each weighed by how certain both images
+    are within it. A small shift turns the phases of all coefficients of a window alike and leaves S; a change
+    of structure does not (Wang, Simoncelli, ICASSP 2005; Sampat, Wang, Gupta, Bovik, Markey, IEEE TIP 18(11),
+    2009). Raises `ValueError` when an image is not (H, W) or (H, W, 3), or the window is not a whole number
+    of 1 or more; `RecognitionError` when the sizes differ, an image cannot be used, or no window lies inside
+    the mask.
 
     Parameters
     ----------
     a, b : (H, W) or (H, W, 3)
         Linear images of the same size.
-    mask, mask_b : (H, W) bool, optional
-        Pixels that count in the first and in the second image, where `mask` counts too when `mask_b` is
-        omitted.
+    mask, mask_b : (H, W), optional
+        Pixels that count in the first and in the second image, as in `albedo_templates`; `mask` counts in
+        both when `mask_b` is omitted.
     options : TemplateOptions
     window : int
         Side of the windows in coefficients.
@@ -75,30 +81,40 @@ def cw_ssim(
         raise RecognitionError(
             f"the images have {np.shape(a)[:2]} and {np.shape(b)[:2]} pixels; give images of one size"
         )
-    first, supported = image_coefficients(a, mask, options, "the first image")
-    of_second = mask if mask_b is None else mask_b
-    second, also_supported = image_coefficients(b, of_second, options, "the second image")
-    return pair_similarity(first, second, supported & also_supported, window)
+    first = image_coefficients(a, mask, options, "the first image")
+    second = image_coefficients(b, mask if mask_b is None else mask_b, options, "the second image")
+    return pair_similarity(*first, *second, window)
 
 
 def pair_similarity(
-    a: NDArray[np.complexfloating], b: NDArray[np.complexfloating], mask: BoolArray, window: int = WINDOW
+    a: NDArray[np.complexfloating],
+    weight_a: NDArray[np.floating],
+    b: NDArray[np.complexfloating],
+    weight_b: NDArray[np.floating],
+    window: int = WINDOW,
 ) -> float:
-    """Return `cw_ssim` of coefficients (O, h, w) over windows inside a mask (h, w)."""
-    _check_window(mask.shape, window)
-    inside = _window_sums(mask, window) == window**2
-    if not inside.any():
+    """Return `cw_ssim` of coefficients (O, h, w) with their weights (h, w), 0 outside the masks."""
+    _check_window(weight_a.shape, window)
+    weight = _window_weights(weight_a, window) * _window_weights(weight_b, window)
+    if not weight.any():
         raise RecognitionError(_no_window_message("the pair", window))
     a, b = a.astype(np.complex128), b.astype(np.complex128)
     shared = np.abs(_window_sums(a * b.conj(), window))
     index = (2 * shared + STABILIZER) / (_window_sums(np.abs(a) ** 2 + np.abs(b) ** 2, window) + STABILIZER)
-    return min(float(index[:, inside].mean()), 1.0)  # rounding goes beyond
+    return min(float((index.mean(axis=0) * weight).sum() / weight.sum()), 1.0)  # rounding goes beyond
 
 
 def has_window(templates: Templates, window: int) -> BoolArray:
     """Return (N,) whether a window lies inside each template's mask."""
     _check_window(templates.mask.shape[1:], window)
-    return np.asarray((_window_sums(templates.mask, window) == window**2).any(axis=(1, 2)))
+    return np.asarray(_window_weights(templates.weight, window).any(axis=(1, 2)))
+
+
+def _window_weights(weight: NDArray[np.floating], window: int) -> NDArray[np.float32]:
+    """Return the mean weight (..., h', w') of windows that lie inside the mask; 0 of others."""
+    inside = _window_sums(weight > 0, window) == window**2
+    mean = _window_sums(weight.astype(np.float64), window) / window**2
+    return np.where(inside, np.maximum(mean, LEAST_WEIGHT), 0.0).astype(np.float32)
 
 
 def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
@@ -129,7 +145,7 @@ def _no_window_message(what: str, window: int) -> str:
 
 
 def similarity_matrix(templates_a: Templates, templates_b: Templates, *, window: int = WINDOW) -> FloatArray:
-    """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks.
+    """Return `cw_ssim` (A, B) of all pairs, over windows inside both masks, weighed by both.
 
     Raises `RecognitionError` when the sets were made with other options, sizes or charts, are empty, or the
     masks of a pair have no window in common; names it.
@@ -182,40 +198,37 @@ def comparable_similarities(a: Templates, b: Templates, window: int) -> FloatArr
         )
     common_chart(a.chart, b.chart, "the first set of templates", "the second")
     _check_window(a.mask.shape[1:], window)
-    # Sums of similarities over orientations and windows, and the numbers of windows, of all pairs. Templates
-    # of the first set are prepared in parts, which bounds the memory: 0.5 MB a template of 256 pixels.
+    # Sums of weighed similarities over orientations and windows, and of weights, of all pairs. Templates of
+    # the first set are prepared in parts, which bounds the memory: 0.5 MB a template of 256 pixels.
     totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
     for top in range(0, len(a), 16 * LANES):
         part = a.select(range(top, min(top + 16 * LANES, len(a))))
-        rows, row_inside = _planes(part, window)
+        rows, row_weight = _planes(part, window)
         for left in range(0, len(b), LANES):
             block = b.select(range(left, min(left + LANES, len(b))))
-            columns, inside = _planes(block, window)
-            total, lane_inside = np.zeros((len(part), LANES)), _lanes(inside.astype(np.float32), LANES)
+            columns, weight = _planes(block, window)
+            total, lane_weight = np.zeros((len(part), LANES)), _lanes(weight, LANES)
             for o in range(len(rows[0])):
                 own, lanes = [plane[o] for plane in rows], [_lanes(plane[o], LANES) for plane in columns]
                 _add_window_similarities(
-                    *own, row_inside, *lanes, lane_inside, window, np.float32(STABILIZER), total
+                    *own, row_weight, *lanes, lane_weight, window, np.float32(STABILIZER), total
                 )
             here = slice(top, top + len(part)), slice(left, left + len(block))
             totals[here] = total[:, : len(block)]
-            # float32 counts exactly up to 2^24 windows
-            flat, flat_block = (x.reshape(len(x), -1).astype(np.float32) for x in (row_inside, inside))
-            windows[here] = flat @ flat_block.T
+            windows[here] = row_weight.reshape(len(part), -1) @ weight.reshape(len(block), -1).T
     bands = a.coefficients.shape[1]
     return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
 
 
-def _planes(templates: Templates, window: int) -> tuple[list[NDArray[np.float32]], BoolArray]:
-    """Return what the kernel reads of N templates, orientations outermost, and the windows inside the mask.
+def _planes(templates: Templates, window: int) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
+    """Return what the kernel reads of N templates, orientations outermost, and the weights of the windows.
 
     These are real and imaginary parts (O, N, h, w) and the energy of each window (O, N, h', w').
     """
     values = templates.coefficients.transpose(1, 0, 2, 3)
     energy = _window_sums(values.real.astype(np.float64) ** 2 + values.imag.astype(np.float64) ** 2, window)
     planes = [np.ascontiguousarray(part) for part in (values.real, values.imag)]
-    inside = np.asarray(_window_sums(templates.mask, window) == window**2)
-    return [*planes, np.maximum(energy, 0).astype(np.float32)], inside
+    return [*planes, np.maximum(energy, 0).astype(np.float32)], _window_weights(templates.weight, window)
 
 
 def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:
@@ -227,13 +240,13 @@ def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
 def _add_window_similarities(  # type: ignore[no-untyped-def]
-    real, imag, energy, valid, lane_real, lane_imag, lane_energy, lane_valid, window, stabilizer, total
+    real, imag, energy, weight, lane_real, lane_imag, lane_energy, lane_weight, window, stabilizer, total
 ):
-    """Add to total (A, LANES) the similarity of one orientation, summed over windows valid in both.
+    """Add to total (A, LANES) the similarity of one orientation, summed over windows by both weights.
 
     `real`, `imag` (A, h, w) float32 are the coefficients of A templates, and (h, w, LANES) those of the
-    lanes. `energy` is a window's sum of squared magnitudes, float32, and `valid` whether it lies inside the
-    mask: (A, h - window + 1, w - window + 1), lanes last. Sums run down columns of `window` coefficients,
+    lanes. `energy` is a window's sum of squared magnitudes, float32, and `weight` 0 outside the mask: (A,
+    h - window + 1, w - window + 1), lanes last. Sums run down columns of `window` coefficients,
     then along rows of these, both by adding what comes in and subtracting what goes out.
     """
     count, height, width = real.shape
@@ -282,12 +295,14 @@ def _add_window_similarities(  # type: ignore[no-untyped-def]
                 for k in range(LANES):
                     sum_real[k] += column_real[x + window - 1, k]
                     sum_imag[k] += column_imag[x + window - 1, k]
-                if valid[n, row, x]:
+                count_as = weight[n, row, x]
+                if count_as > 0:
                     own = energy[n, row, x] + stabilizer
                     for k in range(LANES):
                         shared = np.sqrt(sum_real[k] * sum_real[k] + sum_imag[k] * sum_imag[k])
                         similarity[k] += (
-                            lane_valid[row, x, k]
+                            count_as
+                            * lane_weight[row, x, k]
                             * (two * shared + stabilizer)
                             / (own + lane_energy[row, x, k])
                         )

@@ -6,20 +6,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Integral
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
-from scipy.ndimage import distance_transform_edt, minimum_filter
+from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.geometry.area_mean import area_mean
 from scan2albedo.geometry.rasterization import filled_from_nearest
 
-Kind = Literal["albedo", "shape"]
-"""What is compared: the albedo, or the normals of the fitted surface."""
+Kind = Literal["albedo", "texture", "shape", "shading"]
+"""What is compared: the albedo, the texture as photographed, the normals of the fitted surface; and texture
+over albedo, which tells how alike the lights are, so how much of a texture's similarity is the light's."""
 SCALES: Final = 3
 ORIENTATIONS: Final = 10
 """`SCALES`, `ORIENTATIONS`: of the pyramid."""
@@ -28,6 +29,8 @@ STEP = 2 ** (SCALES - 1)
 HOLE_RADIUS = 0.024
 """Holes of the mask up to this radius, in sides of the image, are filled from around and count; otherwise a
 hole that a scanner left would exclude every window that touches it."""
+LEAST_WEIGHT = float(np.finfo(np.float32).eps)
+"""Of what lies inside the mask, however uncertain: nothing is left of a pair otherwise."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear colour. The brightest channel of skin is red, which pigment and blood hardly darken; luminance
 separates persons better (`tools/bench_recognition.py --faces`)."""
@@ -45,7 +48,8 @@ class TemplateOptions:
     """Longest side in pixels to which larger images are averaged down; smaller ones stay as they are, and
     with None all do."""
     unit_mean: bool = True
-    """Divide by the mean over the mask: an albedo is known up to a scale, and the index depends on it."""
+    """Divide by the mean over the mask, for an albedo is known up to a scale, and take the cube root
+    (lightness, CIE 1976): light that is left scales contrasts, and in dim parts most of all."""
 
     def __post_init__(self) -> None:
         if self.size is not None and not (isinstance(self.size, Integral) and self.size >= 1):
@@ -107,15 +111,20 @@ class Templates:
     """Of the images, where it is known; templates of different charts are not compared."""
     kind: Kind = "albedo"
     """Of what they are."""
+    weight: NDArray[np.float32] = None  # type: ignore[assignment]
+    """(N, h, w): how certain the coefficients are, 0 to 1, above 0 inside the mask; 1 there when omitted."""
 
     def __post_init__(self) -> None:
+        if self.weight is None:
+            object.__setattr__(self, "weight", self.mask.astype(np.float32))
         coefficients, mask = self.coefficients, self.mask
-        bands = ORIENTATIONS * (1 if self.kind == "albedo" else 3)
+        bands = ORIENTATIONS * (3 if self.kind == "shape" else 1)
         if coefficients.ndim != 4 or coefficients.shape[1] != bands:
             raise ValueError(
                 f"{self.kind} coefficients have shape {coefficients.shape}, expected (N, {bands}, h, w)"
             )
-        if mask.shape != coefficients.shape[:1] + coefficients.shape[2:] or len(mask) != len(self.names):
+        shape = coefficients.shape[:1] + coefficients.shape[2:]
+        if not mask.shape == self.weight.shape == shape or len(mask) != len(self.names):
             raise ValueError(
                 f"coefficients {coefficients.shape}, mask {mask.shape} and {len(self.names)} names do not "
                 "fit: expected (N, O, h, w), (N, h, w) and N"
@@ -127,8 +136,10 @@ class Templates:
                 raise RecognitionError(f"template {k} has an empty name; name its person")
             if not mask[k].any():
                 raise RecognitionError(f"template {k} ({name}) is masked everywhere; leave it out")
-            if not np.isfinite(coefficients[k]).all():
-                raise RecognitionError(f"template {k} ({name}) is not finite; make it again")
+            if not (np.isfinite(coefficients[k]).all() and ((self.weight[k] > 0) == mask[k]).all()):
+                raise RecognitionError(
+                    f"template {k} ({name}) is not finite, or weighs what is masked; make it again"
+                )
 
     def __len__(self) -> int:
         return len(self.names)
@@ -148,20 +159,22 @@ class Templates:
         coefficients = np.concatenate([part.coefficients for part in parts])
         names = tuple(name for part in parts for name in part.names)
         mask = np.concatenate([part.mask for part in parts])
-        return cls(coefficients, mask, names, parts[0].options, kind=parts[0].kind)
+        weight = np.concatenate([part.weight for part in parts])
+        return cls(coefficients, mask, names, parts[0].options, kind=parts[0].kind, weight=weight)
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
-        return replace(self, coefficients=self.coefficients[chosen], mask=self.mask[chosen], names=names)
+        coefficients, mask, weight = (of[chosen] for of in (self.coefficients, self.mask, self.weight))
+        return replace(self, coefficients=coefficients, mask=mask, weight=weight, names=names)
 
 
 def albedo_templates(
     images: Sequence[ArrayLike] | NDArray[np.floating],
     names: Sequence[str],
     *,
-    masks: Sequence[ArrayLike | None] | NDArray[np.bool_] | None = None,
+    masks: Sequence[ArrayLike | None] | NDArray[Any] | None = None,
     options: TemplateOptions = TemplateOptions(),
 ) -> Templates:
     """Return the templates of albedos, in about 2 ms an image of 128 pixels.
@@ -177,8 +190,9 @@ def albedo_templates(
         luminance is compared; give another channel as (H, W).
     names : N of str
         Of the persons.
-    masks : N of (H, W) bool, or None
-        Where the albedo is known; everywhere when omitted.
+    masks : N of (H, W) bool or float, or None
+        Where the albedo is known, or how certain it is there, 0 (unknown) to 1 (see `certainty`); everywhere
+        when omitted.
     options : TemplateOptions
 
     Examples
@@ -194,7 +208,7 @@ def shape_templates(
     normals: Sequence[ArrayLike] | NDArray[np.floating],
     names: Sequence[str],
     *,
-    masks: Sequence[ArrayLike | None] | NDArray[np.bool_] | None = None,
+    masks: Sequence[ArrayLike | None] | NDArray[Any] | None = None,
     options: TemplateOptions = TemplateOptions(),
 ) -> Templates:
     """Return the templates of surfaces by their normals; `unit_mean` does not apply.
@@ -209,11 +223,25 @@ def shape_templates(
     return _templates("shape", normals, names, masks, options)
 
 
+def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> FloatArray:
+    """Return (H, W) the part of an albedo's contrast that is the albedo's own, 0 outside the mask.
+
+    That is v / (v + e^2) with the variance v of the albedo over its mean and the expected error e (H, W),
+    which `AlbedoEstimate.expected_error` holds; a texture is as certain, for its doubtful texels lie in
+    shadow.
+    """
+    values = np.asarray(albedo, np.float64)
+    of_mask = (values @ LUMINANCE if values.ndim == 3 else values)[mask]
+    contrast = of_mask.var() / max(of_mask.mean() ** 2, LEAST_WEIGHT)
+    known = contrast / np.maximum(contrast + np.asarray(expected_error, np.float64) ** 2, LEAST_WEIGHT)
+    return np.where(mask, np.maximum(known, LEAST_WEIGHT), 0.0)
+
+
 def _templates(
     kind: Kind,
     images: Sequence[ArrayLike] | NDArray[np.floating],
     names: Sequence[str],
-    masks: Sequence[ArrayLike | None] | NDArray[np.bool_] | None,
+    masks: Sequence[ArrayLike | None] | NDArray[Any] | None,
     options: TemplateOptions,
 ) -> Templates:
     if len(images) != len(names) or (masks is not None and len(masks) != len(images)):
@@ -222,25 +250,26 @@ def _templates(
     if len(images) == 0:
         raise RecognitionError("no image was given; templates need one or more")
     coefficients: list[NDArray[np.complex64]] = []
-    supported: list[BoolArray] = []
+    weights: list[NDArray[np.float32]] = []
     for k, image in enumerate(images):
         what = f"image {k} ({names[k]})"
-        bands, mask = kind_coefficients(kind, image, None if masks is None else masks[k], options, what)
-        if supported and mask.shape != supported[0].shape:
+        bands, weight = kind_coefficients(kind, image, None if masks is None else masks[k], options, what)
+        if weights and weight.shape != weights[0].shape:
             raise RecognitionError(
                 f"{what} has {np.shape(image)[:2]} pixels, image 0 {np.shape(images[0])[:2]}; "
                 "give images of one size, or options with a size that both have"
             )
         coefficients.append(bands)
-        supported.append(mask)
-    return Templates(np.stack(coefficients), np.stack(supported), tuple(names), options, kind=kind)
+        weights.append(weight)
+    weight = np.stack(weights)
+    return Templates(np.stack(coefficients), weight > 0, tuple(names), options, kind=kind, weight=weight)
 
 
 def kind_coefficients(
     kind: Kind, image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex64], BoolArray]:
-    """Return coefficients (O, h, w) and mask (h, w) of an albedo, or of normals (H, W, 3)."""
-    if kind == "albedo":
+) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+    """Return coefficients (O, h, w) and weights (h, w) of an image, or of normals (H, W, 3)."""
+    if kind != "shape":
         parts = [image_coefficients(image, mask, options, what)]
     else:
         values = np.asarray(image, np.float64)
@@ -253,17 +282,18 @@ def kind_coefficients(
 
 def image_coefficients(
     image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex128], BoolArray]:
-    """Return coefficients (O, h, w), 0 outside their mask, and the mask (h, w) of one image named `what`."""
+) -> tuple[NDArray[np.complex128], NDArray[np.float32]]:
+    """Return coefficients (O, h, w), 0 outside their mask, and weights (h, w) of one image named `what`."""
     pixels = np.asarray(image, np.float64)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
         raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
-    valid = np.ones(pixels.shape[:2], bool) if mask is None else np.asarray(mask)
+    certain = np.ones(pixels.shape[:2]) if mask is None else np.asarray(mask)
+    valid = certain > 0
     if valid.shape != pixels.shape[:2]:
         size, other = (" x ".join(map(str, array.shape[:2])) for array in (pixels, valid))
         raise RecognitionError(f"{what} has {size} pixels, its mask {other}; give a mask of the image's size")
-    if valid.dtype != np.bool_:
-        raise ValueError(f"{what}: its mask is of {valid.dtype}, expected bool")
+    if certain.dtype.kind not in "bf" or not ((certain >= 0) & (certain <= 1)).all():
+        raise ValueError(f"{what}: its mask is of {certain.dtype}, expected bool, or float within [0, 1]")
     if not valid.any():
         raise NothingToCompareError(
             f"{what} is masked everywhere; leave it out, or give a mask with valid pixels"
@@ -278,6 +308,7 @@ def image_coefficients(
     pixels = np.where(valid, pixels, 0.0)
     if options.size is not None:
         pixels, valid = averaged_down(pixels, valid, options.size, what)
+        certain = area_mean(certain, (valid.shape[0], valid.shape[1]))
     if options.unit_mean:
         with np.errstate(over="ignore"):
             mean = float(pixels[valid].mean())
@@ -289,7 +320,7 @@ def image_coefficients(
                 f"{what} has the mean {mean:g} in its mask, expected > 0; leave a black image out, or "
                 "compare as it is (unit_mean=False)"
             )
-        pixels = pixels / mean
+        pixels = np.cbrt(pixels / mean)
     supported = supported_mask(without_holes(valid, HOLE_RADIUS))
     if not supported.any():
         raise NothingToCompareError(
@@ -305,7 +336,10 @@ def image_coefficients(
             "give a larger image"
         )
     bands = coarsest_bands(padded)[:, : supported.shape[0], : supported.shape[1]]
-    return np.where(supported, bands, 0.0), supported
+    # Of all pixels up to `STEP` / 2 beside a coefficient.
+    weight = uniform_filter(certain.astype(np.float64), STEP + 1, mode="nearest")[::STEP, ::STEP]
+    weight = np.where(supported, np.clip(weight, LEAST_WEIGHT, 1.0), 0.0).astype(np.float32)
+    return np.where(supported, bands, 0.0), weight
 
 
 def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:

@@ -28,11 +28,13 @@ class ProbeRecord(Record):
     probe: str = Field(description="The result, as the file of probes names it.")
     person: str | None = Field(description="Who it shows; null where nobody knows.")
     predicted: str = Field(description="The most similar person of the gallery.")
-    similarity: Number = Field(description="Of that person, 0 to 1; by both, the mean by their weights.")
+    log_odds: Number = Field(description="That the probe shows that person rather than another, natural log.")
+    decided_by: Kind = Field(description="What adds most to that person's lead over the next.")
     rank: int | None = Field(ge=1, description="Place of the right person; null where nobody knows.")
     next_person: str | None = Field(description="The second; null in a gallery of one person.")
-    next_similarity: OptionalNumber
+    next_log_odds: OptionalNumber
     albedo: OptionalNumber = Field(description="Of the predicted person by albedo alone: CW-SSIM, 0 to 1.")
+    texture: OptionalNumber = Field(description="Of the predicted person by texture alone: CW-SSIM, 0 to 1.")
     shape: OptionalNumber = Field(
         description="Of the predicted person by shape alone: CW-SSIM of normals, 0 to 1."
     )
@@ -54,7 +56,7 @@ class RatesRecord(Record):
 class IdentificationRecord(Record):
     """The content of `identification.json`."""
 
-    format_version: Literal[1] = 1
+    format_version: Literal[2] = 2
     scan2albedo_version: str
     gallery: str = Field(description="The file or folder that names it, as given.")
     probes: str = Field(description="The file or folder that names them, as given.")
@@ -115,11 +117,13 @@ def write_identification(
                 probe=probe,
                 person=person,
                 predicted=matches.persons[first],
-                similarity=rounded(matches.similarities[k, first]) or 0.0,
+                log_odds=round(float(matches.similarities[k, first]), 3),
+                decided_by=found.decided_by[k],
                 rank=int(matches.ranks[k]) or None,
                 next_person=matches.persons[others[0]] if others else None,
-                next_similarity=rounded(matches.similarities[k, others[0]]) if others else None,
+                next_log_odds=round(float(matches.similarities[k, others[0]]), 3) if others else None,
                 albedo=alone.get("albedo"),
+                texture=alone.get("texture"),
                 shape=alone.get("shape"),
             )
         )
@@ -128,7 +132,7 @@ def write_identification(
         scan2albedo_version=VERSION,
         gallery=str(found.gallery.source),
         probes=str(found.probes.source),
-        use=tuple(found.by_kind),
+        use=tuple(kind for kind in found.by_kind if kind != "shading"),
         gallery_images=len(found.gallery),
         persons=matches.persons,
         combine=matches.combine,
@@ -143,7 +147,7 @@ def write_identification(
         return record
     from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
 
-    name = " and ".join(found.by_kind)
+    name = ", ".join(record.use)
     with RunFolder(folder, FILES).publishing() as staging:
         table = StringIO()
         writer = csv.writer(table, lineterminator="\n")
@@ -154,7 +158,7 @@ def write_identification(
             writer.writerow(f"'{c}" if isinstance(c, str) and c.startswith(formula) else c for c in cells)
         write_text(staging.folder / "identification.csv", table.getvalue())
         similarities = {
-            "similarities": matches.similarities,
+            "log_odds": matches.similarities,
             **{f"{kind}_similarities": values for kind, values in found.by_kind.items()},
             "persons": np.array(matches.persons),
             "probes": np.array(found.probes.labels),

@@ -48,7 +48,8 @@ def test_a_table_on_stdout_and_the_rate_on_stderr(folder):
     done = run(folder, "--probes", folder / "probes.csv")
     assert done.exit_code == 0, done.output
     head, *rows = [line.split() for line in done.stdout.splitlines()]
-    assert head[:5] == ["probe", "person", "predicted", "similarity", "rank"]
+    assert head[:5] == ["probe", "person", "predicted", "log", "odds"]
+    assert "decided by albedo (3)" in done.stderr
     assert [row[:3] for row in rows] == [
         ["bob-2.exr", "bob", "bob"],
         ["cy-2.exr", "cy", "cy"],
@@ -69,13 +70,14 @@ def test_files_and_json_tell_the_same(folder, tmp_path):
     rows = list(csv.DictReader((out / "identification.csv").read_text(encoding="utf-8").splitlines()))
     assert record["use"] == ["albedo"]  # images have no shape
     assert "no result has shape; they are compared without" in done.stderr
-    assert list(rows[0])[:5] == ["probe", "person", "predicted", "similarity", "rank"]
+    assert list(rows[0])[:5] == ["probe", "person", "predicted", "log_odds", "decided_by"]
     assert [row["rank"] for row in rows] == ["1", "1", ""]
     with np.load(out / "similarities.npz") as arrays:
         assert arrays["persons"].tolist() == ["ann", "bob", "cy"]
         assert arrays["probe_persons"].tolist() == ["bob", "cy", ""]
-        best = arrays["similarities"].max(1)
-    np.testing.assert_allclose([float(row["similarity"]) for row in rows], best, atol=1e-6)
+        best = arrays["log_odds"].max(1)
+    np.testing.assert_allclose([float(row["log_odds"]) for row in rows], best, atol=1e-3)
+    assert [row["decided_by"] for row in rows] == ["albedo"] * 3
     for name in ("cmc.png", "roc.png"):
         with Image.open(out / name) as picture:
             assert min(picture.size) > 300
@@ -103,7 +105,7 @@ def test_names_that_a_spreadsheet_would_run_are_quoted(folder, tmp_path):
     (row,) = csv.DictReader((tmp_path / "identification.csv").read_text(encoding="utf-8").splitlines())
     assert row["predicted"] in ("'=1+1", "'-ann")
     assert row["next_person"] in ("'=1+1", "'-ann", "'+bob", "'@cy")
-    assert float(row["similarity"])
+    assert float(row["log_odds"])
     assert row["person"] == ""
 
 
@@ -155,7 +157,10 @@ def test_a_write_that_fails_leaves_the_old_files(folder, tmp_path, monkeypatch):
         ((), "no probes"),
         (("-o", "out"), "no probes"),
         (("--probes", "probes.csv", "--combine", "worst"), "--combine is 'worst'"),
-        (("--probes", "probes.csv", "--use", "colour"), "--use is 'colour', expected albedo, shape or"),
+        (
+            ("--probes", "probes.csv", "--use", "colour"),
+            "--use is 'colour', expected some of albedo,texture,shape",
+        ),
         (("--save-templates", "gallery.bin"), "ends in .npz"),
     ],
 )

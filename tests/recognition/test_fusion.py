@@ -1,18 +1,21 @@
-"""Albedo and shape together: better than either, on one scale where one is missing."""
+"""Several kinds together: better than any, on one scale where one is missing, light left aside."""
 
 import numpy as np
 import pytest
 from recognition_experiment.calibration import calibrated
 
-from scan2albedo.recognition import fused
+from scan2albedo.errors import RecognitionError
+from scan2albedo.recognition import Calibration, albedo_templates, fused, same_person_log_odds
+from scan2albedo.recognition.result_identification import CALIBRATION, log_odds_by_kind
 
 
 def build_scores(seed, count=2000, together=0.5):
-    """Return albedo's and shape's similarities (2, N), of one person in every second pair."""
+    """Return albedo's and shape's similarities (N,), and which pairs are of one person: every second."""
     random = np.random.default_rng(seed)
     genuine = np.arange(count) % 2 == 0
     noise = random.multivariate_normal([0, 0], [[1, together], [together, 1]], count).T
-    return np.array([[0.7], [0.8]]) + np.array([[0.04], [0.02]]) * (noise + 2.0 * genuine), genuine
+    scores = np.array([[0.7], [0.8]]) + np.array([[0.04], [0.02]]) * (noise + 2.0 * genuine)
+    return {"albedo": scores[0], "shape": scores[1]}, genuine
 
 
 def error(scores, genuine):
@@ -21,48 +24,86 @@ def error(scores, genuine):
     return min(max(pair) for pair in rates)
 
 
-def test_both_are_better_than_either():
-    calibration = calibrated(*build_scores(0)[0], build_scores(0)[1])
-    (albedo, shape), genuine = build_scores(1)
-    together = fused({"albedo": albedo[None], "shape": shape[None]}, calibration)[0]
-    alone = min(error(albedo, genuine), error(shape, genuine))
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrated(*build_scores(0))
+
+
+def test_both_are_better_than_either(calibration):
+    scores, genuine = build_scores(1)
+    together = fused({kind: values[None] for kind, values in scores.items()}, calibration)[0]
+    alone = min(error(values, genuine) for values in scores.values())
     assert error(together, genuine) < alone - 0.01
     # Of two normals 2 apart, correlated by 0.5, Fisher's discriminant is 2 * 2 / sqrt(3) apart.
     assert error(together, genuine) == pytest.approx(0.124, abs=0.02)
 
 
-def test_where_one_is_missing_the_other_keeps_its_scale():
-    scores, genuine = build_scores(0)
-    calibration = calibrated(*scores, genuine)
-    nothing = np.full((1, 1), np.nan)
-    albedo, shape = np.array([[0.74], [0.74]]), np.array([[np.nan], [0.82]])
-    of_albedo, both = fused({"albedo": albedo, "shape": shape}, calibration)
-    assert of_albedo == pytest.approx(both, abs=0.01)
-    assert np.isnan(fused({"albedo": nothing, "shape": nothing}, calibration)).all()
+def test_log_odds_are_those_of_the_pairs(calibration):
+    scores, genuine = build_scores(2, 20000)
+    odds = fused({kind: values[None] for kind, values in scores.items()}, calibration)[0]
+    for low, high in ((-3, -1), (-1, 1), (1, 3)):
+        here = (odds > low) & (odds < high)
+        expected = np.mean(1 / (1 + np.exp(-odds[here])))
+        assert genuine[here].mean() == pytest.approx(expected, abs=0.03)
 
 
-def test_where_all_are_compared_by_one_kind_its_similarities_stay():
-    scores, genuine = build_scores(0)
-    calibration = calibrated(*scores, genuine)
-    known = np.array([[0.78, 1.0], [0.8, 0.9]])
-    gray = np.array([[0.7, np.nan], [0.6, np.nan]])
-    assert fused({"shape": known}, calibration) is known
-    assert fused({"albedo": gray, "shape": known}, calibration) is known
-    assert fused({"albedo": known, "shape": gray}, calibration) is known
+def test_where_one_is_missing_the_other_keeps_its_scale(calibration):
+    scores, genuine = build_scores(1)
+    gray = np.full((1, len(genuine)), np.nan)
+    odds = fused({"albedo": gray, "shape": scores["shape"][None]}, calibration)[0]
+    assert np.mean((odds > 0) == genuine) == pytest.approx(0.84, abs=0.02)  # normals 2 apart: Phi(1)
+    assert np.isnan(fused({"albedo": gray, "shape": gray}, calibration)).all()
 
 
-def test_a_probe_is_compared_by_what_the_whole_gallery_has():
-    scores, genuine = build_scores(0)
-    calibration = calibrated(*scores, genuine)
+def test_a_probe_is_compared_by_what_the_whole_gallery_has(calibration):
     albedo = np.array([[0.9, 0.6, np.nan], [0.9, 0.6, 0.7], [0.9, np.nan, 0.7]])
     shape = np.array([[0.7, 0.8, 0.75], [0.7, 0.8, 0.75], [np.nan, 0.8, 0.75]])
     found = fused({"albedo": albedo, "shape": shape}, calibration)
-    assert found[0].argsort().tolist() == shape[0].argsort().tolist()
-    first, second, _ = calibration.both
-    np.testing.assert_allclose(found[1], (first * albedo[1] + second * shape[1]) / (first + second))
+    np.testing.assert_allclose(found[:1], fused({"shape": shape[:1]}, calibration))
+    parts = log_odds_by_kind({"albedo": albedo[1:2], "shape": shape[1:2]}, calibration)
+    np.testing.assert_allclose(found[1:2], parts["albedo"] + parts["shape"])
     assert np.isfinite(found[2]).all()
+
+
+def test_a_texture_that_is_alike_by_its_light_decides_nothing():
+    # The right person under other light, and a stranger under the probe's: more alike as photographed.
+    pair = {"albedo": [[0.70, 0.62]], "texture": [[0.66, 0.70]], "shading": [[0.60, 0.80]]}
+    odds = fused({kind: np.array(values) for kind, values in pair.items()})
+    assert odds[0, 0] > odds[0, 1]
+    without = fused({kind: np.array(values) for kind, values in pair.items() if kind == "texture"})
+    assert without[0, 0] < without[0, 1]
+
+
+def test_in_one_light_the_shading_counts_for_nothing():
+    spread = np.sqrt(CALIBRATION.shading_variance) * np.array([[-0.9, 0.0, 0.9]])
+    cues = {"albedo": np.full((1, 3), 0.7), "texture": np.full((1, 3), 0.7), "shading": 0.7 + spread}
+    np.testing.assert_allclose(np.ptp(fused(cues)), 0, atol=1e-9)
+    assert np.ptp(fused(cues | {"shading": 0.7 + 9 * spread})) > 1
 
 
 def test_too_few_pairs_are_no_calibration():
     with pytest.raises(ValueError, match="2 pairs of one person and 4 of two"):
-        calibrated(np.arange(6.0), np.arange(6.0), [1, 1, 0, 0, 0, 0])
+        calibrated({"albedo": np.arange(6.0)}, [1, 1, 0, 0, 0, 0])
+
+
+def test_one_person_or_two_are_told_apart(albedo):
+    first, again, other = (
+        albedo(seed) + 0.05 * albedo(seed + noise) for seed, noise in ((0, 7), (0, 8), (1, 9))
+    )
+    a = {"albedo": albedo_templates([first], ["ann"])}
+    b = {"albedo": albedo_templates([again, other], ["ann", "bob"])}
+    odds = same_person_log_odds(a, b)
+    assert odds.shape == (1, 2)
+    assert odds[0, 0] > 0 > odds[0, 1]
+    np.testing.assert_allclose(same_person_log_odds(b, a), odds.T, atol=1e-3)
+    with pytest.raises(RecognitionError, match="one set has templates of albedo, the other of nothing"):
+        same_person_log_odds(a, {})
+
+
+def test_the_calibration_in_use_is_one():
+    covariance = np.array(CALIBRATION.covariance)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+    slopes = np.linalg.solve(covariance, np.subtract(CALIBRATION.same, CALIBRATION.other))
+    assert (slopes[:3] > 0).all()
+    assert slopes[3] < 0
+    assert isinstance(CALIBRATION, Calibration)

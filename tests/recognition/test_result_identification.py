@@ -8,7 +8,7 @@ import pytest
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
-from scan2albedo.io.images import write_exr
+from scan2albedo.io.images import read_image_linear, write_exr
 from scan2albedo.recognition import (
     TemplateOptions,
     albedo_templates,
@@ -76,15 +76,20 @@ def test_templates_are_those_of_the_texels_that_were_seen(stored, tmp_path):
 def test_a_gallery_kept_in_a_file_gives_the_same(gallery, probes, tmp_path):
     kept = read_labelled_templates(gallery, options=OPTIONS)
     written = write_labelled_templates(tmp_path / "gallery.npz", kept)
-    assert [file.name for file in written] == ["gallery.npz", "gallery.shape.npz"]
+    assert [file.name for file in written] == [
+        "gallery.npz",
+        *(f"gallery.{kind}.npz" for kind in ("texture", "shape", "shading")),
+    ]
     first, again = identify_results(kept, probes), identify_results(tmp_path / "gallery.npz", probes)
     np.testing.assert_array_equal(first.matches.similarities, again.matches.similarities)
     assert again.gallery.labels == ("cy [0]", "ann [1]", "bob [2]")
-    assert set(again.by_kind) == {"albedo", "shape"}
-    written[1].unlink()
+    assert set(again.by_kind) == {"albedo", "texture", "shape", "shading"}
+    assert again.decided_by == first.decided_by
+    for file in written[1:3]:
+        file.unlink()
     alone = identify_results(tmp_path / "gallery.npz", probes)
     assert set(alone.by_kind) == {"albedo"}
-    assert "gallery.npz: holds no shape" in alone.notes[0]
+    assert "gallery.npz: holds no texture" in alone.notes[0]
     with pytest.raises(RecognitionError, match=r"gallery\.npz was made with .*size=64.*size=32"):
         read_labelled_templates(tmp_path / "gallery.npz", options=TemplateOptions(size=32))
 
@@ -93,7 +98,10 @@ def test_several_images_of_a_person_are_combined(people, probes, tmp_path):
     rows = [(name, people / f"{name}{end}") for name in ("ann", "bob", "cy") for end in ("", "-2")]
     both = listed(tmp_path, rows, "both.csv")
     best, mean = (identify_results(both, probes, options=OPTIONS, combine=c) for c in ("best", "mean"))
-    assert best.matches.similarities.max(1).min() > 0.999
+    np.testing.assert_array_equal(
+        identify_results(both, probes, options=OPTIONS).matches.similarities, mean.matches.similarities
+    )
+    assert best.by_kind["albedo"].max(1).min() > 0.999
     assert (mean.matches.similarities.max(1) < best.matches.similarities.max(1)).all()
     assert "3 of 3 probes are in the gallery themselves" in best.notes[0]
     with pytest.raises(ValueError, match="combine is 'worst'"):
@@ -143,6 +151,26 @@ def test_whom_the_gallery_does_not_know_is_named(gallery, people, tmp_path):
     assert "ann-2 (zoe); they are identified, but count in no rate" in found.notes[0]
 
 
+def test_errors_of_the_albedo_are_weights(people, tmp_path):
+    folder = shutil.copytree(people / "bob-2", tmp_path / "bob")
+    plain = read_face(folder)
+    error = np.full((64, 64), 0.1, np.float32)
+    error[:32] = 0.9
+    write_exr(folder / "expected_error.exr", error)
+    for kind in ("albedo", "texture", "shading"):
+        face_of = read_face(folder, kind)
+        np.testing.assert_array_equal(face_of.seen, plain.seen)
+        low, high = (face_of.certainty[half][face_of.seen[half]] for half in (slice(32), slice(32, 64)))
+        assert 0 < low.max() < 0.3 < 0.7 < high.min() < 1
+    spoilt = read_image_linear(folder / "albedo.exr")
+    spoilt[:32] *= 1 + 0.5 * np.random.default_rng(0).standard_normal((32, 64, 1))
+    write_exr(folder / "albedo.exr", np.abs(spoilt))
+    shown, known = read_face(folder), read_face(people / "bob")
+    options = {"options": OPTIONS, "mask_b": known.seen}
+    weighed = cw_ssim(shown.values, known.values, shown.certainty, **options)
+    assert weighed > cw_ssim(shown.values, known.values, shown.seen, **options) + 0.05
+
+
 def test_what_cannot_be_read_is_named_with_its_line(gallery, people, tmp_path):
     (tmp_path / "empty").mkdir()
     rows = [("bob", people / "bob-2"), ("ann", "empty")]
@@ -158,9 +186,9 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
     shown, known = read_face(people / "ann"), read_face(tmp_path / "ann")
     expected = cw_ssim(shown.values, known.values, shown.seen, mask_b=known.seen)
     by_albedo = identify_results(gallery, probes, use=["albedo"])
-    assert by_albedo.matches.similarities[0, 0] == pytest.approx(expected, abs=1e-5)
-    by_both = identify_results(gallery, probes)
-    assert by_both.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
+    assert by_albedo.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
+    together = identify_results(gallery, probes)
+    assert together.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
     templates = [albedo_templates([one.values], ["ann"], masks=[one.seen]) for one in (shown, known)]
     assert similarity_matrix(*templates)[0, 0] == pytest.approx(expected, abs=1e-5)
 
@@ -204,7 +232,9 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     mixed = listed(tmp_path, [("bob", "gray"), ("cy", people / "cy")], "mixed.csv")
     found = identify_results(mixed, listed(tmp_path, [("cy", people / "cy-2")], "one.csv"), options=OPTIONS)
     assert "1 of 1 probes are compared by shape alone" in found.notes[1]
-    np.testing.assert_array_equal(found.matches.similarities, found.by_kind["shape"])
+    assert found.decided_by == ("shape",)
+    order = found.by_kind["shape"].argsort(axis=1)
+    np.testing.assert_array_equal(found.matches.similarities.argsort(axis=1), order)
     assert found.notes[1].endswith("of the gallery gray lacks it")
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
@@ -234,10 +264,10 @@ def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery
     found = identify_results(gallery, listed(tmp_path, rows), options=OPTIONS)
     assert found.matches.predicted == ("bob",)
     assert "line 3: masked: is masked everywhere" in found.notes[0]
-    assert "list.csv: narrow: no window of 3 x 3 coefficients lies inside the mask" in found.notes[1]
+    assert "list.csv: narrow: no window of 5 x 5 coefficients lies inside the mask" in found.notes[1]
     with pytest.raises(RecognitionError, match=r"no result has a shape .*masked: is masked everywhere"):
         identify_results(gallery, listed(tmp_path, rows[1:2]), options=OPTIONS)
-    with pytest.raises(RecognitionError, match=r"narrow: no window of 3 x 3 .* and no result is left"):
+    with pytest.raises(RecognitionError, match=r"narrow: no window of 5 x 5 .* and no result is left"):
         identify_results(gallery, listed(tmp_path, rows[2:]), options=OPTIONS)
 
 
@@ -249,11 +279,12 @@ def test_halves_of_faces_that_do_not_meet_count_as_unlike(people, stored, tmp_pa
     rows = [("ann", "left"), ("bob", people / "bob")]
     found = identify_results(listed(tmp_path, rows), listed(tmp_path, [("bob", "right")], "p.csv"))
     assert found.matches.predicted == ("bob",)
-    assert found.matches.similarities[0, 0] == 0
+    assert found.matches.similarities[0, 0] < found.matches.similarities[0, 1] - 100
+    assert found.by_kind["albedo"][0, 0] == 0
     assert "1 of 2 pairs of a probe and an image have no window in common" in found.notes[0]
 
 
 @pytest.mark.parametrize("use", [(), ("colour",), ("albedo", "albedo"), "shape"])
 def test_what_to_use_is_checked(gallery, probes, use):
-    with pytest.raises(ValueError, match="expected one or both of albedo, shape"):
+    with pytest.raises(ValueError, match="expected one or more of albedo, texture, shape"):
         identify_results(gallery, probes, use=use)

@@ -1,6 +1,7 @@
 """CW-SSIM: what it must not see, what it must see, and the compiled blocks beside a plain reference."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from scan2albedo.recognition import (
 )
 
 
-def reference(a, b, mask_a, mask_b, window=3, k=1e-3):
+def reference(a, b, mask_a, mask_b, window=5, k=1e-3):
     """CW-SSIM of coefficients (O, h, w), window by window."""
     values = []
     for x, y in zip(a.astype(complex), b.astype(complex), strict=True):
@@ -46,6 +47,30 @@ def random_templates(seed, count, shape=(12, 15), contrast=1.0):
     return Templates(
         np.where(mask[:, None], values, 0).astype(np.complex64), mask, tuple(f"p{k}" for k in range(count))
     )
+
+
+def test_windows_are_weighed_by_both():
+    a, b = random_templates(7, 2), random_templates(8, 3)
+    random = np.random.default_rng(9)
+    a, b = (
+        replace(t, weight=np.where(t.mask, random.uniform(0.01, 1, t.mask.shape), 0).astype(np.float32))
+        for t in (a, b)
+    )
+    fast, window = similarity_matrix(a, b), 5
+    for i in range(2):
+        for j in range(3):
+            total = norm = 0.0
+            for row in range(a.mask.shape[1] - window + 1):
+                for column in range(a.mask.shape[2] - window + 1):
+                    here = slice(row, row + window), slice(column, column + window)
+                    if a.mask[i][here].all() and b.mask[j][here].all():
+                        x, y = (t.coefficients[k][:, *here].astype(complex) for t, k in ((a, i), (b, j)))
+                        shared = abs((x * y.conj()).sum((1, 2)))
+                        energy = (abs(x) ** 2 + abs(y) ** 2).sum((1, 2))
+                        weight = a.weight[i][here].mean() * b.weight[j][here].mean()
+                        total += weight * ((2 * shared + 1e-3) / (energy + 1e-3)).mean()
+                        norm += weight
+            assert fast[i, j] == pytest.approx(total / norm, abs=2e-6)
 
 
 def test_an_image_is_like_itself(albedo, face_like_mask):

@@ -14,7 +14,7 @@ from scan2albedo.recognition import Chart, TemplateOptions, albedo_templates, re
 def templates(albedo, face_like_mask):
     options = TemplateOptions(size=100, unit_mean=False)
     return albedo_templates(
-        [albedo(0), albedo(1)], ["Ann Ö", "bob"], masks=[face_like_mask, None], options=options
+        [albedo(0), albedo(1)], ["Ann Ö", "bob"], masks=[face_like_mask, albedo(2)], options=options
     )
 
 
@@ -30,6 +30,7 @@ def test_templates_come_back(tmp_path, templates):
     back = read_templates(tmp_path / "gallery.npz")
     np.testing.assert_array_equal(back.coefficients, templates.coefficients)
     np.testing.assert_array_equal(back.mask, templates.mask)
+    np.testing.assert_array_equal(back.weight, templates.weight)
     assert back.names == templates.names
     assert back.options == templates.options
     assert [p.name for p in tmp_path.iterdir()] == ["gallery.npz"]
@@ -84,6 +85,7 @@ def test_headers_that_do_not_fit_are_named(tmp_path, templates):
     for change, complaint in (
         ({"format": "scan2albedo cameras"}, "format: "),
         ({"names": ["ann"]}, "do not fit"),
+        ({"format_version": 1}, "format_version"),
         ({"options": header["options"] | {"scales": 4}}, "options.scales"),
         ({"options": header["options"] | {"hole_radius": 0.0}}, "options.hole_radius"),
         ({"options": {"size": 128}}, "options.unit_mean"),

@@ -83,17 +83,20 @@ def population_scan(
     seed: int = 0,
     population: Population = Population(),
     model: AnnotatedSurface | None = None,
+    lamps: tuple[PointLight, ...] | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
     """Return the scan "person-<person>-session-<session>" of one person of a population, and its truth.
 
     Shape, skin with its moles and freckles, brows and lips belong to the person; light, highlight,
-    expression, pose, noise and damage to the session. `seed` is that of the population.
+    expression, pose, noise and damage to the session. `seed` is that of the population; `lamps` take the
+    place of the session's own.
     """
     template = model or default_model()
     individual = Individual.drawn(np.random.default_rng([seed, person, 11]), population.tones)
     now = np.random.default_rng([seed, person, session, 13])
     room = random_room(now, population.lamp_colors) if population.light == "room" else None
     lights = random_lights(now, population)
+    lights = lights if lamps is None else lamps
     material = Material(0.3, float(now.uniform(*_HIGHLIGHT)), 14.0)
     sitter = sit_down(
         individual.shape_seed,

@@ -183,7 +183,9 @@ class ComparedSet:
 
     def calibration(self, albedo: str) -> Calibration:
         """Return how albedo, by its method's name, and shape are best weighed on these people."""
-        return calibrated(self.similarities[albedo], self.similarities[SHAPE], self.genuine)
+        return calibrated(
+            {"albedo": self.similarities[albedo], "shape": self.similarities[SHAPE]}, self.genuine
+        )
 
     def results(self) -> dict[tuple[str, str], list[MethodResult]]:
         """Return the results of all methods by condition and its value; ("all", "") of all probes.
