@@ -109,12 +109,7 @@ def matched_skins(
 ) -> tuple[list[FloatArray], FloatArray]:
     """Return two faces' albedos (H, W, 3), whole, and by how much (H, W, 2) B's features lie beside A's.
 
-    Labels say which texels are one feature in either face, see `skin_match.displacement`.
-
-    Parameters
-    ----------
-    a, b, weight, model : ProcessedFace, ProcessedFace, float, AnnotatedFaceModel or None
-        As in `blend_faces`, of one chart.
+    The faces share a chart. Labels say which texels are one feature in either, see `skin_match.displacement`.
     """
     skins, labels, same = [], [], np.zeros_like(a.mask)
     for face, other, part, wins in ((a, b, weight, weight >= 0.5), (b, a, 1 - weight, weight < 0.5)):

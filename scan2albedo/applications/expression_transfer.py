@@ -17,7 +17,6 @@ from scan2albedo.fitting import FitOptions, FittedFace, fit
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
-from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 Correspondence = Literal["auto", "refined", "as-fitted"]
@@ -146,8 +145,7 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
 def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
     """Return the lower quartile of distances along the normal, mm, once aligned; see TWO_PEOPLE_MM."""
     placed = laid_on_what_is_still(expression.vertices, neutral.vertices)
-    normals = vertex_normals(neutral.vertices, neutral.faces)
-    along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, normals))
+    along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, neutral.normals))
     return float(np.percentile(along, 25))
 
 

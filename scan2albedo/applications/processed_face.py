@@ -215,10 +215,9 @@ def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
                 f"{both}: their charts differ although both name the model {a.model_name!r}; "
                 "process both scans again with one version of it"
             )
-    mask = np.logical_and.reduce([face.mask for face in faces])
+    mask, restricted = np.logical_and.reduce([face.mask for face in faces]), []
     if all(np.array_equal(face.mask, mask) for face in faces):
         return faces
-    restricted = []
     for face in faces:
         old = face.image
         image = replace(

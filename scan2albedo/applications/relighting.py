@@ -158,15 +158,6 @@ def relight(
     ambient : float, optional
         Light without direction. When omitted 1, or 0 with an environment of either kind.
     options : RelightOptions
-
-    Examples
-    --------
-    >>> from scan2albedo.synthetic import hemisphere, light_at
-    >>> scene = hemisphere(size=32)
-    >>> face = ProcessedFace.of("ball", scene.image, scene.albedo_linear)
-    >>> relit = relight(face, [light_at(30, intensity=2.0)])
-    >>> relit.texture_linear.shape
-    (32, 32, 3)
     """
     require_type(face, ProcessedFace, "relight: face", "load_result(folder) returns one")
     require_type(lights, Sequence, "relight: lights", "put PointLight objects into a list")
@@ -174,12 +165,8 @@ def relight(
         advice = "make one with PointLight(azimuth_rad, elevation_rad)"
         require_type(lamp, PointLight, "relight: one of lights", advice)
     require_type(options, RelightOptions, "relight: options", "make them with RelightOptions()")
-    require_type(
-        environment,
-        (EnvironmentLight, type(None)),
-        "relight: environment",
-        "give a picture as environment_linear, soft light as an EnvironmentLight",
-    )
+    advice = "give a picture as environment_linear, soft light as an EnvironmentLight"
+    require_type(environment, (EnvironmentLight, type(None)), "relight: environment", advice)
     alone = environment_linear is None and environment is None
     base = float(alone) if ambient is None else ambient
     reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
@@ -214,7 +201,7 @@ def relight(
                 f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
             )
         pictures.append(on_grid(mask, values).astype(np.float32))
-    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], notes)
+    return RelitFace(face, light, *pictures, notes=notes)
 
 
 def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, tuple[str, ...]]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
 from scan2albedo.synthetic.glasses_shape import (
@@ -256,7 +256,7 @@ def _blended(
     path: FloatArray, frames: FloatArray, loop: FloatArray, ellipse: FloatArray, part: FloatArray
 ) -> FloatArray:
     """Return rings (R, S, 3): from the outline `loop` (S, 3) around path[0] to ellipses, by `part` (R,)."""
-    first, blend = (loop - path[0]) @ frames[0].T, (part**2 * (3 - 2 * part))[:, None, None]
+    first, blend = (loop - path[0]) @ frames[0].T, smoothstep(part)[:, None, None]
     return path[:, None] + ((1 - blend) * first + blend * ellipse) @ frames
 
 
