@@ -53,9 +53,7 @@ def blend_faces(
         With which the faces were processed; the default model when omitted.
     """
     if not 0 <= weight <= 1:
-        raise ApplicationError(
-            f"weight is {weight}, expected a number from 0 (all {a.name}) to 1 (all {b.name})"
-        )
+        raise ApplicationError(f"weight is {weight}, expected from 0 (all {a.name}) to 1 (all {b.name})")
     a, b = on_common_chart(a, b)
     toward_b = skin_gains(a, b)
     gains = toward_b**weight, toward_b ** (weight - 1)

@@ -50,10 +50,8 @@ class TransferOptions:
     rest to the surface with the expression; "auto" refines faces on the model's own mesh, and no others."""
 
     def __post_init__(self) -> None:
-        if self.correspondence not in get_args(Correspondence):
-            raise ValueError(
-                f"correspondence is {self.correspondence!r}, expected one of {get_args(Correspondence)}"
-            )
+        if self.correspondence not in (known := get_args(Correspondence)):
+            raise ValueError(f"correspondence is {self.correspondence!r}, expected one of {known}")
         if not np.isfinite(self.strength):
             raise ValueError(f"strength must be finite, got {self.strength}")
 

@@ -153,6 +153,5 @@ def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> Bo
 
 def grown(texels: BoolArray, part: float) -> BoolArray:
     """Return `texels` (H, W) with those closer than this part of the image's side."""
-    return np.asarray(
-        maximum_filter(texels, 2 * max(1, round(part * max(texels.shape))) + 1, mode="constant")
-    )
+    side = 2 * max(1, round(part * max(texels.shape))) + 1
+    return np.asarray(maximum_filter(texels, side, mode="constant"))

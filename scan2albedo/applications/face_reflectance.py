@@ -92,9 +92,8 @@ def reflectance_of_processed(
             rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
             product, square = product + rough @ lambert, square + lambert @ lambert
         lambert_share = float(product / square)
-    reflectance = reflectance_from_albedo(
-        scale * lambert_share * albedo, weights=scale * strength * lobes, known=known
-    )
+    albedo, weights = scale * lambert_share * albedo, scale * strength * lobes
+    reflectance = reflectance_from_albedo(albedo, weights=weights, known=known)
     return FaceReflectance(face.name, reflectance, face.mesh, face.model_name)
 
 

@@ -106,9 +106,7 @@ def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> di
 
 def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if not folder.is_dir():
-        raise ApplicationError(
-            f"{folder}: no such folder; give the folder of one processed scan, OUT/<scan name>"
-        )
+        raise ApplicationError(f"{folder}: no such folder; give that of one processed scan, OUT/<scan name>")
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
@@ -150,9 +148,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         vertices = np.asarray(mesh.vertices, np.float64) / METRES_PER_MM
         faces, uv = np.asarray(mesh.faces, np.int64), np.asarray(mesh.visual.uv, np.float64)
     except DAMAGE as error:
-        raise ApplicationError(
-            f"{file}: cannot be read as a textured GLB ({error}); process the scan again"
-        ) from error
+        raise ApplicationError(f"{file}: is no textured GLB ({error}); process the scan again") from error
     exact = vertices if image.occluder is None else image.occluder[0]
     if exact.shape != vertices.shape or np.abs(exact - vertices).max(initial=0.0) > SAME_PLACE_MM:
         raise ApplicationError(

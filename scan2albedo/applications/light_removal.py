@@ -93,9 +93,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     image, mask = estimate.image, estimate.image.mask
     uv, weight = scan_on_chart(scan, fitted, image)
     if not weight.any():
-        raise ApplicationError(
-            f"{scan.name}: no part of the scan lies at the fitted face; give the scan it was fitted to"
-        )
+        raise ApplicationError(f"{scan.name}: no part of it lies at the fitted face; give the fitted scan")
     # The light that divided the texture, with all repairs; where it was not seen none was divided.
     assert image.texture_linear is not None
     albedo = estimate.albedo_linear.astype(np.float64)
@@ -253,9 +251,8 @@ def _unlit_texture(
         if usable.any():
             rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
             box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-            filtered = divide_light(
-                tile[box], divisor[box], np.zeros(there[box].shape), there[box], usable[box], usual=usual
-            )
+            dark = np.zeros(there[box].shape)  # no highlight
+            filtered = divide_light(tile[box], divisor[box], dark, there[box], usable[box], usual=usual)
             albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
             near = np.zeros((*tile.shape[:2], 2))
             near[there] = near_outlines * np.stack([1 - weight, np.ones_like(weight)], axis=1)

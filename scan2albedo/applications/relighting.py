@@ -141,9 +141,9 @@ def relight(
 
     with the reflectance that the estimate found, or skin's usual highlight beside it, see `RelightOptions`.
     ``relight(face, face.lights, environment=face.environment, options=RelightOptions(gloss="found"))`` is the
-    light of the scan. Raises `ApplicationError` for light that is negative, not finite, or beyond what single
-    precision holds, and for a lamp nearer to the origin than part of the face; `ValueError` or `TypeError`
-    for an environment of another shape, other objects, or integers, which are not linear light.
+    light of the scan. Raises `ApplicationError` for light that is negative, not finite or too bright, and for
+    a lamp nearer to the origin than part of the face; `ValueError` or `TypeError` for other shapes or
+    objects, and integers, which are not linear light.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def relight(
                 f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
             )
         pictures.append(on_grid(mask, values).astype(np.float32))
-    return RelitFace(face, light, *pictures, notes=notes)
+    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], notes)
 
 
 def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, tuple[str, ...]]:
@@ -211,9 +211,7 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
         filled = without_gaps(face)
         if filled is not face:
             part = np.mean((filled.albedo_linear != face.albedo_linear).any(-1)[face.mask])
-            notes.append(
-                f"{100 * part:.1f} % of the face was filled from beside it: not seen, or hair at its sides"
-            )
+            notes.append(f"{100 * part:.1f} % of the face was filled in: not seen, or hair at its sides")
         face = filled
     skin = face.reflectance
     if options.gloss == "none":

@@ -81,8 +81,8 @@ def without_lines(
         uniform_filter(field, side, mode="mirror")
         for field in (known * 1.0, known * value.astype(np.float64), known * value.astype(np.float64) ** 2)
     )
-    around = first / np.maximum(part, 1e-6)
-    deviation = np.sqrt(np.maximum(second / np.maximum(part, 1e-6) - around**2, 0.0))
+    around, square = np.stack([first, second]) / np.maximum(part, 1e-6)
+    deviation = np.sqrt(np.maximum(square - around**2, 0.0))
     alike = np.where(part > _LEAST_KNOWN, np.clip((_UNLIKE - deviation) / (_UNLIKE - _ALIKE), 0.0, 1.0), 0.0)
     share = (near * there * alike)[..., None]
     limit = step[..., None]

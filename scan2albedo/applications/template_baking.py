@@ -137,9 +137,8 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
                 np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps[raster.face[there]]),
             )
             color[band][there], seen[band][there] = found.color_linear, found.seen
-            normal[band][there], stands[band][there] = tangent_normals(
-                shape.normals(place), outward, tangents
-            )
+            fine = shape.normals(place)
+            normal[band][there], stands[band][there] = tangent_normals(fine, outward, tangents)
         # Beside the charts normals and colours go on, for viewers that filter and reduced pictures (mipmaps).
         for field, known in ((normal, stands), (color, seen)):
             fill_smoothly(field, known)

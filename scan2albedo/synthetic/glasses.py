@@ -111,9 +111,8 @@ def eyeglasses(
     hinge = rest[renumbered[half.marks["hinge"]]]
     depth = float(hinge[2] - rest[:, 2].min())
     centers = measures.lens_center * np.array([[1.0, 1, 1], [-1, 1, 1]])
-    moved, moved_centers = (
-        bend_points(p, bend, hinge, depth, measures.bridge_width) for p in (rest, centers)
-    )
+    how = bend, hinge, depth, measures.bridge_width
+    moved, moved_centers = (bend_points(points, *how) for points in (rest, centers))
     return SyntheticEyeglasses(
         vertices=moved,
         rest_vertices=rest,
@@ -215,9 +214,8 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
     ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    rings = _blended(
-        path, frames, points, ellipse, np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
-    )
+    blend = np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
+    rings = _blended(path, frames, points, ellipse, blend)
     numbers = half.add_tube(rings, loop if welded else None)
     outside, middle = 2, CORNER_RINGS + STRAIGHT_RINGS // 2
     half.marks |= {
