@@ -106,7 +106,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         page = arguments.out
         if page.is_dir():
-            from scan2albedo.report.html import write_report
+            from scan2albedo.report import write_report
 
             page = write_report(arguments.out, Path(scratch) / "report.html").path
         print(f"{page.stat().st_size / 1e6:.2f} MB")

@@ -2,11 +2,7 @@
 
 from scan2albedo.applications.blending import blend_faces
 from scan2albedo.applications.expression_transfer import TransferOptions, personal_model, transfer_expression
-from scan2albedo.applications.face_reflectance import (
-    FaceReflectance,
-    reflectance_model_of_processed,
-    reflectance_of_processed,
-)
+from scan2albedo.applications.face_reflectance import FaceReflectance, reflectance_of_processed
 from scan2albedo.applications.files import load_result, write_face
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
@@ -34,7 +30,6 @@ __all__ = [
     "light_arc",
     "load_result",
     "personal_model",
-    "reflectance_model_of_processed",
     "reflectance_of_processed",
     "relight",
     "swap_texture",

@@ -53,9 +53,7 @@ def blend_faces(
         With which the faces were processed; the default model when omitted.
     """
     if not 0 <= weight <= 1:
-        raise ApplicationError(
-            f"weight is {weight}, expected a number from 0 (all {a.name}) to 1 (all {b.name})"
-        )
+        raise ApplicationError(f"weight is {weight}, expected from 0 (all {a.name}) to 1 (all {b.name})")
     a, b = on_common_chart(a, b)
     toward_b = skin_gains(a, b)
     gains = toward_b**weight, toward_b ** (weight - 1)
@@ -109,12 +107,7 @@ def matched_skins(
 ) -> tuple[list[FloatArray], FloatArray]:
     """Return two faces' albedos (H, W, 3), whole, and by how much (H, W, 2) B's features lie beside A's.
 
-    Labels say which texels are one feature in either face, see `skin_match.displacement`.
-
-    Parameters
-    ----------
-    a, b, weight, model : ProcessedFace, ProcessedFace, float, AnnotatedFaceModel or None
-        As in `blend_faces`, of one chart.
+    The faces share a chart. Labels say which texels are one feature in either, see `skin_match.displacement`.
     """
     skins, labels, same = [], [], np.zeros_like(a.mask)
     for face, other, part, wins in ((a, b, weight, weight >= 0.5), (b, a, 1 - weight, weight < 0.5)):

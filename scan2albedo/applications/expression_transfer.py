@@ -17,7 +17,6 @@ from scan2albedo.fitting import FitOptions, FittedFace, fit
 from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
-from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 Correspondence = Literal["auto", "refined", "as-fitted"]
@@ -51,10 +50,8 @@ class TransferOptions:
     rest to the surface with the expression; "auto" refines faces on the model's own mesh, and no others."""
 
     def __post_init__(self) -> None:
-        if self.correspondence not in get_args(Correspondence):
-            raise ValueError(
-                f"correspondence is {self.correspondence!r}, expected one of {get_args(Correspondence)}"
-            )
+        if self.correspondence not in (known := get_args(Correspondence)):
+            raise ValueError(f"correspondence is {self.correspondence!r}, expected one of {known}")
         if not np.isfinite(self.strength):
             raise ValueError(f"strength must be finite, got {self.strength}")
 
@@ -146,8 +143,7 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
 def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
     """Return the lower quartile of distances along the normal, mm, once aligned; see TWO_PEOPLE_MM."""
     placed = laid_on_what_is_still(expression.vertices, neutral.vertices)
-    normals = vertex_normals(neutral.vertices, neutral.faces)
-    along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, normals))
+    along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, neutral.normals))
     return float(np.percentile(along, 25))
 
 

@@ -31,8 +31,6 @@ _OPEN = 0.25
 """From this share on an eye or mouth is open: half way between none and that of open ones."""
 AROUND = 0.012
 """Part of the image's side by which a feature, or hair, reaches beyond its texels."""
-_BRIGHTEST = 1.5
-"""Small spots on eyes are reflections if they are so many times brighter than skin."""
 FLOOR = 1e-3
 """Part of the level below which albedo has no logarithm."""
 
@@ -124,7 +122,8 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = No
     side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
     value, radius = albedo.max(-1), max(1, round(1.5 * AROUND * side / 2))
     opened = gaussian_filter(grey_opening(value, footprint=disk(radius)), (2 * radius + 1) / 3, mode="mirror")
-    most = np.maximum(opened, _BRIGHTEST * face.level())
+    # Small spots on eyes are reflections if they are half as bright again as skin.
+    most = np.maximum(opened, 1.5 * face.level())
     factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
     return np.asarray(albedo * factor[..., None])
 
@@ -154,6 +153,5 @@ def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> Bo
 
 def grown(texels: BoolArray, part: float) -> BoolArray:
     """Return `texels` (H, W) with those closer than this part of the image's side."""
-    return np.asarray(
-        maximum_filter(texels, 2 * max(1, round(part * max(texels.shape))) + 1, mode="constant")
-    )
+    side = 2 * max(1, round(part * max(texels.shape))) + 1
+    return np.asarray(maximum_filter(texels, side, mode="constant"))

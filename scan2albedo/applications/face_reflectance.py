@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scan2albedo.applications.files import ProcessedScan, load_result
-from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace, same_mesh
+from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import ApplicationError
@@ -18,7 +17,7 @@ from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.lighting.shading import shade_points
 
 if TYPE_CHECKING:
-    from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
+    from scan2albedo.reflectance import VertexReflectance
 
 
 @dataclass(frozen=True)
@@ -93,40 +92,9 @@ def reflectance_of_processed(
             rough = shade_points(np.zeros_like(normals), normals, [light], matte).light - 1
             product, square = product + rough @ lambert, square + lambert @ lambert
         lambert_share = float(product / square)
-    reflectance = reflectance_from_albedo(
-        scale * lambert_share * albedo, weights=scale * strength * lobes, known=known
-    )
+    albedo, weights = scale * lambert_share * albedo, scale * strength * lobes
+    reflectance = reflectance_from_albedo(albedo, weights=weights, known=known)
     return FaceReflectance(face.name, reflectance, face.mesh, face.model_name)
-
-
-def reflectance_model_of_processed(
-    sources: Sequence[str | Path | ProcessedScan | ProcessedFace], *, components: int | None = None
-) -> tuple[MorphableReflectanceModel, list[FaceReflectance]]:
-    """Return the morphable model of processed scans' reflectances, and those.
-
-    Raises `ApplicationError` as `reflectance_of_processed`, and when scans have different models or meshes;
-    `ReflectanceError` when there is no scan, or no vertex has the support.
-
-    Parameters
-    ----------
-    sources : sequence of path, ProcessResult or ProcessedFace
-        One or more, of one model.
-    components : int, optional
-        As in `MorphableReflectanceModel.from_samples`.
-    """
-    from scan2albedo.reflectance import MorphableReflectanceModel
-
-    people = [reflectance_of_processed(source) for source in sources]
-    for other in people[1:]:
-        a, b = people[0], other
-        if a.model_name != b.model_name or not same_mesh(a.mesh, b.mesh):
-            raise ApplicationError(
-                f"{a.name} ({a.model_name}, {len(a.mesh.vertices)} vertices) and {b.name} ({b.model_name}, "
-                f"{len(b.mesh.vertices)} vertices): their meshes differ; process both scans with one model "
-                "and one version of it"
-            )
-    samples = [person.reflectance for person in people]
-    return MorphableReflectanceModel.from_samples(samples, components=components), people
 
 
 def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatArray, BoolArray]:

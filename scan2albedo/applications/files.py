@@ -43,6 +43,8 @@ FACE_FILES = OwnFiles(
     command="scan2albedo swap, blend or transfer-expression",
 )
 """Of a face that an application made."""
+_AS_STORED = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
+"""Fields of a face that its record has by the same names."""
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
 
@@ -104,9 +106,7 @@ def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> di
 
 def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if not folder.is_dir():
-        raise ApplicationError(
-            f"{folder}: no such folder; give the folder of one processed scan, OUT/<scan name>"
-        )
+        raise ApplicationError(f"{folder}: no such folder; give that of one processed scan, OUT/<scan name>")
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
@@ -117,8 +117,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     else:
         file = folder / APPLICATION_FILE
         made = read_record(file, ApplicationRecord)
-        names = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
-        found = {name: getattr(made, name) for name in names} | {"model_name": made.model}
+        found = {name: getattr(made, name) for name in _AS_STORED} | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
     if parameters:
         image, albedo = read_image_and_albedo(folder)
@@ -138,8 +137,25 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     else:
         image = read_geometry_image(_present(folder, "geometry_image.npz"))
         found |= _without_albedo(image, need_albedo, folder)
-    mesh = FaceMesh.of_chart(image) if chart_mesh else _fitted_mesh(folder, image)
-    return ProcessedFace(image=image, mesh=mesh, **found)
+    if chart_mesh:
+        return ProcessedFace(image=image, mesh=FaceMesh.of_chart(image), **found)
+    # The fitted surface: triangles and chart of the GLB, vertices of the image where it has them.
+    import trimesh
+
+    file = _present(folder, "fitted.glb")
+    try:
+        mesh: Any = trimesh.load(file, process=False, force="mesh")
+        vertices = np.asarray(mesh.vertices, np.float64) / METRES_PER_MM
+        faces, uv = np.asarray(mesh.faces, np.int64), np.asarray(mesh.visual.uv, np.float64)
+    except DAMAGE as error:
+        raise ApplicationError(f"{file}: is no textured GLB ({error}); process the scan again") from error
+    exact = vertices if image.occluder is None else image.occluder[0]
+    if exact.shape != vertices.shape or np.abs(exact - vertices).max(initial=0.0) > SAME_PLACE_MM:
+        raise ApplicationError(
+            f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "
+            "process the scan again"
+        )
+    return ProcessedFace(image=image, mesh=FaceMesh(exact, faces, uv), **found)
 
 
 def _present(folder: Path, name: str) -> Path:
@@ -150,28 +166,6 @@ def _present(folder: Path, name: str) -> Path:
             "run was cut short: process the scan again"
         )
     return file
-
-
-def _fitted_mesh(folder: Path, image: GeometryImage) -> FaceMesh:
-    """Return the fitted surface: triangles and chart of the GLB, vertices of the image where it has them."""
-    import trimesh
-
-    file = _present(folder, "fitted.glb")
-    try:
-        mesh: Any = trimesh.load(file, process=False, force="mesh")
-        vertices = np.asarray(mesh.vertices, np.float64) / METRES_PER_MM
-        faces, uv = np.asarray(mesh.faces, np.int64), np.asarray(mesh.visual.uv, np.float64)
-    except DAMAGE as error:
-        raise ApplicationError(
-            f"{file}: cannot be read as a textured GLB ({error}); process the scan again"
-        ) from error
-    exact = vertices if image.occluder is None else image.occluder[0]
-    if exact.shape != vertices.shape or np.abs(exact - vertices).max(initial=0.0) > SAME_PLACE_MM:
-        raise ApplicationError(
-            f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "
-            "process the scan again"
-        )
-    return FaceMesh(exact, faces, uv)
 
 
 def check_face_folder(folder: Path) -> None:
@@ -225,18 +219,13 @@ def write_face(
         write_glb(staging.folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
         write_png(staging.folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
         staging.write_record(
-            name=face.name,
+            **{name: getattr(face, name) for name in _AS_STORED},
             application=application,
             inputs=tuple(given.name for given in inputs),
             options=plain_json(options or {}),
             model=face.model_name,
             chart_mesh=mesh.from_chart,
-            casts_shadows=face.casts_shadows,
-            view_direction=face.view_direction,
-            shadow_offset_mm=face.shadow_offset_mm,
             reflectance=parameters,
-            lights=face.lights,
-            environment=face.environment,
             notes=face.notes,
         )
     return target

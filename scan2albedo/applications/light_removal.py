@@ -18,7 +18,7 @@ from scan2albedo.albedo.result import shade_image
 from scan2albedo.applications.face_features import AROUND, FLOOR
 from scan2albedo.applications.shadow_lines import outlines, without_lines
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, smoothstep
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
@@ -38,8 +38,6 @@ OUTSIDE_CONFIDENCE = 0.5
 DARKEST = 0.1
 """Least light that divides, as a part of the usual: less makes noise bright, more leaves deep shadows dark
 (`tools/bench_unlit.py traced`)."""
-_ROUGHER = 2.0
-"""How much farther noise is averaged than on a chart of such texels, each a mean over its footprint."""
 _DARK_SPOT = 0.7
 """How much darker a spot is than around, as a logarithm: by eye, on the folded lips of a coarse template."""
 _NEAR_MM = 2.5
@@ -95,9 +93,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     image, mask = estimate.image, estimate.image.mask
     uv, weight = scan_on_chart(scan, fitted, image)
     if not weight.any():
-        raise ApplicationError(
-            f"{scan.name}: no part of the scan lies at the fitted face; give the scan it was fitted to"
-        )
+        raise ApplicationError(f"{scan.name}: no part of it lies at the fitted face; give the fitted scan")
     # The light that divided the texture, with all repairs; where it was not seen none was divided.
     assert image.texture_linear is not None
     albedo = estimate.albedo_linear.astype(np.float64)
@@ -139,7 +135,8 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         density = float(np.sqrt(texels / max(face_areas(scan.vertices, scan.faces[own]).sum(), 1e-12)))
     if density > 0:
         texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 1.0
-        finest = max(1, round(_ROUGHER * finest * texel_mm * density))
+        # Noise is averaged twice as far as on a chart of such texels, each a mean over its footprint.
+        finest = max(1, round(2 * finest * texel_mm * density))
     outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
     found = _Light(scan, uv, weight, log_light, usual, log_beyond, steps, outside, finest, density)
     shown = np.float32(1) if scan.color_seen is None else scan.color_seen
@@ -169,11 +166,6 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
     Weight falls to 0 at the model's rim, and where the scan is far from the fitted surface, looks another
     way, or was left out of the fit (`FittedFace.covered_faces`).
     """
-
-    def smooth(progress: FloatArray) -> FloatArray:
-        step = np.clip(progress, 0.0, 1.0)
-        return np.asarray(step * step * (3 - 2 * step))
-
     vertices, far_mm = transform_points(fitted.model_from_scan, scan.vertices), 2 * _NEAR_MM
     low, high = fitted.vertices.min(0) - far_mm, fitted.vertices.max(0) + far_mm
     near = np.flatnonzero(((vertices > low) & (vertices < high)).all(1))
@@ -189,8 +181,8 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
     texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 0.0
     inside = distance_transform_edt(np.pad(image.mask, 1))[1:-1, 1:-1, None]
     from_rim_mm = texel_mm * bilinear(inside, pixels_from_uv(uv[near], image.shape))[:, 0]
-    weight[near] = smooth((far_mm - hits.distance) / (far_mm - _NEAR_MM))
-    weight[near] *= smooth(cosine / _FACING) * smooth(from_rim_mm / (2 * far_mm))
+    weight[near] = smoothstep((far_mm - hits.distance) / (far_mm - _NEAR_MM))
+    weight[near] *= smoothstep(cosine / _FACING) * smoothstep(from_rim_mm / (2 * far_mm))
     if fitted.covered_faces is not None and len(fitted.covered_faces) == len(scan.faces):
         weight[scan.faces[fitted.covered_faces]] = 0.0
     return uv, weight
@@ -259,9 +251,8 @@ def _unlit_texture(
         if usable.any():
             rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
             box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-            filtered = divide_light(
-                tile[box], divisor[box], np.zeros(there[box].shape), there[box], usable[box], usual=usual
-            )
+            dark = np.zeros(there[box].shape)  # no highlight
+            filtered = divide_light(tile[box], divisor[box], dark, there[box], usable[box], usual=usual)
             albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
             near = np.zeros((*tile.shape[:2], 2))
             near[there] = near_outlines * np.stack([1 - weight, np.ones_like(weight)], axis=1)

@@ -52,9 +52,6 @@ def light_arc(
         Azimuths of the first and the last place.
     elevation_rad, distance_mm, intensity, radius_deg : float
         As in `PointLight`.
-
-    >>> [round(math.degrees(light.azimuth_rad)) for light in light_arc(3)]
-    [-75, 0, 75]
     """
     if count < 1:
         raise ValueError(f"count must be 1 or more, got {count}")

@@ -174,9 +174,8 @@ class ProcessedFace:
         old, new = (normalized(surface.on_chart(surface.normals, mask)) for surface in (self.mesh, mesh))
         normal = normalized(new + (self.image.normal[mask] - old))
         occluder = None if self.image.occluder is None or mesh.from_chart else (mesh.vertices, mesh.faces)
-        image = replace(
-            self.image, position=on_grid(mask, position), normal=on_grid(mask, normal), occluder=occluder
-        )
+        position, normal = (on_grid(mask, values) for values in (position, normal))
+        image = replace(self.image, position=position, normal=normal, occluder=occluder)
         return replace(self, name=name, image=image, mesh=mesh)
 
 
@@ -194,15 +193,16 @@ def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
         both = f"{a.name} and {b.name}"
         if a.image.shape != b.image.shape:
             sizes = " and ".join(f"{f.image.shape[1]} x {f.image.shape[0]}" for f in (a, b))
-            raise ApplicationError(
-                f"{both}: geometry images of {sizes} texels; process both scans with one --size"
-            )
+            raise ApplicationError(f"{both}: geometry images of {sizes} texels; process both with one --size")
         if a.model_name != b.model_name:
             raise ApplicationError(
                 f"{both}: processed with different models, {a.model_name!r} and {b.model_name!r}; "
                 "process both scans with one --model"
             )
-        if same_mesh(a.mesh, b.mesh):
+        # The same triangles at the same places of the chart, to 24 bits.
+        one, two = a.mesh, b.mesh
+        alike = len(one.uv) == len(two.uv) and np.array_equal(one.faces, two.faces)
+        if alike and np.allclose(one.uv, two.uv, rtol=0, atol=1e-5):
             continue
         if a.model_name == NO_MODEL:
             raise ApplicationError(
@@ -215,10 +215,9 @@ def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
                 f"{both}: their charts differ although both name the model {a.model_name!r}; "
                 "process both scans again with one version of it"
             )
-    mask = np.logical_and.reduce([face.mask for face in faces])
+    mask, restricted = np.logical_and.reduce([face.mask for face in faces]), []
     if all(np.array_equal(face.mask, mask) for face in faces):
         return faces
-    restricted = []
     for face in faces:
         old = face.image
         image = replace(
@@ -230,9 +229,3 @@ def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
         )
         restricted.append(replace(face, image=image, mesh=FaceMesh.of_chart(image)))
     return tuple(restricted)
-
-
-def same_mesh(a: FaceMesh, b: FaceMesh) -> bool:
-    """Return whether two meshes have the same triangles at the same places of the chart, to 24 bits."""
-    same = len(a.uv) == len(b.uv) and np.array_equal(a.faces, b.faces)
-    return bool(same and np.allclose(a.uv, b.uv, rtol=0, atol=1e-5))

@@ -141,9 +141,9 @@ def relight(
 
     with the reflectance that the estimate found, or skin's usual highlight beside it, see `RelightOptions`.
     ``relight(face, face.lights, environment=face.environment, options=RelightOptions(gloss="found"))`` is the
-    light of the scan. Raises `ApplicationError` for light that is negative, not finite, or beyond what single
-    precision holds, and for a lamp nearer to the origin than part of the face; `ValueError` or `TypeError`
-    for an environment of another shape, other objects, or integers, which are not linear light.
+    light of the scan. Raises `ApplicationError` for light that is negative, not finite or too bright, and for
+    a lamp nearer to the origin than part of the face; `ValueError` or `TypeError` for other shapes or
+    objects, and integers, which are not linear light.
 
     Parameters
     ----------
@@ -158,15 +158,6 @@ def relight(
     ambient : float, optional
         Light without direction. When omitted 1, or 0 with an environment of either kind.
     options : RelightOptions
-
-    Examples
-    --------
-    >>> from scan2albedo.synthetic import hemisphere, light_at
-    >>> scene = hemisphere(size=32)
-    >>> face = ProcessedFace.of("ball", scene.image, scene.albedo_linear)
-    >>> relit = relight(face, [light_at(30, intensity=2.0)])
-    >>> relit.texture_linear.shape
-    (32, 32, 3)
     """
     require_type(face, ProcessedFace, "relight: face", "load_result(folder) returns one")
     require_type(lights, Sequence, "relight: lights", "put PointLight objects into a list")
@@ -174,12 +165,8 @@ def relight(
         advice = "make one with PointLight(azimuth_rad, elevation_rad)"
         require_type(lamp, PointLight, "relight: one of lights", advice)
     require_type(options, RelightOptions, "relight: options", "make them with RelightOptions()")
-    require_type(
-        environment,
-        (EnvironmentLight, type(None)),
-        "relight: environment",
-        "give a picture as environment_linear, soft light as an EnvironmentLight",
-    )
+    advice = "give a picture as environment_linear, soft light as an EnvironmentLight"
+    require_type(environment, (EnvironmentLight, type(None)), "relight: environment", advice)
     alone = environment_linear is None and environment is None
     base = float(alone) if ambient is None else ambient
     reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
@@ -224,9 +211,7 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
         filled = without_gaps(face)
         if filled is not face:
             part = np.mean((filled.albedo_linear != face.albedo_linear).any(-1)[face.mask])
-            notes.append(
-                f"{100 * part:.1f} % of the face was filled from beside it: not seen, or hair at its sides"
-            )
+            notes.append(f"{100 * part:.1f} % of the face was filled in: not seen, or hair at its sides")
         face = filled
     skin = face.reflectance
     if options.gloss == "none":

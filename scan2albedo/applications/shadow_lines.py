@@ -19,14 +19,10 @@ _STEEP = 0.08
 """Change of log light in a mm of the surface from which there is an outline."""
 _NEAR_MM = 3.0
 """Up to this distance from an outline colours are doubtful; from twice as much on not at all."""
-_RINGS = 3
-"""Edges from one end of an outline's step to its middle."""
 _DETAIL_MM = 0.7
 """Standard deviation of the mean that detail is what is left of."""
-_COARSEST = 4.0
-"""Detail of more times the median beside outlines is a remainder of one."""
-_AROUND_MM, _LEAST_KNOWN = 16.0, 0.05
-"""Half side of what counts as around a texel, and the part of it that has to be known."""
+_LEAST_KNOWN = 0.05
+"""Part of what is around a texel that has to be known."""
 _ALIKE, _UNLIKE = 0.12, 0.25
 """Deviation of log V around a texel up to which all of it is one material, and from which it is not."""
 _DARK = 1e-4
@@ -43,7 +39,7 @@ def outlines(vertices: FloatArray, faces: IntArray, log_light: FloatArray, point
     if not steep.any():
         return found
     low, high = value.copy(), value.copy()
-    for _ in range(_RINGS):
+    for _ in range(3):  # edges from one end of an outline's step to its middle
         for here, there in (ends.T, ends.T[::-1]):
             np.minimum.at(low, here, low[there])
             np.maximum.at(high, here, high[there])
@@ -77,15 +73,16 @@ def without_lines(
     mean = blurred(log_albedo * inside) / np.maximum(blurred(inside), 1e-6)
     base = blurred(filled_smoothly(log_albedo, known))
     detail = log_albedo - mean
-    usual = _COARSEST * float(np.median(np.abs(detail[known])))
-    # How alike what is known is around each texel: not hair, or hair and skin.
-    side, value = 2 * max(1, round(_AROUND_MM * texels_per_mm)) + 1, mean.max(-1)
+    # Detail of more than four times the median is a remainder of an outline.
+    usual = 4 * float(np.median(np.abs(detail[known])))
+    # How alike what is known is 16 mm around each texel: not hair, or hair and skin.
+    side, value = 2 * max(1, round(16 * texels_per_mm)) + 1, mean.max(-1)
     part, first, second = (
         uniform_filter(field, side, mode="mirror")
         for field in (known * 1.0, known * value.astype(np.float64), known * value.astype(np.float64) ** 2)
     )
-    around = first / np.maximum(part, 1e-6)
-    deviation = np.sqrt(np.maximum(second / np.maximum(part, 1e-6) - around**2, 0.0))
+    around, square = np.stack([first, second]) / np.maximum(part, 1e-6)
+    deviation = np.sqrt(np.maximum(square - around**2, 0.0))
     alike = np.where(part > _LEAST_KNOWN, np.clip((_UNLIKE - deviation) / (_UNLIKE - _ALIKE), 0.0, 1.0), 0.0)
     share = (near * there * alike)[..., None]
     limit = step[..., None]

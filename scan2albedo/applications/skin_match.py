@@ -18,10 +18,6 @@ _LEAST_TEXELS = 100
 LOCAL = 0.04
 """Part of the image's side over which the albedo's mean is taken away before features are matched; the
 displacement is averaged over half as much."""
-_CONTRASTS = 3.0
-"""Departure of log V, in its deviations, that is clipped before features are matched."""
-_GRID, _STEPS = 128, 10
-"""Texels of a side on which they are matched, and Gauss-Newton steps for each blur."""
 
 
 def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
@@ -63,20 +59,17 @@ def displacement(
 ) -> FloatArray:
     """Return (H, W, 2) by how many texels (across, down) the features of albedo `b` lie beside those of `a`.
 
-    Two fits put one nostril, or one brow, on texels that differ a little, and a mean of both shows it twice.
-    The fields f are the local contrast of log V and the `marks`, texels (H, W) of one feature in either face.
-    From coarse to fine, the most probable u of |f_a(x) - f_b(x + u)|^2 / s^2 + |u|^2 / t^2 over a
-    neighbourhood is found by Gauss-Newton steps: s^2 is what a field differs by where it has slopes, t the
-    reach of features (B. Lucas, T. Kanade, "An iterative image registration technique", IJCAI 1981).
-
-    Parameters
-    ----------
-    a, b, mask, marks : (H, W, 3) float64, (H, W, 3) float64, (H, W) bool, sequence of pairs of (H, W) bool
-        Albedos, 0 outside `mask`; texels of features.
+    Albedos are (H, W, 3), 0 outside `mask` (H, W). Two fits put one nostril, or one brow, on texels that
+    differ a little, and a mean of both shows it twice. The fields f are the local contrast of log V and the
+    `marks`, texels (H, W) of one feature in either face. From coarse to fine, the most probable u of
+    |f_a(x) - f_b(x + u)|^2 / s^2 + |u|^2 / t^2 over a neighbourhood is found by Gauss-Newton steps: s^2 is
+    what a field differs by where it has slopes, t the reach of features (B. Lucas, T. Kanade, "An iterative
+    image registration technique", IJCAI 1981).
     """
-    contrasts = [np.clip(local_contrast(skin, mask) / _CONTRASTS, -1, 1) for skin in (a, b)]
+    # What departs by more than three deviations does not count more; a side of 128 texels is fine enough.
+    contrasts = [np.clip(local_contrast(skin, mask) / 3, -1, 1) for skin in (a, b)]
     pairs = [contrasts, *(pair for pair in marks if pair[0].any() and pair[1].any())]
-    coarse = min(_GRID / max(mask.shape), 1.0)
+    coarse = min(128 / max(mask.shape), 1.0)
     shape = int(np.ceil(coarse * mask.shape[0])), int(np.ceil(coarse * mask.shape[1]))
     fields = np.array([[area_mean(field, shape) for field in pair] for pair in pairs])
     window, reach = LOCAL / 2 * max(shape), AROUND * max(shape)
@@ -84,7 +77,7 @@ def displacement(
     for blur in (2 * reach, reach, reach / 2):
         ours, theirs = np.moveaxis(gaussian_filter(fields, (0, 0, blur, blur), mode="nearest"), 1, 0)
         layers = np.concatenate([theirs[None], np.gradient(theirs, axis=(1, 2))])
-        for _ in range(_STEPS):
+        for _ in range(10):
             at = places + moved
             seen = [[map_coordinates(f, at, order=1, mode="nearest") for f in layer] for layer in layers]
             rest, slopes = ours - seen[0], np.array(seen[1:])

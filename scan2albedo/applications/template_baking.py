@@ -41,12 +41,9 @@ REACH_MM = 4.0
 """What lies farther from a surface has its shape from elsewhere."""
 LEAST_COSINE = 0.5
 """Surfaces face the same way above this cosine."""
-MOST_PASSES = 40
 NOISE_RAD = 0.07
 """Averages over neighbours: their noise falls with their number, and so with the square of the angle that
 noise turns a face by over an edge; two suffice up to about this angle a pass."""
-FADE_PASSES = 8
-"""Averages over which the scan's own shape fades at its edges: about three edges of its faces wide."""
 
 
 @dataclass(frozen=True)
@@ -140,9 +137,8 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
                 np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps[raster.face[there]]),
             )
             color[band][there], seen[band][there] = found.color_linear, found.seen
-            normal[band][there], stands[band][there] = tangent_normals(
-                shape.normals(place), outward, tangents
-            )
+            fine = shape.normals(place)
+            normal[band][there], stands[band][there] = tangent_normals(fine, outward, tangents)
         # Beside the charts normals and colours go on, for viewers that filter and reduced pictures (mipmaps).
         for field, known in ((normal, stands), (color, seen)):
             fill_smoothly(field, known)
@@ -196,14 +192,14 @@ class FineShape:
         vertices, base, differs = vertices[used], base[used], (own - base)[used]
         noise_rad = SurfaceNoise.of(vertices, faces).among(np.ones(len(vertices), bool))[0]
         noise_rad /= max(usual_edge(vertices, faces), 1e-9)
-        passes = int(np.clip(round((noise_rad / NOISE_RAD) ** 2), 2, MOST_PASSES))
+        passes = int(np.clip(round((noise_rad / NOISE_RAD) ** 2), 2, 40))
         around = adjacency(len(vertices), faces) + sparse.identity(len(vertices), format="csr")
         mean = sparse.diags(1 / np.asarray(around.sum(1)).ravel()) @ around
         for _ in range(passes):
             differs = mean @ differs
         inner = (~boundary_vertex_mask(len(vertices), faces)).astype(np.float64)
         share = inner
-        for _ in range(FADE_PASSES):
+        for _ in range(8):  # the scan's own shape fades at its edges, about three edges of its faces wide
             share = inner * (mean @ share)
         self._scan = _Surface(vertices, faces, normalized(base + share[:, None] * differs))
 

@@ -337,7 +337,7 @@ def report(
         raise typer.BadParameter(f"-o takes a name that ends in .html, not {path}")
     from dataclasses import asdict
 
-    from scan2albedo.report.html import write_report
+    from scan2albedo.report import write_report
     from scan2albedo.report.html.texts import size_text
 
     stop_cleanly_on_interrupt(None)

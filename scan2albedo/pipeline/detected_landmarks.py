@@ -73,15 +73,8 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
 
     The scan is drawn from five sides, with its colours, or where these show no face grey as a lamp at the
     viewer shades it; a landmark is the median of the points behind the network's, where at least two views
-    look straight enough at them and agree.
-
+    look straight enough at them and agree. `model_from_scan` (4, 4) is its pose, as `register` returns it.
     Raises MissingDependencyError without the extra [landmarks].
-
-    Parameters
-    ----------
-    scan : RawScan
-    model_from_scan : (4, 4) array
-        Its pose, as `register` returns it.
     """
     require_detector()
     vertices = transform_points(model_from_scan, scan.vertices)

@@ -151,9 +151,7 @@ class ProcessOptions:
         sides = {"size": (self.texels, LARGEST_SIZE), "texture_size": (self.texture_size, LARGEST_TEXTURE)}
         for name, (size, most) in sides.items():
             if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= most:
-                raise ValueError(
-                    f"{name} is {size!r}, expected a whole number from {SMALLEST_SIZE} to {most}"
-                )
+                raise ValueError(f"{name} is {size!r}, expected an integer from {SMALLEST_SIZE} to {most}")
         for name in (*self.skip, *self.force):
             if name not in STAGES:
                 raise ValueError(f"unknown stage {name!r}; stages are {', '.join(STAGES)}")

@@ -71,9 +71,7 @@ def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tu
     it is tried at the sizes of other heads, and brought to the scale at which a sure face has the model's
     size. Raises RegistrationError, that of the scan as it is if its size fits, where there is no face.
     """
-    refusal = NoFaceError(
-        f"{scan.name}: no face found beyond doubt at any scale; give the unit with unit='mm', 'cm' or 'm'"
-    )
+    refusal = NoFaceError(f"{scan.name}: no face beyond doubt at any scale; give unit='mm', 'cm' or 'm'")
     known = None
     if fits:
         try:

@@ -208,12 +208,10 @@ def lighting_row(seed: int, size: int) -> LightingRow:
     """Compare textures and albedos of one subject under the three lights."""
     material, rng = REFLECTANCES["oren-nayar + phong"], np.random.default_rng(seed)
     lights = (light_at(45, 10), light_at(-50, 0), light_at(10, 40, distance_mm=900.0))
-    captures = [
-        face(seed, lights=[x], material=material, size=size, noise=CAPTURE_NOISE).image for x in lights
-    ]
-    mask = captures[0].mask
-    textures = [c.texture_linear[mask] for c in captures if c.texture_linear is not None]
-    fitted = [with_normal_error(c, 3.0, rng) for c in captures]
+    images = [face(seed, lights=[x], material=material, size=size, noise=CAPTURE_NOISE).image for x in lights]
+    mask = images[0].mask
+    textures = [image.texture_linear[mask] for image in images if image.texture_linear is not None]
+    fitted = [with_normal_error(image, 3.0, rng) for image in images]
     albedos = [estimate_albedo(image).albedo_linear[mask] for image in fitted]
     level = float(np.mean(textures))
     return LightingRow(seed, mean_deviation_percent(textures, level), mean_deviation_percent(albedos, level))

@@ -168,7 +168,7 @@ class FlashCaptureFile(_Part):
     format_version: Literal[1] = 1
     unit: Literal["mm", "cm", "m"] = "mm"
     mesh: str = Field(
-        description="OBJ, PLY, GLB, STL or OFF; relative to this file; vertices keep their order."
+        description="OBJ, PLY, GLB, STL, OFF; relative to this file; vertices keep their order."
     )
     gamma: float = Field(
         1.2,
@@ -202,9 +202,7 @@ class FlashCaptureFile(_Part):
         for number, pair in enumerate(self.pictures):
             for key in ("camera", "flash"):
                 if getattr(pair, key) not in names:
-                    raise ValueError(
-                        f"pictures.{number}: its {key} {getattr(pair, key)!r} is not the name of a pose"
-                    )
+                    raise ValueError(f"pictures.{number}: its {key} {getattr(pair, key)!r} is no pose")
         seen = [(pair.camera, pair.flash, pair.flash_image) for pair in self.pictures]
         if len(set(seen)) < len(seen):
             twice = next(pair for pair in seen if seen.count(pair) > 1)

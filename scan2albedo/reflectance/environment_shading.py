@@ -185,21 +185,11 @@ def shade_environment(
     lobe : {"tilted", "full"}
         `full` is the formula of Han, Wang and Xu, the one above; `tilted` replaces r by the lobe's mean
         direction, which is nearest to the truth at oblique views.
-
-    Examples
-    --------
-    >>> white = VertexReflectance(np.full((1, 3), 0.5), np.zeros((1, 3)), np.array([True]))
-    >>> light = np.zeros((81, 3))
-    >>> light[0] = np.sqrt(4 * np.pi)  # radiance 1 from everywhere
-    >>> shade_environment(white, [[0, 0, 1]], [[0, 0, 1]], light).radiance_linear.round(6).tolist()
-    [[0.5, 0.5, 0.5]]
     """
     coefficients = checked_light(light)
     response = light_response(normals, toward_camera, lobe=lobe)
     if len(reflectance.known) != len(response.diffuse):
-        raise ValueError(
-            f"{len(reflectance.known)} vertices reflect, but there are {len(response.diffuse)} normals"
-        )
+        raise ValueError(f"{len(reflectance.known)} vertices reflect, {len(response.diffuse)} have normals")
     return response.shade(reflectance, coefficients)
 
 

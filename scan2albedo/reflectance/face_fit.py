@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +22,7 @@ from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_im
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import PEOPLE_DIFFER, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
-from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance, among_all
 from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
 _BLOCK_MM = 12.0
@@ -224,10 +225,9 @@ def fit_face(
         part = VertexReflectance(
             reflectance.diffuse_linear[used], reflectance.weights[used], reflectance.known[used]
         )
-        radiance = np.full(reflectance.diffuse_linear.shape, np.nan)
-        radiance[used] = observation.response(used).shade(part, fit.light).radiance_linear
-        observed = np.asarray(observation.observed_linear)[used]
-        rmse = float(np.linalg.norm(radiance[used] - observed) / np.linalg.norm(observed))
+        made = observation.response(used).shade(part, fit.light).radiance_linear
+        radiance, observed = among_all(used, len(xyz), made), np.asarray(observation.observed_linear)[used]
+        rmse = float(np.linalg.norm(made - observed) / np.linalg.norm(observed))
     evidence, better = (details, person), person.accepted or details.accepted
     plan = Plan((*(one.plan_step() for one in evidence), toning))
     return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
@@ -246,11 +246,6 @@ def errors_left_out(
 
     The descriptions are "mean" and, where normals are right, "person", and both with "+details". An error is
     the mean absolute logarithm of predicted over observed colours, less its mean over the channels.
-
-    Parameters
-    ----------
-    observation, model, vertices, faces, lighting, normal_error, budget
-        As in `fit_face`; vertices (V, 3) and faces (F, 3) as arrays.
     """
     used, block = np.asarray(observation.seen) & model.known, np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
@@ -289,9 +284,7 @@ def _judged(
     errors: dict[str, FloatArray], step: str, before: str, after: str, least: float = _LEAST_GAIN
 ) -> Evidence:
     """Return whether one description predicts better than another, by more than a share of the error."""
-    if not errors:
-        return Evidence(step, np.nan, np.nan, 0.0, 0.0, 0, False)
-    one, two = errors[before], errors[after]
+    one, two = (errors.get(name, np.empty(0)) for name in (before, after))
     common = np.isfinite(one) & np.isfinite(two)
     gains, count = (one - two)[common], int(common.sum())
     if count < _LEAST_BLOCKS:
@@ -321,9 +314,8 @@ def skin_hue(received: FloatArray) -> FloatArray:
 _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
 """Standard deviations in mm of the blurs that divide the residual into bands, and of the logarithm of the
 light's error in each, from wrong normals, shadows and interreflection; what is wider than all is light."""
-_GREY, _LARGEST = 0.9, 1.5
-"""Share of the variance of the light's error that is common to the three channels; largest residual: larger
-ones are holes, hair or other surfaces."""
+_GREY = 0.9
+"""Share of the variance of the light's error that is common to the three channels."""
 _LEAST_OPEN, _LEAST_LIGHT, _LEAST_DIFFUSE = 0.4, 0.2, 0.5
 """Vertices with less of these do not count: share of the light around that a fold leaves, light over the
 median, and share of the observed light that is not a highlight, whose errors look like albedo."""
@@ -367,37 +359,32 @@ class ShadingDivided:
         diffuse = reflectance.diffuse_linear[used] * received
         observed = np.asarray(observation.observed_linear)[used]
         floor = _TINY + 1e-3 * float(np.median(diffuse))
+        spread = partial(among_all, used, len(model.known))
 
         def log_ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
-            whole = np.zeros((len(model.known), 3))
             ratio = np.log(np.maximum(numerator, floor) / np.maximum(denominator, floor))
-            whole[used] = np.clip(ratio, -_LARGEST, _LARGEST)
-            return whole
+            # Larger residuals are holes, hair or other surfaces.
+            return spread(np.clip(ratio, -1.5, 1.5), 0.0)
 
         free = diffuse_response(np.asarray(observation.normals)[used])[:, 0]
         open_share = response.diffuse[:, 0] / np.maximum(free, _TINY)
         usable, lit = np.zeros((2, len(model.known)), bool)
-        share = np.zeros((len(model.known), 3))
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
         lit[used] = bright & (open_share > _LEAST_OPEN)
-        share[used] = np.clip(highlight / np.maximum(diffuse + highlight, floor), 0.0, 1.0)
         usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
         part = VertexReflectance(reflectance.diffuse_linear[used], reflectance.weights[used], lit[used])
         normals, toward = np.asarray(observation.normals)[used], np.asarray(observation.toward_camera)[used]
         by_normal, _ = shading_gradient(part, normals, toward, light)
         slopes = by_normal / np.maximum(diffuse + np.maximum(highlight, 0), floor)[..., None]
-        by_tilt = np.zeros((len(model.known), 3, 3))
-        by_tilt[usable] = (slopes @ slopes.transpose(0, 2, 1) / 2)[usable[used]]
-        log_received = np.full((len(model.known), 3), np.nan)
-        log_received[used] = np.log(np.maximum(received, floor))
+        by_tilt = np.where(usable[used, None, None], slopes @ slopes.transpose(0, 2, 1) / 2, 0.0)
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),
             usable=usable,
             lit=lit,
-            highlight_share=share,
+            highlight_share=spread(np.clip(highlight / np.maximum(diffuse + highlight, floor), 0, 1), 0.0),
             log_whole=log_ratio(observed, diffuse + highlight),
-            by_tilt=by_tilt,
-            log_received=log_received,
+            by_tilt=spread(by_tilt, 0.0),
+            log_received=spread(np.log(np.maximum(received, floor))),
         )
 
     def left_over(self, field: FloatArray | float = 0.0) -> FloatArray:

@@ -68,8 +68,7 @@ def finetune(
     with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
     chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
     shares w' stay. Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be
-    fitted, or a vertex is not finite; `ValueError` when `faces` point outside the vertices, or shapes
-    disagree.
+    fitted, or a vertex is not finite; `ValueError` for faces or shapes that do not fit.
 
     Parameters
     ----------

@@ -97,10 +97,9 @@ def refine_geometry(
     both the image, smoothed by 0.3 edges of the mesh, moves under a vertex and the shading turns with its
     normal. Rays find which vertices U are seen, anew every five steps. The result with photometry is accepted
     only when the objective over the vertices seen in both shapes falls and the colours are explained;
-    otherwise the result of the landmarks alone is returned. Raises `ReflectanceError` when there is neither a
-    landmark nor photometry, no initial pose and too few landmarks to find one, another topology, or numbers
-    that are not finite; `ValueError` when shapes disagree, or only one of `reflectance` and `light` is given.
-    Warns by `RuntimeWarning` when it stops without having converged.
+    otherwise the result of the landmarks alone is returned. Raises `ReflectanceError` where nothing says what
+    pose or shape are, for another topology and numbers that are not finite; `ValueError` for other shapes, or
+    one of `reflectance` and `light` alone. Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------
@@ -140,8 +139,21 @@ def refine_geometry(
             )
         ]
     )
-    state = starting_state(matrix, landmarks, shape_model, coefficients, initial_scene_from_model)
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+    if initial_scene_from_model is not None:
+        pose = np.array(initial_scene_from_model, np.float64)
+        if pose.shape != (4, 4):
+            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
+        if not is_rigid(pose):
+            raise ReflectanceError("initial_scene_from_model is not rigid; give rotation and translation")
+    elif len(seen) < 6:
+        raise ReflectanceError(
+            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
+        )
+    else:
+        points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
+        pose = pose_from_landmarks(matrix, points, landmarks[seen])
+    state = GeometryState.from_pose(shape_model, pose, coefficients)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
     term_over = None
@@ -239,33 +251,6 @@ def refine_geometry(
     )
 
 
-def starting_state(
-    camera: FloatArray,
-    landmarks: FloatArray,
-    shape_model: MorphableShapeModel,
-    coefficients: FloatArray,
-    scene_from_model: ArrayLike | None,
-) -> GeometryState:
-    """Return the shape in the pose given (4, 4), or in that of the landmarks (68, 2) that are not NaN."""
-    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
-    if scene_from_model is not None:
-        pose = np.array(scene_from_model, np.float64)
-        if pose.shape != (4, 4):
-            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
-        if not is_rigid(pose):
-            raise ReflectanceError(
-                "initial_scene_from_model is not a rigid transform; give rotation and translation"
-            )
-    elif len(seen) < 6:
-        raise ReflectanceError(
-            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
-        )
-    else:
-        points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
-        pose = pose_from_landmarks(camera, points, landmarks[seen])
-    return GeometryState.from_pose(shape_model, pose, coefficients)
-
-
 def photometric_descent(
     term_over: Callable[..., PhotometricTerm | None],
     anchors: GeometryObjective,
@@ -346,8 +331,6 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
         if ahead.all() and error < least:
             best, least = pose, error
     if not np.isfinite(least):
-        raise ReflectanceError(
-            "no pose puts the landmarks in front of the camera; check landmarks and camera"
-        )
+        raise ReflectanceError("no pose puts the landmarks before the camera; check landmarks and camera")
     to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
     return np.asarray(to_scene @ best @ compose(np.eye(3), -center))

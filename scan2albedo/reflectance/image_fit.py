@@ -18,6 +18,7 @@ from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.map_fit import LocalTerm, MapPoint, most_probable
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
+from scan2albedo.reflectance.vertex_reflectance import among_all
 
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """See `fit_image`."""
@@ -76,8 +77,7 @@ def fit_image(
     re-weighted squares; w is 3e-4 where the observation has a transfer and 1e-3 without. P is a function of
     the caller's. Without the penalty of Han, Wang and Xu on coloured light albedos are nearer. Raises
     `ReflectanceError` when no vertex is both seen and known, the topologies differ, or `perceptual` returns
-    something else than finite numbers of the right shape. Warns by `RuntimeWarning` when it stops without
-    having converged.
+    other things than it should. Warns by `RuntimeWarning` when it stops without having converged.
 
     Parameters
     ----------
@@ -130,15 +130,14 @@ def fit_image(
     b, g, t = terms.split(best.parameters)
     face = model.reconstruct(b)
     specular = np.einsum("vk,vkj->vj", face.reflectance.weights[used], best.lobe_light)
-    radiance = np.full(model.diffuse.mean.shape, np.nan)
-    radiance[used] = face.reflectance.diffuse_linear[used] * best.diffuse_light + specular
-    off = np.linalg.norm(radiance[used] - terms.observed) / np.linalg.norm(terms.observed)
+    radiance = face.reflectance.diffuse_linear[used] * best.diffuse_light + specular
+    off = np.linalg.norm(radiance - terms.observed) / np.linalg.norm(terms.observed)
     return ImageFit(
         face=face,
         light_coefficients=g.copy(),
         scale_rgb=np.exp(t),
         light=best.light,
-        radiance_linear=radiance,
+        radiance_linear=among_all(used, len(model.known), radiance),
         relative_rmse=float(off),
         objective=found.best.cost,
         converged=found.converged,

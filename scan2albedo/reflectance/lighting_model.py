@@ -62,9 +62,7 @@ class LightingModel(LinearModel):
             raise ValueError(f"lights must have shape (K, {HARMONICS}, 3), got {samples.shape}")
         bad = ~(np.isfinite(samples).all((1, 2)) & (samples[:, 0] > 0).all(1))
         if bad.any():
-            raise ReflectanceError(
-                f"light {int(np.flatnonzero(bad)[0])} has NaN or a channel without light; leave it out"
-            )
+            raise ReflectanceError(f"light {np.flatnonzero(bad)[0]} has NaN or a dark channel; leave it out")
         spread = samples * (_WHITE / samples[:, :1])
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
@@ -75,13 +73,6 @@ class LightingModel(LinearModel):
         """Return coefficients (81, 3) of light with mean radiance `scale_rgb` (3,).
 
         Raises `ValueError` for another shape, `ReflectanceError` for numbers that are not finite.
-
-        Examples
-        --------
-        >>> model = LightingModel.generate(count=10)
-        >>> light = model.light(np.zeros(9), scale_rgb=[1.0, 2.0, 3.0])
-        >>> (light[0] / np.sqrt(4 * np.pi)).round(6).tolist()
-        [1.0, 2.0, 3.0]
         """
         return checked_coefficients(scale_rgb, 3, "scale_rgb") * self.at(coefficients)
 

@@ -19,8 +19,6 @@ from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflecta
 
 PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
-_BLOCK_MM = 25.0
-"""Edge of the blocks of a face that are left out."""
 _PARTS = {"diffuse": "diffuse", "total": "sum", "share": "share"}
 """The model's fields, and what the names of their arrays begin with in its file."""
 _KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
@@ -64,14 +62,6 @@ class MorphableReflectanceModel:
         c = c0 + sum b_i C_i,   s = s0 + sum b_i S_i,   w' = w'0 + sum b_i W_i.
 
     After Han, Wang, Xu, supplement. Raises `ReflectanceError` when shapes disagree or a number is not finite.
-
-    Examples
-    --------
-    >>> numbers = np.random.default_rng(0).uniform(0.1, 0.6, (4, 2, 50, 3))
-    >>> faces = [VertexReflectance(diffuse, weights, np.ones(50, bool)) for diffuse, weights in numbers]
-    >>> found = MorphableReflectanceModel.from_samples(faces).project(faces[2]).reflectance
-    >>> np.allclose(found.diffuse_linear, faces[2].diffuse_linear)
-    True
     """
 
     known: BoolArray
@@ -154,9 +144,7 @@ class MorphableReflectanceModel:
         if weights is not None:
             given = np.asarray([np.asarray(one, np.float64) for one in weights])
             if given.shape != there.shape or not ((given >= 0) & (given <= 1)).all():
-                raise ValueError(
-                    f"weights must be numbers from 0 to 1 of shape {there.shape}, got {given.shape}"
-                )
+                raise ValueError(f"weights must be 0 to 1, of shape {there.shape}, got {given.shape}")
             trust *= given
         diffuse = np.where(there[..., None], np.stack([one.diffuse_linear for one in samples]), 0.0)
         lobes = np.where(there[..., None], np.stack([one.weights for one in samples]), 0.0)
@@ -319,15 +307,13 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
     or another number of vertices.
     """
     if len(samples) < 10:
-        raise ReflectanceError(
-            f"{len(samples)} samples do not show how many directions to keep; give 10 or more"
-        )
+        raise ReflectanceError(f"{len(samples)} samples are too few to choose directions; give 10 or more")
     xyz = np.asarray(vertices, np.float64)
     model = MorphableReflectanceModel.from_samples([one for k, one in enumerate(samples) if k % 5 != 4])
     if xyz.shape != (len(model.known), 3):
         raise ReflectanceError(f"vertices is {xyz.shape}, expected ({len(model.known)}, 3)")
     # Neighbouring cubes differ in this sum by one, so that they fall into different halves.
-    first = np.floor(xyz / _BLOCK_MM).sum(1) % 2 == 0
+    first = np.floor(xyz / 25).sum(1) % 2 == 0
     tried = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
     counts = [count for count in tried if count < model.components] + [model.components]
     size, deviation, errors = 3 * int(model.known.sum()), model.deviation, np.zeros(len(counts))

@@ -17,10 +17,9 @@ from scan2albedo.errors import ReflectanceError
 
 Pictures = NDArray[Any] | Sequence[NDArray[Any]]
 
-_SIGMAS, _BRIGHTER_ROOM_PART = 4.0, 0.02
-"""A pixel counts as brighter in the room's light when the difference is this far below 0 in every channel;
-part of a pair's pixels from which it is reported: it is left out when more are so than the other way
-round."""
+_BRIGHTER_ROOM_PART = 0.02
+"""Part of a pair's pixels, brighter in the room's light, from which it is reported: it is left out when more
+are so than the other way round."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +114,7 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     count = Counter(digests)
     sharing = [count[one] for one in digests] if len(rooms) > 1 else [len(pictures)] * len(pictures)
     shape = (len(pictures), height, width, 3)
-    linear, sigma = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-    saturated, valid = np.zeros(shape, bool), np.zeros(shape, bool)
+    (linear, sigma), (saturated, valid) = np.zeros((2, *shape), np.float32), np.zeros((2, *shape), bool)
     diagnostics: list[CaptureDiagnostic] = []
     for j in range(len(pictures)):
         lit = picture_values(pictures[j], f"flash picture {j}", options.saturation)
@@ -131,7 +129,8 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
         noise, noise_of_room = ((options.noise * slope) ** 2 for slope in slopes)
         saturated[j] = finite & ((lit >= options.saturation) | (ambient >= options.saturation))
         usable = (finite & ~saturated[j]).all(-1)
-        changed = (np.abs(difference) > _SIGMAS * np.sqrt(noise + noise_of_room)).all(-1) & usable
+        # Four standard deviations in every channel are a change.
+        changed = (np.abs(difference) > 4 * np.sqrt(noise + noise_of_room)).all(-1) & usable
         darker, brighter = changed & (difference < 0).all(-1), changed & (difference > 0).all(-1)
         found = []
         if (missing := 1 - float(finite.all(-1).mean())) > 0:

@@ -136,16 +136,21 @@ class ImageObservation:
         seen = np.asarray(self.seen)
         if seen.dtype != np.bool_ or seen.ndim != 1:
             raise ValueError(f"seen must be bool (V,), got {seen.dtype} {seen.shape}")
+
+        def require_finite(name: str, rows: FloatArray) -> None:
+            """Raise ReflectanceError where numbers (N, ...) of the N seen vertices are not."""
+            bad = ~np.isfinite(rows).all(1)
+            if bad.any():
+                raise ReflectanceError(
+                    f"{name} of vertex {int(np.flatnonzero(seen)[bad][0])} holds NaN or infinite values "
+                    f"({bad.sum()} vertices); take such vertices out of `seen`"
+                )
+
         for name in ("observed_linear", "normals", "toward_camera"):
             array = np.asarray(getattr(self, name), np.float64)
             if array.shape != (len(seen), 3):
                 raise ValueError(f"{name} must have shape ({len(seen)}, 3), got {array.shape}")
-            bad = seen & ~np.isfinite(array).all(1)
-            if bad.any():
-                raise ReflectanceError(
-                    f"{name} of vertex {int(np.flatnonzero(bad)[0])} holds NaN or infinite values "
-                    f"({bad.sum()} vertices); take such vertices out of `seen`"
-                )
+            require_finite(name, array[seen])
             object.__setattr__(self, name, array)
         for name in ("normals", "toward_camera"):
             unit_vectors(np.where(seen[:, None], np.asarray(getattr(self, name)), (0.0, 0.0, 1.0)), name)
@@ -167,12 +172,7 @@ class ImageObservation:
                 f"{shapes[1]}"
             )
         rows = np.concatenate([diffuse[seen], specular[seen].reshape(seen.sum(), -1)], axis=1)
-        bad = ~np.isfinite(rows).all(1)
-        if bad.any():
-            raise ReflectanceError(
-                f"the transfer of vertex {int(np.flatnonzero(seen)[bad][0])} holds NaN or infinite values "
-                f"({bad.sum()} vertices); take such vertices out of `seen`"
-            )
+        require_finite("the transfer", rows)
         if not rows.any():
             raise ReflectanceError(
                 "the transfer lets no light reach any vertex that is seen; check that normals point out of "
@@ -204,8 +204,7 @@ def observe_photograph(
     edge in depth, and the four pixels around it are skin, finite and not saturated in any channel. Their
     light, value^gamma, is interpolated. The observation is in the frame of the mesh; 3,700 vertices take
     about a second. Raises `ReflectanceError` when no vertex counts (names the step at which the last ones
-    were lost), the image is black there, holds numbers of another type, or the camera or the mesh cannot be
-    used; `ValueError` when shapes disagree, or gamma or saturation are out of range.
+    were lost), or image, camera or mesh cannot be used; `ValueError` for other shapes or options.
 
     Parameters
     ----------

@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
 PEAKS = tuple((s + 2) / (8 * np.pi) for s in EXPONENTS)
@@ -90,7 +91,7 @@ def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
     second = np.stack([x * y * a, sign + y * y * a, -y], 1)
     angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
     turned = unit + (angle[:, 0] * first + angle[:, 1] * second) * (unit != 0).any(1, keepdims=True)
-    return np.asarray(turned / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12))
+    return normalized(turned)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -175,9 +175,8 @@ class RobustFit:
         moved = np.asarray((np.abs(self.estimate[rows] - before) > _TOLERANCE * deviation).any(1))
         if self.tilting:
             worse = self.loss[rows] > loss * (1 + 1e-12)
-            self.damping[rows] = np.where(
-                worse, np.maximum(10 * self.damping[rows], 0.1), self.damping[rows] / 10
-            )
+            damping = self.damping[rows]
+            self.damping[rows] = np.where(worse, np.maximum(10 * damping, 0.1), damping / 10)
             back = rows[worse]
             self.estimate[back], self.tilt[back] = before[worse], tilt[worse]
             turn_lobes(data.lobes, data.slopes, self.tilt, back, self.lobes)

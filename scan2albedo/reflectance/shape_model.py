@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
+from scan2albedo.reflectance.linear_model import LinearModel, principal_directions
 
 LANDMARKS = 68
 """In iBUG-68 order."""
@@ -47,13 +47,6 @@ class MorphableShapeModel(LinearModel):
     expression begin at the neutral face. After Blanz, Vetter, "A Morphable Model for the Synthesis of 3D
     Faces", SIGGRAPH 1999. Raises `ReflectanceError` when shapes disagree, a number is not finite, or an index
     points outside the vertices.
-
-    Examples
-    --------
-    >>> people = np.random.default_rng(0).normal(size=(5, 100, 3))
-    >>> model = MorphableShapeModel.from_samples(people, None, [[0, 1, 2]], np.arange(68))
-    >>> model.identity_components, model.expression_components
-    (4, 0)
     """
 
     identity_components: int
@@ -87,16 +80,12 @@ class MorphableShapeModel(LinearModel):
         expression_offsets: ArrayLike | None,
         faces: ArrayLike,
         landmark_vertices: ArrayLike,
-        *,
-        identity_components: int = 80,
-        expression_components: int = 64,
     ) -> MorphableShapeModel:
         """Learn a model from shapes of one topology, rigidly aligned to each other.
 
-        The directions are the principal ones of the neutral faces' deviations from their mean, and of the
-        expressions' offsets, where an offset and its opposite count as equally likely. Raises
-        `ReflectanceError` when there is no face, topologies differ, or numbers are not finite; `ValueError`
-        when a number of components is negative.
+        The directions are the principal ones, 80 and 64 at most, of the neutral faces' deviations from their
+        mean, and of the expressions' offsets, where an offset and its opposite count as equally likely.
+        Raises `ReflectanceError` when there is no face, topologies differ, or numbers are not finite.
 
         Parameters
         ----------
@@ -105,19 +94,13 @@ class MorphableShapeModel(LinearModel):
         expression_offsets : (E, V, 3) array_like of float, optional
             Expressive minus neutral face of the same person.
         faces, landmark_vertices : (F, 3), (68,) array_like of int
-        identity_components, expression_components : int
-            Most directions to keep; there are at most K - 1 and E.
         """
-        if identity_components < 0 or expression_components < 0:
-            raise ValueError(
-                f"components must be 0 or more, got {identity_components} and {expression_components}"
-            )
         neutral = _checked_stack(neutral_vertices, "neutral_vertices")
         if len(neutral) == 0:
             raise ReflectanceError("there is no face to learn shapes from; give one or more")
         count, mean = neutral.shape[1], neutral.mean(0)
         off, expression = neutral - mean, np.zeros((0, count, 3))
-        identity, _ = principal_directions(off, identity_components, size=float(np.sum(neutral**2)))
+        identity, _ = principal_directions(off, 80, size=float(np.sum(neutral**2)))
         if expression_offsets is not None:
             offsets = _checked_stack(expression_offsets, "expression_offsets")
             if offsets.shape[1] != count:
@@ -127,7 +110,7 @@ class MorphableShapeModel(LinearModel):
                 )
             both = np.concatenate([offsets, -offsets])
             if len(both):
-                weights, _ = principal_directions(both, expression_components, size=float(np.sum(both**2)))
+                weights, _ = principal_directions(both, 64, size=float(np.sum(both**2)))
                 expression = np.tensordot(weights, both, 1)
         return cls(
             mean,
@@ -183,28 +166,15 @@ class MorphableShapeModel(LinearModel):
         """N_E."""
         return self.components - self.identity_components
 
-    def shape(self, identity: ArrayLike, expression: ArrayLike) -> FloatArray:
-        """Return the vertices (V, 3) in mm of coefficients (N_S,) and (N_E,).
-
-        Raises `ValueError` when there are not as many, `ReflectanceError` when one is not finite.
-        """
-        a = checked_coefficients(identity, self.identity_components, "identity")
-        b = checked_coefficients(expression, self.expression_components, "expression")
-        return self.at(np.concatenate([a, b]))
-
 
 def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
     try:
         stack = np.asarray(shapes, np.float64)
     except ValueError as error:
-        raise ReflectanceError(
-            f"{name} differ in their number of vertices; bring all to one topology"
-        ) from error
+        raise ReflectanceError(f"{name} differ in number of vertices; bring all to one topology") from error
     if stack.ndim != 3 or stack.shape[2] != 3:
         raise ReflectanceError(f"{name} must have shape (K, V, 3), got {stack.shape}")
     bad = ~np.isfinite(stack).all((1, 2))
     if bad.any():
-        raise ReflectanceError(
-            f"{name}: shape {int(np.flatnonzero(bad)[0])} holds NaN or infinite values; leave it out"
-        )
+        raise ReflectanceError(f"{name}: shape {np.flatnonzero(bad)[0]} is not finite; leave it out")
     return stack

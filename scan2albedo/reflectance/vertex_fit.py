@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,7 @@ from scan2albedo.reflectance.olat import OlatOptions
 from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes, point_light_radiance
 from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_free
-from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance, among_all
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
 PARAMETERS = ("red", "green", "blue", "weight_1", "weight_8", "weight_64")
@@ -123,15 +124,6 @@ def fit_reflectance(
     They widen with the misfit, by 1 / max n.l where no flash stands above the vertex, and with what is not
     known of the light that the face throws on itself, whose part of the model is in `plan`. ``python
     tools/bench_reflectance.py --heads`` counts how many hold the truth: 90 to 97 %.
-
-    Examples
-    --------
-    >>> lobes = np.array([[[0.3, 0.10, 0.2, 0.1]], [[0.2, 0.11, 0.3, 0.9]], [[0.1, 0.05, 0.1, 0.0]]])
-    >>> observed = 0.5 * lobes[..., :1] * np.ones(3) + 0.1 * lobes[..., 3:]
-    >>> every = np.ones(observed.shape, bool)
-    >>> samples = VertexSamples(observed, np.full(observed.shape, 1e-6), every, lobes, np.arange(3))
-    >>> fit_reflectance(samples).parameters.round(3) + 0.0
-    array([[0.5, 0.5, 0.5, 0. , 0. , 0.1]])
     """
     if len(samples.observed_linear) == 0:
         raise ReflectanceError("there are no pictures, give one pair at least")
@@ -171,13 +163,7 @@ def fit_reflectance(
         data = replace(data, tilt_sigma=normal_sigma(data, samples.normal_spread, rows, options, meter))
     fitted = RobustFit(data, options.loss).fit(rows, meter)
     estimate, misfit = fitted.estimate[rows], fitted.misfit[rows]
-
-    def spread(values: FloatArray) -> FloatArray:
-        """Return values of `rows` among all vertices, NaN elsewhere."""
-        whole = np.full((count, *values.shape[1:]), np.nan)
-        whole[rows] = values
-        return whole
-
+    spread = partial(among_all, rows, count)
     # Root mean squared residual over sigma; NaN without a degree of freedom left.
     observations, freedom = samples.valid[:, rows].sum((0, 2)), misfit[:, 1] - 6
     enough = (observations > 6) & (freedom > 0)
@@ -354,9 +340,7 @@ def relighting_error(
             f"held_out is {left_out.dtype} {left_out.shape}, expected bool {samples.light.shape}"
         )
     if not 0 < left_out.sum() < len(left_out):
-        raise ReflectanceError(
-            f"{left_out.sum()} of {len(left_out)} pictures are held out: neither none nor all"
-        )
+        raise ReflectanceError(f"{left_out.sum()} of {len(left_out)} pictures are held out, expected a part")
     fit = fit_reflectance(samples.of_pairs(~left_out), options=options)
     unseen = samples.of_pairs(left_out)
     gains = np.ones((int(unseen.light.max()) + 1, 3))
@@ -370,9 +354,7 @@ def relighting_error(
         raise ReflectanceError("the pictures held out show no vertex that the others do: hold out others")
     observed, made = unseen.observed_linear[seen], predicted[seen]
     if not observed.any():
-        raise ReflectanceError(
-            "the pictures held out are black where the face is: there is nothing to predict"
-        )
+        raise ReflectanceError("pictures held out are black where the face is: there is nothing to predict")
     white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
     displayed = [np.clip(linear / white, 0, 1) ** (1 / OlatOptions.gamma) for linear in (observed, made)]
     off = float(np.mean((displayed[0] - displayed[1]) ** 2))

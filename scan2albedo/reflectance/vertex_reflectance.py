@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 
 EXPONENTS = (1.0, 8.0, 64.0)
@@ -56,6 +56,13 @@ class VertexReflectance:
         object.__setattr__(self, "diffuse_linear", np.where(known[:, None], diffuse, np.nan))
         object.__setattr__(self, "weights", np.where(known[:, None], weights, np.nan))
         object.__setattr__(self, "known", known)
+
+
+def among_all(rows: IntArray, count: int, values: FloatArray, otherwise: float = np.nan) -> FloatArray:
+    """Return values (R, ...) of the vertices `rows` (R,) among all `count`; the others have `otherwise`."""
+    every = np.full((count, *values.shape[1:]), otherwise)
+    every[rows] = values
+    return every
 
 
 def check_exponents(exponents: tuple[float, ...], place: str) -> None:

@@ -102,9 +102,7 @@ def rig_of_head_poses(
                 f"{name} is {index.dtype} {index.shape}, expected (J,) integers, one a picture"
             )
         if len(index) and not (index.min() >= 0 and index.max() < len(turn)):
-            raise ReflectanceError(
-                f"{name} reaches {index.min()} to {index.max()}, but there are {len(turn)} poses"
-            )
+            raise ReflectanceError(f"{name} reaches {index.min()} to {index.max()} of {len(turn)} poses")
     inner = np.broadcast_to(np.asarray(intrinsics, np.float64), turn.shape)
     cameras = inner @ np.concatenate([turn, shift[:, :, None]], axis=2)
     centers = -np.einsum("cji,cj->ci", turn, shift)
@@ -164,9 +162,7 @@ class VertexSamples:
             raise ReflectanceError(f"form_factors is {self.form_factors.shape}, expected {2 * shape[1:2]}")
         observed, sigma, valid, light = self.observed_linear, self.sigma, self.valid, self.light
         if valid.dtype != np.bool_ or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
-            raise ReflectanceError(
-                f"valid is {valid.dtype} and light {light.dtype}, expected bool, integers >= 0"
-            )
+            raise ReflectanceError(f"valid, light: {valid.dtype}, {light.dtype}; expected bool, ints >= 0")
         bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
         bad |= valid & ~np.isfinite(self.lobes).all(-1, keepdims=True)
         if not all(one is None or np.isfinite(one).all() for one in (self.slopes, self.normal_spread)):
@@ -231,9 +227,8 @@ def sample_vertices(
     Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
     pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
     vertices and cast shadows are found by rays against the mesh. Vertices nearer than 1.5 pixels to an edge
-    of the surface are left out. Raises `ValueError` when shapes disagree, or the reference distance is not
-    above 0 and finite; `ReflectanceError` when there are not as many cameras as pictures, or vertices or
-    normals are not finite or not unit.
+    of the surface are left out. Raises `ValueError` for other shapes or distances, `ReflectanceError` when
+    there are not as many cameras as pictures, or vertices or normals are not finite or not unit.
 
     Parameters
     ----------

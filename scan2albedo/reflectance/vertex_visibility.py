@@ -20,9 +20,6 @@ from scan2albedo.reflectance.environment_shading import unit_vectors
 
 RAY_OFFSET_MM = 0.2
 """Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`."""
-_DEPTH_STEP_MM, _MOST_SLOPE = 3.0, 5.0
-"""A step in depth above this, and above what the slope of the surface against the picture plane explains, is
-an edge; a steeper slope explains no more than this one."""
 
 
 def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, IntArray]:
@@ -121,8 +118,10 @@ class VertexVisibility:
         good = np.asarray(np.isfinite(pixels).all(1))
         pixels = np.where(good[:, None], pixels, 0.0)
         pixel_mm = depth / math.sqrt(abs(float(np.linalg.det(camera[:, :3]))))
-        slope = np.minimum(np.sqrt(np.maximum(1 - n_v**2, 0)) / n_v, _MOST_SLOPE)
-        allowed = _DEPTH_STEP_MM + 2 * margin_px * pixel_mm * slope
+        # A step in depth above 3 mm, and above what the slope of the surface against the picture plane
+        # explains, is an edge; a slope steeper than 5 explains no more.
+        slope = np.minimum(np.sqrt(np.maximum(1 - n_v**2, 0)) / n_v, 5)
+        allowed = 3 + 2 * margin_px * pixel_mm * slope
         for side in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             along = pixel_directions(camera, pixels + margin_px * np.array(side, np.float64))
             hits = self._caster.first_hit(np.broadcast_to(position - self._center, along.shape), along)

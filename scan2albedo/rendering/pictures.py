@@ -72,9 +72,7 @@ def portrait_camera(
     if not abs(elevation_rad) < np.deg2rad(89):
         raise ValueError(f"elevation_rad is {elevation_rad}, expected between -89 and 89 degrees")
     if not np.isfinite(azimuth_rad) or min(shape) < 2:
-        raise ValueError(
-            f"azimuth_rad is {azimuth_rad} and shape {shape}, expected a finite angle and 2 pixels or more"
-        )
+        raise ValueError(f"azimuth_rad is {azimuth_rad}, shape {shape}, expected finite and 2 pixels or more")
     middle, radius, depth = portrait_frame(vertices)
     level = np.cos(elevation_rad)
     toward = np.array([level * np.sin(azimuth_rad), np.sin(elevation_rad), level * np.cos(azimuth_rad)])
@@ -122,9 +120,8 @@ class SeenSamples:
         below = np.einsum("nkc,nkc->nk", vertices[self.corners] - flat[:, None], normals[self.corners])
         if outward:
             below = np.maximum(below, 0.0)
-        return np.asarray(
-            flat + share * np.einsum("nk,nk,nkc->nc", self.weight, below, normals[self.corners])
-        )
+        toward_planes = np.einsum("nk,nk,nkc->nc", self.weight, below, normals[self.corners])
+        return np.asarray(flat + share * toward_planes)
 
     def picture(self, values: FloatArray) -> FloatArray:
         """Return (H, W, C) the means over each pixel's samples of values (N, C), 0 where nothing is seen."""

@@ -17,9 +17,6 @@ from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
 
-_LAMP_POINTS = 96
-"""Of the disc that stands for a lamp of some size: fewer show as steps in a shadow's edge."""
-
 
 @dataclass(frozen=True)
 class SceneLight:
@@ -86,7 +83,8 @@ def each_lamp(
     toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
     for k in np.flatnonzero(light.intensity.any(1)):
         direction, distance = light.directions[k], float(light.distances_mm[k])
-        visible = shadows.reached(direction, distance, float(light.radii_deg[k]), _LAMP_POINTS)
+        # A lamp of some size is a disc of 96 points: fewer show as steps in a shadow's edge.
+        visible = shadows.reached(direction, distance, float(light.radii_deg[k]), 96)
         surface = shadows.position, shadows.normal, visible
         yield int(k), lamp_factors(*surface, direction, 1 / distance, toward_viewer, reflectance)
 

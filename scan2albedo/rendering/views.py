@@ -62,8 +62,6 @@ def render_mesh(
     vertex_color_srgb: ArrayLike | None = None,
     texture_srgb: tuple[ArrayLike, NDArray[np.uint8]] | None = None,
     view: View | None = None,
-    yaw_deg: float = 0.0,
-    pitch_deg: float = 0.0,
     size: int = 512,
     shaded: bool = True,
 ) -> NDArray[np.uint8]:
@@ -71,11 +69,11 @@ def render_mesh(
 
     `vertices` (V, 3): +x to the right, +y up, +z to the viewer. `vertex_color_srgb` (V, 3) is within [0, 1],
     grey when None; `texture_srgb`, the uv of each face's corners (F, 3, 2) and an image (H, W, 3), goes
-    before it. Without `view` all of the mesh is shown, turned by `yaw_deg` and `pitch_deg`. `shaded`
-    multiplies colours by a headlight's shading.
+    before it. Without `view` all of the mesh is shown from the front. `shaded` multiplies colours by a
+    headlight's shading.
     """
     xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
-    view = view if view is not None else View.around(xyz, yaw_deg=yaw_deg, pitch_deg=pitch_deg)
+    view = view if view is not None else View.around(xyz)
     raster = view.raster(xyz, index, size)
     if texture_srgb is not None:
         corners, image = np.asarray(texture_srgb[0], float), texture_srgb[1]

@@ -82,11 +82,10 @@ def result_panels(
         panels.append(_scan_panel("registered input, found landmarks", scan, fitted, wide))
         if fitted.landmarks is not None:
             panels[0] = replace(panels[0], dots=wide.pixels(fitted.landmarks, len(panels[0].picture)))
-        panels.append(Panel("fitted surface", render_mesh(fitted.vertices, fitted.faces, view=view)))
+        mesh = fitted.vertices, fitted.faces
+        panels.append(Panel("fitted surface", render_mesh(*mesh, view=view)))
         colors = heat_colors(fitted.residual_mm, 0, RESIDUAL_SCALE_MM, "inferno")
-        residual = render_mesh(
-            fitted.vertices, fitted.faces, vertex_color_srgb=colors, view=view, shaded=False
-        )
+        residual = render_mesh(*mesh, vertex_color_srgb=colors, view=view, shaded=False)
         known = fitted.residual_mm[np.isfinite(fitted.residual_mm)]
         mean = np.mean(known) if len(known) else np.nan
         heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)"
@@ -111,9 +110,7 @@ def result_panels(
             uv = fitted.uv[fitted.faces]
             textures = {"texture": preview_srgb(texture_linear, mask), "albedo": albedo_srgb}
             for name, texture in textures.items():
-                picture = render_mesh(
-                    fitted.vertices, fitted.faces, texture_srgb=(uv, texture), view=view, shaded=False
-                )
+                picture = render_mesh(*mesh, texture_srgb=(uv, texture), view=view, shaded=False)
                 panels.append(Panel(f"face with its {name}", picture))
         if unlit is not None:
             panels.append(_scan_panel("scan without its light", unlit, fitted, wide))

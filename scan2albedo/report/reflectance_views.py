@@ -19,8 +19,6 @@ from scan2albedo.rendering.pictures import seen_samples
 from scan2albedo.rendering.views import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel
 
-_BRIGHT = 0.8
-"""Linear level at which the albedo's 99th percentile is shown: its scale is not known."""
 _MOST_ERROR = 0.2
 """Difference that is shown in the brightest colour, white = 1."""
 
@@ -71,8 +69,9 @@ def filled_albedo(mesh: MeshReflectance, drawn: BoolArray | None = None) -> Floa
 
 def albedo_colors(diffuse_linear: FloatArray, *, white: float | None = None) -> FloatArray:
     """Return (V, 3) sRGB colours of albedos (V, 3), brightened so that `white` is 0.8; NaN is grey."""
+    # The scale of an albedo is not known: its 99th percentile is shown.
     level = albedo_white(diffuse_linear) if white is None else white
-    shown = linear_to_srgb(np.clip(np.nan_to_num(diffuse_linear) * (_BRIGHT / max(level, 1e-12)), 0, 1))
+    shown = linear_to_srgb(np.clip(np.nan_to_num(diffuse_linear) * (0.8 / max(level, 1e-12)), 0, 1))
     return np.where(np.isfinite(diffuse_linear), shown, 0.6)
 
 
@@ -151,9 +150,8 @@ def relit_picture(
     numbers = filled_over_mesh(numbers, reflectance.known, faces)
     albedo, gloss = np.split(seen.interpolated(numbers), [3], axis=1)
     point, normal = seen.interpolated(vertices), normalized(seen.interpolated(normals))
-    lobes = point_light_lobes(
-        point, normal, center, light[None], reference_distance_mm=reference_distance_mm
-    )[0]
+    view = point, normal, center, light[None]
+    lobes = point_light_lobes(*view, reference_distance_mm=reference_distance_mm)[0]
     # Lamps have their place around the origin, which is to lie inside the mesh.
     middle = (vertices.min(0) + vertices.max(0)) / 2
     curved, distance = seen.raised(vertices, normals, outward=True), float(np.linalg.norm(light - middle))

@@ -12,8 +12,6 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.io.color import encoded_srgb, srgb_to_linear
 
-BRIGHTEST = 0.98
-"""Level of the brightest pixel at exposure 1."""
 TARGET_MM = np.array([0.0, 0.0, -5.0])
 """Point of the head in the middle of portraits."""
 
@@ -21,7 +19,7 @@ TARGET_MM = np.array([0.0, 0.0, -5.0])
 def auto_exposure(radiance_linear: ArrayLike) -> float:
     """Return the factor that puts the brightest value of the picture just below white."""
     brightest = float(np.max(radiance_linear))
-    return BRIGHTEST / brightest if brightest > 0 else 1.0
+    return 0.98 / brightest if brightest > 0 else 1.0
 
 
 def photograph(

@@ -9,10 +9,10 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 from skimage.measure import points_in_poly
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, smoothstep
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise, smoothstep
+from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, skin, smooth_noise
 
 _SCLERA = np.array([0.66, 0.60, 0.55])
 _BROW = np.array([0.060, 0.042, 0.030])

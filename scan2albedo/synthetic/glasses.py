@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
 from scan2albedo.synthetic.glasses_shape import (
@@ -111,9 +111,8 @@ def eyeglasses(
     hinge = rest[renumbered[half.marks["hinge"]]]
     depth = float(hinge[2] - rest[:, 2].min())
     centers = measures.lens_center * np.array([[1.0, 1, 1], [-1, 1, 1]])
-    moved, moved_centers = (
-        bend_points(p, bend, hinge, depth, measures.bridge_width) for p in (rest, centers)
-    )
+    how = bend, hinge, depth, measures.bridge_width
+    moved, moved_centers = (bend_points(points, *how) for points in (rest, centers))
     return SyntheticEyeglasses(
         vertices=moved,
         rest_vertices=rest,
@@ -215,9 +214,8 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
     ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    rings = _blended(
-        path, frames, points, ellipse, np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
-    )
+    blend = np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
+    rings = _blended(path, frames, points, ellipse, blend)
     numbers = half.add_tube(rings, loop if welded else None)
     outside, middle = 2, CORNER_RINGS + STRAIGHT_RINGS // 2
     half.marks |= {
@@ -256,7 +254,7 @@ def _blended(
     path: FloatArray, frames: FloatArray, loop: FloatArray, ellipse: FloatArray, part: FloatArray
 ) -> FloatArray:
     """Return rings (R, S, 3): from the outline `loop` (S, 3) around path[0] to ellipses, by `part` (R,)."""
-    first, blend = (loop - path[0]) @ frames[0].T, (part**2 * (3 - 2 * part))[:, None, None]
+    first, blend = (loop - path[0]) @ frames[0].T, smoothstep(part)[:, None, None]
     return path[:, None] + ((1 - blend) * first + blend * ellipse) @ frames
 
 

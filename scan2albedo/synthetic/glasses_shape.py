@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from scan2albedo.core.arrays import FloatArray
 
@@ -99,15 +100,12 @@ def temple_path(shape: GlassesShape, start: FloatArray) -> FloatArray:
     """Return the middle line (68, 3) of the left temple from `start` (3,) on the rim to the tip."""
     radius, ear_radius = 6.0, 22.0
     corner = np.linspace(0, np.pi / 2, CORNER_RINGS, endpoint=False)
-    around = start + np.stack(
-        [radius * np.sin(corner), np.zeros(CORNER_RINGS), radius * (np.cos(corner) - 1)], 1
-    )
+    around = start + np.stack([radius * np.sin(corner), 0 * corner, radius * (np.cos(corner) - 1)], 1)
     straight_length = 0.66 * shape.temple_length
     u = np.linspace(0, 1, STRAIGHT_RINGS)
     zero = np.zeros(STRAIGHT_RINGS)
-    back = (
-        start + [radius, 0, -radius] + np.stack([shape.temple_spread * u**2, zero, -straight_length * u], 1)
-    )
+    behind = np.stack([shape.temple_spread * u**2, zero, -straight_length * u], 1)
+    back = start + [radius, 0, -radius] + behind
     turn = np.linspace(0, np.deg2rad(shape.ear_angle_deg), BEND_RINGS + 1)[1:]
     level = np.array([2 * shape.temple_spread / straight_length, 0, -1.0])
     level /= np.linalg.norm(level)
@@ -166,11 +164,8 @@ def bend_points(
 
 def _line(angle: FloatArray, step: float) -> tuple[FloatArray, FloatArray]:
     """Return how far lines (N,) that turn by an angle at each step have come, straight on and across."""
-    parts = [
-        np.concatenate([[0.0], np.cumsum(step * (f[1:] + f[:-1]) / 2)])
-        for f in (np.cos(angle), np.sin(angle))
-    ]
-    return parts[0], parts[1]
+    along, across = (cumulative_trapezoid(f, dx=step, initial=0) for f in (np.cos(angle), np.sin(angle)))
+    return along, across
 
 
 def _rise(x: FloatArray, bridge_width: float) -> FloatArray:

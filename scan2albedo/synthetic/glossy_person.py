@@ -1,4 +1,4 @@
-"""A synthetic person whose skin reflects as three Blinn-Phong lobes over Lambert, and how flashes light it.
+"""Synthetic people whose skin reflects as three Blinn-Phong lobes over Lambert, and how flashes light it.
 
 The radiance is computed here without `reflectance`, so that its fits are tested against independent code.
 """
@@ -16,7 +16,9 @@ from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.face_shape import Expression, FaceSurface
+from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
+from scan2albedo.synthetic.face_shape import FaceSurface, face_surface
+from scan2albedo.synthetic.face_shape import person as sculpted
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 from scan2albedo.synthetic.textures import smooth_noise
@@ -64,13 +66,11 @@ class GlossyPerson:
     scene: RayScene
 
     @classmethod
-    def seated(
-        cls, seed: int, expression: Expression, hair: bool, levels: int, model: AnnotatedSurface | None
-    ) -> GlossyPerson:
+    def seated(cls, seed: int, hair: bool, levels: int) -> GlossyPerson:
         """Return a random person; ValueError when `levels` of subdivision are not 1, 2 or 3."""
         if levels not in (1, 2, 3):
             raise ValueError(f"levels is {levels}, expected 1, 2 or 3")
-        sitter = sit_down(seed, expression=expression, model=model or default_model())
+        sitter = sit_down(seed, expression="neutral", model=default_model())
         shown = np.flatnonzero(hair | (sitter.part != BodyPart.HAIR))
         uv = sitter.face.vertex_uv()
         weights = gloss_weights(sitter.face, sitter.model, uv, sitter.seed)
@@ -187,3 +187,48 @@ class GlossyFace:
             person.diffuse_linear[:count],
             person.weights[:count],
         )
+
+
+@dataclass(frozen=True)
+class Individual:
+    """A person: seeds of shape and paint, the skin's tone (0 lightest ... 1 darkest), brows and lips."""
+
+    shape_seed: int
+    tone: float
+    features: PaintedFeatures
+    paint_seed: int
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, tones: tuple[float, float] = (0.0, 1.0)) -> Individual:
+        """Return a random person with a tone in the range."""
+        shape_seed, tone = int(rng.integers(2**31)), float(rng.uniform(*tones))
+        # A third more or less hair, brows and lips moved by about a millimetre: what relatives differ by.
+        features = PaintedFeatures(
+            brow_thickness=float(rng.uniform(0.65, 1.35)),
+            brow_lift=float(rng.uniform(-0.006, 0.006)),
+            brow_arch=float(rng.uniform(-0.003, 0.008)),
+            brow_reach=float(rng.uniform(0.75, 1.1)),
+            lip_fullness=float(rng.uniform(-0.004, 0.004)),
+        )
+        return cls(shape_seed, tone, features, int(rng.integers(2**31)))
+
+    def albedo(self, uv: FloatArray, model: AnnotatedSurface) -> FloatArray:
+        """Return linear albedo (N, 3) at coordinates (N, 2) of the model's chart."""
+        rng = np.random.default_rng(self.paint_seed)
+        return paint_face(uv, model, rng, tone=self.tone, features=self.features)
+
+
+def population_reflectance(person: int, levels: int = 1) -> GlossyFace:
+    """Return the true reflectance of a `person`, 0 and so on, at rest, without relief and any photograph.
+
+    The lobes are drawn as for `flash_capture`. Vertices of all people correspond: those of the default
+    model's surface after `levels` refinements.
+    """
+    template = default_model()
+    individual = Individual.drawn(np.random.default_rng([0, person, 11]))
+    points = sculpted(template, np.random.default_rng([individual.shape_seed, 2]))
+    face = face_surface(template, points, levels=levels)
+    uv = face.vertex_uv()
+    weights = gloss_weights(face, template, uv, individual.shape_seed)
+    albedo = individual.albedo(uv, template)
+    return GlossyFace(face.vertices, face.normals, face.faces, face.landmarks, albedo, weights)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.geometry.mesh import normalized, without_unreferenced
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.renderer import RayScene
-from scan2albedo.synthetic.textures import smoothstep
 
 Mesh = tuple[FloatArray, IntArray]
 

@@ -8,17 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.camera import TARGET_MM, Portrait, refuse_outside, toward
-from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
 
 _ROOM_COLOR = np.array([1.0, 0.93, 0.82])
 _LEAST_GAIN = 0.1
-_BEHIND_MM = 3.0
-"""A landmark this much behind the surface that a ray meets first is still seen."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,6 @@ def _centers(rotations: FloatArray, translations: FloatArray) -> FloatArray:
 def flash_capture(
     seed: int = 0,
     *,
-    expression: Expression = "neutral",
     views: int = 9,
     flashes: int = 11,
     gain_deviation: float = 0.0,
@@ -77,7 +72,6 @@ def flash_capture(
     hair: bool = True,
     levels: int = 2,
     portrait: Portrait = Portrait(),
-    model: AnnotatedSurface | None = None,
 ) -> FlashCapture:
     """Return pictures of a random person with one flash at a time.
 
@@ -89,8 +83,6 @@ def flash_capture(
     ----------
     seed : int
         Of the person and of the noise.
-    expression : str
-        As in `synthetic.face`.
     views, flashes : int
         Cameras on an arc of 120 degrees around the face, and flashes, which stand where the cameras do; up to
         two more stand above when there are more flashes than views.
@@ -101,18 +93,14 @@ def flash_capture(
     hair : bool
         Whether there is hair, which hides and shades the brow and is not in the mesh.
     levels : int
-        Of subdivision of the mesh, 1 to 3: 1 is 3,663 vertices with the default model, 2 is 14,533.
+        Of subdivision of the mesh, 1 to 3: 1 is 3,663 vertices, 2 is 14,533.
     portrait : Portrait
-    model : AnnotatedSurface, optional
-        The default model when omitted; it needs landmarks.
     """
     refuse_outside(1, views=views, flashes=flashes)
     refuse_outside(0, gain_deviation=gain_deviation, room=room)
     if flashes > views + 2:
-        raise ValueError(
-            f"there are {flashes} flashes and {views} views, expected 2 flashes more than views at most"
-        )
-    person = GlossyPerson.seated(seed, expression, hair, levels, model)
+        raise ValueError(f"there are {flashes} flashes and {views} views, expected at most 2 flashes more")
+    person = GlossyPerson.seated(seed, hair, levels)
     # Poses of the head before all places where a camera or a flash stands.
     places = [(float(side), 0.0) for side in (np.linspace(-60, 60, views) if views > 1 else [0])]
     # Where flashes stand and no camera takes pictures.
@@ -181,15 +169,12 @@ def face_photograph(
     seed: int,
     environment_linear: ArrayLike,
     *,
-    expression: Expression = "neutral",
     azimuth_deg: float = 0.0,
     elevation_deg: float = 0.0,
     lights: int = 256,
     landmark_noise_px: float = 1.0,
     hair: bool = True,
-    levels: int = 1,
     portrait: Portrait = Portrait(),
-    model: AnnotatedSurface | None = None,
 ) -> FacePhotograph:
     """Return a picture of the person of `flash_capture(seed)` under an environment map.
 
@@ -207,15 +192,15 @@ def face_photograph(
         Distant lights that stand for the environment, each with its shadows.
     landmark_noise_px : float
         Standard deviation of the labelled landmarks.
-    expression, hair, levels, portrait, model
-        As in `flash_capture`.
+    hair, portrait
+        As in `flash_capture`, with a mesh of level 1.
     """
     refuse_outside(1, lights=lights)
     refuse_outside(0, landmark_noise_px=landmark_noise_px)
     if not (np.isfinite(azimuth_deg) and abs(elevation_deg) < 90):
         raise ValueError(f"the camera at {azimuth_deg}, {elevation_deg} degrees is nowhere")
     around = DistantLights.from_environment(environment_linear, lights)
-    person = GlossyPerson.seated(seed, expression, hair, levels, model)
+    person = GlossyPerson.seated(seed, hair, levels=1)
     camera = portrait.camera(azimuth_deg, elevation_deg)
     center = camera_centers(camera[None])[0]
     seen = person.seen(camera, center, portrait.picture_size)
@@ -225,10 +210,11 @@ def face_photograph(
     image = portrait.stored(seen.picture((exposure * radiance).astype(np.float32)), rng)
     landmarks = person.sitter.face.landmarks
     pixels, _ = project(camera, landmarks)
-    hidden = person.scene.hidden(center, landmarks, _BEHIND_MM)
+    # A landmark 3 mm behind the surface that a ray meets first is still seen.
+    hidden = person.scene.hidden(center, landmarks, 3.0)
     noisy = pixels + rng.normal(0, landmark_noise_px, pixels.shape)
     return FacePhotograph(
-        **vars(GlossyFace.from_person(person, levels)),
+        **vars(GlossyFace.from_person(person, levels=1)),
         image=image,
         skin=seen.picture(seen.on_face),
         camera=camera,

@@ -315,9 +315,8 @@ def raw_scan(
         sides = ((40, 1.8), (-40, 1.4))
         lights = tuple(light_at(side, 15, distance_mm=900.0, intensity=level) for side, level in sides)
     skin = material or Material(0.3, 0.12, 14.0)
-    return scan_of(
-        sitter, tuple(lights), skin, scanner, np.random.default_rng([seed, 7]), f"synthetic-{seed}"
-    )
+    rng = np.random.default_rng([seed, 7])
+    return scan_of(sitter, tuple(lights), skin, scanner, rng, f"synthetic-{seed}")
 
 
 def scan_of(

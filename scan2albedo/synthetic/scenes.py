@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -21,8 +22,6 @@ from scan2albedo.synthetic.renderer import Material, RayScene, render
 from scan2albedo.synthetic.textures import painter, smooth_noise
 
 TextureName = Literal["plain", "skin", "wood"]
-
-HEMISPHERE_RADIUS_MM = 80.0
 
 
 @dataclass(frozen=True)
@@ -62,9 +61,7 @@ def light_at(
     azimuth_deg, elevation_deg, distance_mm, intensity : float
         As in `PointLight`.
     """
-    return PointLight(
-        float(np.deg2rad(azimuth_deg)), float(np.deg2rad(elevation_deg)), distance_mm, intensity
-    )
+    return PointLight(math.radians(azimuth_deg), math.radians(elevation_deg), distance_mm, intensity)
 
 
 def hemisphere(
@@ -112,7 +109,7 @@ def hemisphere(
     normal = np.column_stack([disc * np.sqrt(np.maximum(0, 2 - radius**2))[:, None], z])
     normal[~mask] = 0
     normal = normal.reshape(size, size, 3)
-    image = GeometryImage(HEMISPHERE_RADIUS_MM * normal, normal, mask.reshape(size, size))
+    image = GeometryImage(80 * normal, normal, mask.reshape(size, size))
     albedo = np.zeros((size * size, 3))
     albedo[mask] = painter(texture)(uv[mask], np.random.default_rng(seed), grain=grain)
     shaped = albedo.reshape(size, size, 3)

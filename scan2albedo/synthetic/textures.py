@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, smoothstep
 
 _LIGHT_WOOD = np.array([0.62, 0.40, 0.22])
 _DARK_WOOD = np.array([0.24, 0.11, 0.05])
@@ -87,9 +87,3 @@ def spots(uv: FloatArray, rng: np.random.Generator, *, count: int, radius: tuple
     centers, radii = rng.uniform(size=(count, 2)), rng.uniform(*radius, size=count)
     distance, nearest = cKDTree(centers).query(uv)
     return smoothstep(1.3 - distance / radii[nearest])
-
-
-def smoothstep(x: ArrayLike) -> FloatArray:
-    """Return 3 x^2 - 2 x^3 of x clipped to [0, 1]."""
-    t = np.clip(np.asarray(x, float), 0, 1)
-    return t * t * (3 - 2 * t)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.face_model import default_model
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic.camera import toward
@@ -102,7 +102,6 @@ def wearer(
     seed: int = 0,
     *,
     bend: GlassesBend | None = None,
-    shape: GlassesShape | None = None,
     focal_px: float = 1800.0,
     picture_size: int = 1024,
     label_noise_px: float = 1.0,
@@ -110,7 +109,6 @@ def wearer(
     outliers: int = 0,
     missing: int = 0,
     hair: bool = False,
-    model: AnnotatedSurface | None = None,
 ) -> Wearer:
     """Return a random person with glasses on the nose.
 
@@ -120,8 +118,6 @@ def wearer(
         Of the person, the frame, the noise.
     bend : GlassesBend, optional
         Otherwise temples are spread around the head and bridge and halves bent a little.
-    shape : GlassesShape, optional
-        Of the frame, in place of a drawn one.
     focal_px : float
         Of the cameras.
     picture_size : int
@@ -135,13 +131,11 @@ def wearer(
         Key points without a label in any view.
     hair : bool
         Whether hair that may hide the temples' ends is there.
-    model : AnnotatedSurface, optional
-        The default model when omitted; it needs landmarks.
     """
-    sitter = sit_down(seed, expression="neutral", model=model or default_model())
+    sitter = sit_down(seed, expression="neutral", model=default_model())
     head = compact(sitter.vertices, sitter.faces[hair | (sitter.part != BodyPart.HAIR)])
     scene, eyes = RayScene(*head), sitter.face.landmarks[36:48].mean(0)
-    measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
+    measures = GlassesShape.drawn(np.random.default_rng(seed))
     bend = bend if bend is not None else fit_temples(measures, seed, scene, eyes)
     glasses = eyeglasses(shape=measures, bend=bend)
     world_from_glasses = seat(glasses, scene, eyes)

@@ -11,16 +11,20 @@ from scan2albedo.applications import (
     ProcessedFace,
     RelightOptions,
     load_result,
-    reflectance_model_of_processed,
     reflectance_of_processed,
     relight,
 )
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.core import PointLight
-from scan2albedo.errors import ApplicationError, ReflectanceError
+from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.lighting.shading import Reflectance
-from scan2albedo.reflectance import lobe_weights_of_phong, point_light_lobes, point_light_radiance
+from scan2albedo.reflectance import (
+    MorphableReflectanceModel,
+    lobe_weights_of_phong,
+    point_light_lobes,
+    point_light_radiance,
+)
 from scan2albedo.synthetic.face_paint import paint_face
 
 pytestmark = pytest.mark.slow
@@ -157,15 +161,12 @@ def test_scans_of_one_model_make_a_morphable_one(scene):
     for seed in range(3):
         made = scene(seed)
         faces.append(on_model(made, made.albedo_linear, GLOSSY, f"person{seed}"))
-    model, people = reflectance_model_of_processed(faces)
+    people = [reflectance_of_processed(face).reflectance for face in faces]
+    model, person = MorphableReflectanceModel.from_samples(people), people[1]
     assert (model.components, model.samples) == (2, 3)
-    assert [one.name for one in people] == ["person0", "person1", "person2"]
-    person = people[1].reflectance
     both = model.known & person.known
     nearest = model.project(person).reflectance.diffuse_linear[both]
     np.testing.assert_allclose(nearest, person.diffuse_linear[both], atol=1e-8)
-    fewer, _ = reflectance_model_of_processed(faces, components=1)
-    assert fewer.components == 1
 
 
 def test_a_folder_gives_what_its_result_gives(result, stored):
@@ -180,15 +181,9 @@ def test_a_folder_gives_what_its_result_gives(result, stored):
     np.testing.assert_array_equal(loaded.reflectance.weights, of_folder.reflectance.weights)
 
 
-def test_scans_whose_vertices_do_not_correspond_are_refused(true_face, person, stored):
+def test_a_scan_whose_vertices_correspond_to_no_other_is_refused(true_face):
     with pytest.raises(ApplicationError, match="without a model"):
         reflectance_of_processed(replace(true_face, model_name="none"))
-    with pytest.raises(ApplicationError, match=r"someone .*rest.*meshes differ"):
-        reflectance_model_of_processed([true_face, stored])
-    with pytest.raises(ApplicationError, match=r"someone .*person0.*meshes differ"):
-        reflectance_model_of_processed([true_face, person(0)])
-    with pytest.raises(ReflectanceError, match="no sample"):
-        reflectance_model_of_processed([])
 
 
 def test_a_scan_that_shows_nothing_is_refused(true_face):

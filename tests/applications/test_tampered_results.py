@@ -12,7 +12,7 @@ from scan2albedo.applications import blend_faces, load_result, relight, swap_tex
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.images import write_exr
 from scan2albedo.recognition.manifest import read_face
-from scan2albedo.report.html import write_report
+from scan2albedo.report import write_report
 
 pytestmark = pytest.mark.usefixtures("no_endless_reading")
 

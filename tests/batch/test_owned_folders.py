@@ -10,7 +10,7 @@ from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.batch.layout import Layout
 from scan2albedo.errors import BatchError, OutputError
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.report.html import write_report
+from scan2albedo.report import write_report
 
 TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False, quality="draft", lights=1)
 pytestmark = pytest.mark.usefixtures("stages_in_this_process")

@@ -131,7 +131,7 @@ def test_errors_name_what_is_missing(result):
     with pytest.raises(ApplicationError, match="no template with texture coordinates"):
         template_texture(result.scan, plain)
     elsewhere = replace(result.scan, vertices=result.scan.vertices + 1000)
-    with pytest.raises(ApplicationError, match="no part of the scan lies at the fitted face"):
+    with pytest.raises(ApplicationError, match="no part of it lies at the fitted face"):
         unlit_scan(elsewhere, result.fitted, result.albedo)
     moved = replace(result.fitted, vertices=result.fitted.vertices + 1)
     with pytest.raises(ApplicationError, match="of another face"):

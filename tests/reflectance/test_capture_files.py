@@ -92,7 +92,7 @@ def capture_positions(capture):
         (lambda c: c.update(gamma=-1), "gamma"),
         (
             lambda c: c["pictures"][2].update(flash="moon"),
-            "pictures.2: its flash 'moon' is not the name of a pose",
+            "pictures.2: its flash 'moon' is no pose",
         ),
         (lambda c: c["poses"][1].update(name="place_00"), "two poses have one name"),
         (lambda c: c.update(intrinsics=None), "'place_00' has no intrinsics"),

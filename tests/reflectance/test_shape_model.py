@@ -18,9 +18,9 @@ def people(count, seed=0, vertices=90):
     return 50 + np.tensordot(np.random.default_rng(seed).normal(size=(count, 4)), modes, 1)
 
 
-def learned(count=30, expressions=6, **options):
+def learned(count=30, expressions=6):
     offsets = people(expressions, 3) - 50 if expressions else None
-    return MorphableShapeModel.from_samples(people(count), offsets, FACES, MARKS, **options)
+    return MorphableShapeModel.from_samples(people(count), offsets, FACES, MARKS)
 
 
 def test_directions_have_the_samples_mean_and_covariance():
@@ -54,12 +54,11 @@ def test_shapes_are_mean_plus_directions():
     model = learned()
     a, b = np.arange(1.0, 5), np.arange(4.0)
     expected = model.mean + np.tensordot(np.concatenate([a, b]), model.basis, 1)
-    np.testing.assert_allclose(model.shape(a, b), expected)
-    np.testing.assert_array_equal(model.shape(np.zeros(4), np.zeros(4)), model.mean)
+    np.testing.assert_allclose(model.at(np.concatenate([a, b])), expected)
+    np.testing.assert_array_equal(model.at(np.zeros(8)), model.mean)
 
 
-def test_components_are_cut_at_what_is_asked_for_and_what_there_is():
-    assert learned(identity_components=2, expression_components=0).basis.shape == (2, 90, 3)
+def test_components_are_cut_at_what_there_is():
     assert learned(count=3, expressions=2).basis.shape == (2 + 2, 90, 3)
     assert learned(count=1, expressions=0).basis.shape == (0, 90, 3)
     same = MorphableShapeModel.from_samples(np.repeat(people(1), 4, axis=0), None, FACES, MARKS)
@@ -124,13 +123,11 @@ def test_what_cannot_be_learned_from_is_refused():
         MorphableShapeModel.from_samples(spoilt, None, FACES, MARKS)
     with pytest.raises(ReflectanceError, match="faces"):
         MorphableShapeModel.from_samples(people(3), None, np.zeros((0, 3), int), MARKS)
-    with pytest.raises(ValueError, match="components"):
-        learned(identity_components=-1)
 
 
 def test_coefficients_that_do_not_fit_are_refused():
     model = learned()
-    with pytest.raises(ValueError, match="identity"):
-        model.shape([0.0], np.zeros(4))
-    with pytest.raises(ReflectanceError, match="expression"):
-        model.shape(np.zeros(4), [np.nan, 0, 0, 0])
+    with pytest.raises(ValueError, match="coefficients"):
+        model.at(np.zeros(5))
+    with pytest.raises(ReflectanceError, match="coefficients"):
+        model.at([np.nan, *np.zeros(7)])

@@ -236,7 +236,7 @@ def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, olat):
         ("sigma", np.ones((2, 3)), "sigma is \\(2, 3\\)"),
         ("observed_linear", np.ones((2, 3)), "expected \\(J, V, 3\\)"),
         ("valid", np.ones((2, 3, 3)), "expected bool"),
-        ("light", np.array([0, -1]), "integers >= 0"),
+        ("light", np.array([0, -1]), "expected bool, ints >= 0"),
     ],
 )
 def test_samples_that_do_not_fit_are_refused(name, value, message):

@@ -24,12 +24,14 @@ def test_yaw_shows_the_right_side_and_pitch_the_underside():
     box = trimesh.creation.box((10, 10, 10))
     # Face colours by vertex: the side at -x red, the others blue.
     color = np.where(box.vertices[:, :1] < 0, [1.0, 0, 0], [0, 0, 1.0])
-    front = render_mesh(box.vertices, box.faces, vertex_color_srgb=color, yaw_deg=60, shaded=False, size=64)
+    view = View.around(box.vertices, yaw_deg=60)
+    front = render_mesh(box.vertices, box.faces, vertex_color_srgb=color, view=view, shaded=False, size=64)
     assert (front[..., 0].astype(int) > front[..., 2]).sum() > (
         front[..., 2].astype(int) > front[..., 0]
     ).sum()
     low = np.where(box.vertices[:, 1:2] < 0, [1.0, 0, 0], [0, 0, 1.0])
-    below = render_mesh(box.vertices, box.faces, vertex_color_srgb=low, pitch_deg=60, shaded=False, size=64)
+    view = View.around(box.vertices, pitch_deg=60)
+    below = render_mesh(box.vertices, box.faces, vertex_color_srgb=low, view=view, shaded=False, size=64)
     assert (below[..., 0].astype(int) > below[..., 2]).sum() > (
         below[..., 2].astype(int) > below[..., 0]
     ).sum()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from benchmarks.raw_like import with_holes
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS
@@ -34,7 +34,6 @@ from scan2albedo.synthetic.raw_scan import (
     random_pose,
 )
 from scan2albedo.synthetic.sitter import sit_down
-from scan2albedo.synthetic.textures import smoothstep
 
 FEATURES = ("glasses", "open mouth", "beard", "fringe", "half face", "no neck")
 """What may hide or change a face, and the `_CHANCES` of each."""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, smoothstep
 from scan2albedo.synthetic.camera import toward
 
 Color = tuple[float, float, float]
@@ -31,7 +31,7 @@ def overcast(directions: FloatArray) -> FloatArray:
     up = np.clip(directions[:, 1:2], -1, 1)
     sky = (1 + 2 * np.maximum(up, 0)) / 3 * np.array([1.35, 1.45, 1.6])
     ground = np.array([0.20, 0.17, 0.13]) * np.ones_like(up)
-    return sky + (ground - sky) * _smooth((0.03 - up) / 0.1)
+    return sky + (ground - sky) * smoothstep((0.03 - up) / 0.1)
 
 
 def clear_sky(directions: FloatArray) -> FloatArray:
@@ -40,16 +40,16 @@ def clear_sky(directions: FloatArray) -> FloatArray:
     blue, pale = np.array([0.55, 0.95, 1.75]), np.array([1.15, 1.35, 1.55])
     sky = blue + (pale - blue) * np.exp(-np.maximum(up, 0) / 0.25)
     ground = np.array([0.75, 0.68, 0.52]) * np.ones_like(up)
-    return sky + (ground - sky) * _smooth((0.03 - up) / 0.1)
+    return sky + (ground - sky) * smoothstep((0.03 - up) / 0.1)
 
 
 def dim_room(directions: FloatArray) -> FloatArray:
     """Return radiance (N, 3) of a room by its own light: white ceiling, one warm wall, a wooden floor."""
     x, y, _ = directions.T
     walls = np.array([0.95, 0.95, 0.95]) * np.ones((len(x), 1))
-    warm = _smooth((x - 0.35) / 0.3)[:, None]
+    warm = smoothstep((x - 0.35) / 0.3)[:, None]
     walls = walls + warm * (np.array([1.15, 0.80, 0.55]) - walls)
-    ceiling, floor = _smooth((y - 0.5) / 0.25)[:, None], _smooth((-0.45 - y) / 0.25)[:, None]
+    ceiling, floor = smoothstep((y - 0.5) / 0.25)[:, None], smoothstep((-0.45 - y) / 0.25)[:, None]
     light = walls + ceiling * (np.array([1.7, 1.7, 1.65]) - walls)
     return light + floor * (np.array([0.45, 0.33, 0.22]) - light)
 
@@ -297,8 +297,3 @@ def rigs() -> tuple[Rig, ...]:
             ),
         ),
     )
-
-
-def _smooth(x: FloatArray) -> FloatArray:
-    t = np.clip(x, 0, 1)
-    return t * t * (3 - 2 * t)

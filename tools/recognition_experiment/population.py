@@ -16,7 +16,7 @@ from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.synthetic import Material, Scanner, SyntheticTruth
 from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.face_shape import Expression
-from scan2albedo.synthetic.population import Individual
+from scan2albedo.synthetic.glossy_person import Individual
 from scan2albedo.synthetic.raw_scan import scan_of
 from scan2albedo.synthetic.sitter import sit_down
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
 from scan2albedo.geometry.mesh import face_cross_products, normalized, vertex_normals
@@ -182,8 +182,8 @@ def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
     seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
     radiance = 0.4 + 0.2 * seen[..., 1]
     for direction, edge, strength in _LAMPS:
-        rise = np.clip((seen @ normalized(np.array(direction)) - edge) / _SOFTNESS + 0.5, 0, 1)
-        radiance = radiance + strength * rise * rise * (3 - 2 * rise)
+        rise = smoothstep((seen @ normalized(np.array(direction)) - edge) / _SOFTNESS + 0.5)
+        radiance = radiance + strength * rise
     return np.repeat(radiance[..., None], 3, 2)
 
 

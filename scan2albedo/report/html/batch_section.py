@@ -19,7 +19,6 @@ from scan2albedo.report.html.scan_section import relative_link
 from scan2albedo.report.html.texts import label_of, number_text, seconds_text, unit_of, value_text
 
 CATALOGUE_FILE, RESULT_FILE = "catalogue.parquet", "result.json"
-_OWN_FIELDS = ("name", "status", "reason", "folder")
 DONE, FAILED, NOT_RUN = "done", "failed", "not run"
 RESIDUAL = "metrics_fit_residual_mean_mm"
 COVERAGE = "metrics_fit_coverage"
@@ -125,9 +124,7 @@ def rows_of_catalogue(file: Path) -> list[ScanRow]:
         ) from error
     missing = [name for name in ("name", "status") if name not in table.column_names]
     if missing:
-        raise Scan2AlbedoError(
-            f"{file}: has no column {' and no column '.join(missing)}; it is not a catalogue of a batch"
-        )
+        raise Scan2AlbedoError(f"{file}: has no column {' and no column '.join(missing)}; it is no catalogue")
     rows = []
     for entry in table.to_pylist():
         status = str(entry["status"] or NOT_RUN).replace("_", " ")
@@ -140,7 +137,8 @@ def rows_of_catalogue(file: Path) -> list[ScanRow]:
             reason, folder = reason or "its files are not here", None
         if status == FAILED:
             reason = reason or "no reason was recorded"
-        values = {key: _plain(value) for key, value in entry.items() if key not in _OWN_FIELDS}
+        own = ("name", "status", "reason", "folder")
+        values = {key: _plain(value) for key, value in entry.items() if key not in own}
         rows.append(ScanRow(str(entry["name"]), status, reason, folder, values))
     return rows
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Sequence
@@ -13,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.core import TraceRow
-from scan2albedo.errors import Scan2AlbedoError, one_line
+from scan2albedo.errors import Scan2AlbedoError
+from scan2albedo.io.csv_tables import read_text, table_rows
 from scan2albedo.report.html.texts import is_share, label_of, number_text, unit_of
 
 _ROOM = 0.04
@@ -117,15 +117,11 @@ def histogram(column: str, values: Sequence[float | None]) -> dict[str, Any] | N
 
 def read_trace(file: Path) -> list[TraceRow]:
     """Return the finite rows of a `trace.csv`; Scan2AlbedoError names file and line that cannot be read."""
-    if file.exists() and not file.is_file():
-        raise Scan2AlbedoError(f"{file}: is a folder, a pipe or a device, not a file")
-    try:
-        with file.open(encoding="utf-8", newline="") as opened:
-            lines = list(csv.DictReader(opened))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise Scan2AlbedoError(f"{file}: cannot be read: {one_line(error)}") from error
+    text = read_text(file, what=str(file), advice="process the scan again", error=Scan2AlbedoError)
+    (_, header), *lines = table_rows(text, file, Scan2AlbedoError) or [(1, [])]
     rows = []
-    for k, line in enumerate(lines, 2):
+    for k, cells in lines:
+        line = dict(zip(header, cells, strict=False))
         try:
             spent = float(line["elapsed_s"]), float(line["cpu_s"]), int(line["evaluations"])
             row = TraceRow(line["stage"], *spent, float(line["error"]), line["unit"])

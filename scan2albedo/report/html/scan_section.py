@@ -28,8 +28,6 @@ from scan2albedo.report.html.texts import (
 )
 from scan2albedo.report.html.viewer_data import residual_of_result, viewer_entry
 
-_ERROR = "metrics_albedo_expected_error"
-
 
 def scan_section(
     folder: Path,
@@ -105,7 +103,7 @@ def scan_section(
 
 def _figures(record: ResultRecord) -> dict[str, Any]:
     flat = flat_figures(record.metrics, "metrics")
-    residual, error = flat.get("metrics_fit_residual_mean_mm"), flat.get(_ERROR)
+    residual, error = flat.get("metrics_fit_residual_mean_mm"), flat.get("metrics_albedo_expected_error")
     headline = [] if residual is None else [f"fit {number_text(residual)} mm mean"]
     if record.lights:
         degrees = (np.degrees((light.azimuth_rad, light.elevation_rad)) for light in record.lights)

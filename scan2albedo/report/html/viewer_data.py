@@ -126,9 +126,8 @@ def viewer_entry(
     if image.texture_linear is not None:
         entry["texture"] = texture_entry(image.texture_linear, image.mask, size, quality=quality, factor=1.0)
     if (lit.albedo_linear != face.albedo_linear).any():
-        entry["filled"] = patch_entry(
-            lit.albedo_linear, face.albedo_linear, image.mask, size, entry["albedo"]["factor"]
-        )
+        both = lit.albedo_linear, face.albedo_linear
+        entry["filled"] = patch_entry(*both, image.mask, size, entry["albedo"]["factor"])
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
         entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, size)
     if soft_shadows and face.environment is not None and face.environment.occluded:

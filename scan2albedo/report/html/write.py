@@ -120,9 +120,8 @@ def write_report(
             on_progress(f"{scan}: {len(sections) + 1} of {len(chosen)}")
         try:
             record = read_record(where / RESULT_FILE, ResultRecord)
-            sections.append(
-                scan_section(where, record, target, topologies, single=single, anchor=anchor, name=scan)
-            )
+            section = scan_section(where, record, target, topologies, single=single, anchor=anchor, name=scan)
+            sections.append(section)
             anchors[k] = anchor
         except Scan2AlbedoError as error:
             if single:

@@ -41,8 +41,8 @@ from scan2albedo.report.reflectance_views import (
 )
 from scan2albedo.runs.reflectance import naming, publishing, write_trace
 
-_DOUBTFUL_SIGMA_DEGREES, _DOUBTFUL_MISFIT = 2.0, 1.25
-"""Medians of the normals' deviation and of the misfit above which a note says so."""
+_DOUBTFUL_MISFIT = 1.25
+"""Median of the misfit above which a note says so, as of normals that are off by two degrees."""
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,8 @@ def fit_capture(
         options = replace(options, most_albedo=1.0)
     with naming(f"capture {capture.path}"):
         olat = capture.extract_olat()
-        samples = sample_vertices(
-            olat,
-            capture.rig,
-            capture.vertices,
-            capture.faces,
-            reference_distance_mm=capture.reference_distance_mm,
-        )
+        mesh, distance_mm = (capture.vertices, capture.faces), capture.reference_distance_mm
+        samples = sample_vertices(olat, capture.rig, *mesh, reference_distance_mm=distance_mm)
         samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
         fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
     notes, error = [], None
@@ -137,7 +132,7 @@ def fit_capture(
     known, signs = fit.reflectance.known, []
     sigma = float(np.median(fit.normal_sigma_degrees[known])) if known.any() else 0.0
     misfit = float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else 0.0
-    if sigma > _DOUBTFUL_SIGMA_DEGREES:
+    if sigma > 2:
         signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
     if misfit > _DOUBTFUL_MISFIT:
         signs.append(f"residuals are {misfit:.1f} times the noise")
@@ -171,20 +166,14 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
         "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
         "impossible_vertices": int(fit.impossible.sum()),
-        "level": fit.level,
-        "converged": fit.converged,
-        "iterations": fit.iterations,
-        "light_gain": fit.light_gain,
         "plan": [vars(step) for step in fit.plan],
     }
+    figures |= {name: getattr(fit, name) for name in ("level", "converged", "iterations", "light_gain")}
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:
-        figures["held_out"] = {
-            "pairs": int(done.held_out.sum()),
-            "relative_rmse": done.error.relative_rmse,
-            "noise_part": done.error.noise_part,
-            "psnr_db": done.error.psnr_db,
-        }
+        names = ("relative_rmse", "noise_part", "psnr_db")
+        error = {name: getattr(done.error, name) for name in names}
+        figures["held_out"] = {"pairs": int(done.held_out.sum()), **error}
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:
         write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
@@ -195,10 +184,10 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
                 f"photographs left out of the fit: relative RMSE {100 * done.error.relative_rmse:.1f} % at "
                 f"vertices, {done.error.psnr_db:.1f} dB"
             )
-            chosen, panels, names = np.flatnonzero(done.held_out), [], capture.pair_names()
+            chosen, panels, pairs = np.flatnonzero(done.held_out), [], capture.pair_names()
             shown = np.linspace(0, len(chosen) - 1, min(4, len(chosen))).astype(int)
             for j in chosen[shown]:
-                panels += relit_panels(names[j], *relit_pair(done, j), done.olat.valid[j])
+                panels += relit_panels(pairs[j], *relit_pair(done, j), done.olat.valid[j])
             results.figure("relit.png", overview_figure(relit, panels, 6))
         write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
     return figures

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
@@ -47,9 +46,7 @@ _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
 
 def report_lines(figures: dict[str, Any]) -> list[str]:
     """Return the figures of `run_reflectance_demo` as text."""
-    percent = {
-        name: 100 * float(np.mean(value)) for name, value in figures.items() if name.endswith("_error")
-    }
+    percent = {name: 100 * float(np.mean(figures[name])) for name in figures if name.endswith("_error")}
     return [
         f"error against the ground truth, {figures['people']} people with 35 pairs of pictures each:",
         f"  albedo of vertices        relative RMSE {percent['diffuse_error']:.1f} %, median "
@@ -188,7 +185,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             write_png(staging.folder / flash, capture.flash[j])
             if light == 0:
                 write_png(staging.folder / room, capture.room[j])
-                write_png(staging.folder / f"skin_{view:02d}.png", _white_where(capture.skin[j]))
+                write_png(staging.folder / f"skin_{view:02d}.png", np.uint8(255) * capture.skin[j])
             places = {"camera": f"place_{view:02d}", "flash": f"place_{light:02d}"}
             pairs.append(PairEntry(**places, flash_image=flash, room_image=room))
         poses = [
@@ -226,7 +223,7 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
     with RunFolder(folder, _OWN_FILES).publishing() as staging:
         write_png(staging.folder / _IMAGE, taken.image)
-        write_png(staging.folder / _SKIN, _white_where(taken.skin))
+        write_png(staging.folder / _SKIN, np.uint8(255) * taken.skin)
         if mesh:
             _write_mesh(staging.folder / _MESH, taken.vertices, taken.faces)
         content = FacePhotographFile.model_validate(
@@ -243,10 +240,6 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
         write_record(staging.folder / PHOTOGRAPH_FILE, content, indent=1)
         staging.write_record()
     return folder / PHOTOGRAPH_FILE
-
-
-def _white_where(mask: BoolArray) -> NDArray[np.uint8]:
-    return np.repeat(np.where(mask, 255, 0).astype(np.uint8)[..., None], 3, axis=2)
 
 
 def _write_mesh(path: Path, vertices: FloatArray, faces: IntArray) -> None:

@@ -292,14 +292,12 @@ def tune_model(
     )
     if not tuning.converged:
         notes.append("budget or rounds ended while changes still helped")
-    figures = {
+    figures: dict[str, Any] = {
         "photographs": [str(path) for path in tuned_with],
         "held_out": [str(path) for path in tested_on],
-        "accepted_steps": tuning.accepted_steps,
-        "held_out_before": tuning.held_out_before,
-        "held_out_after": tuning.held_out_after,
-        "converged": tuning.converged,
     }
+    names = ("accepted_steps", "held_out_before", "held_out_after", "converged")
+    figures |= {name: getattr(tuning, name) for name in names}
     mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
     inputs = (models.folder, *tuned_with, *tested_on)
     with publishing(out, "finetune", inputs, options, figures, notes) as results:

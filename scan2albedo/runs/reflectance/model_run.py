@@ -114,9 +114,7 @@ def build_model(
         if len(np.unique(numbers)) < len(numbers):
             raise ReflectanceError(f"{what}: two landmarks have one vertex; give 68 different ones")
         if numbers.min() < 0 or numbers.max() >= len(first):
-            raise ReflectanceError(
-                f"{what} reach {numbers.min()} to {numbers.max()}, but the mesh has {len(first)} vertices"
-            )
+            raise ReflectanceError(f"{what} are {numbers.min()} to {numbers.max()} of {len(first)} vertices")
         shape = MorphableShapeModel.from_samples(shapes, None, samples[0].faces, numbers)
     return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
@@ -134,7 +132,7 @@ def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
     if count < 2:
         raise ReflectanceError(f"{count} people make no model; give 2 or more")
     template = AnnotatedFaceModel.default()
-    people = [population_reflectance(k, levels=SURFACE_LEVELS, model=template) for k in range(count)]
+    people = [population_reflectance(k, SURFACE_LEVELS) for k in range(count)]
     known = np.ones(len(people[0].vertices), bool)
     samples = [VertexReflectance(one.diffuse_linear, one.weights, known) for one in people]
     rest, faces = template.surface(SURFACE_LEVELS)
@@ -190,14 +188,9 @@ def default_model() -> FaceModels:
 def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) -> dict[str, Any]:
     """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
     model = built.model
-    figures = {
-        "samples": model.samples,
-        "vertices": len(model.known),
-        "known_vertices": int(model.known.sum()),
-        "components": model.components,
-        "explained": model.explained,
-        "deviation": model.deviation,
-    }
+    figures: dict[str, Any] = {"vertices": len(model.known), "known_vertices": int(model.known.sum())}
+    names = ("samples", "components", "explained", "deviation")
+    figures |= {name: getattr(model, name) for name in names}
     with publishing(out, "build", built.sources, options, figures) as results:
         model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, built.mean)

@@ -6,7 +6,7 @@ from recognition_experiment.population import Population, population_scan, rando
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.synthetic import Scanner
-from scan2albedo.synthetic.population import Individual
+from scan2albedo.synthetic.glossy_person import Individual
 
 pytestmark = pytest.mark.slow
 
