@@ -18,7 +18,13 @@ from scan2albedo.core.version import VERSION
 
 if TYPE_CHECKING:
     from scan2albedo import applications, batch, eyeglasses, recognition, reflectance, report, synthetic
-    from scan2albedo.albedo import AlbedoEstimate, albedo_error, estimate_albedo
+    from scan2albedo.albedo import (
+        AlbedoEstimate,
+        CommonAlbedo,
+        albedo_error,
+        estimate_albedo,
+        estimate_common_albedo,
+    )
     from scan2albedo.core import Budget, EnvironmentLight, GeometryImage, PointLight, RawScan, Trace
     from scan2albedo.errors import Scan2AlbedoError
     from scan2albedo.face_model import Region
@@ -26,6 +32,7 @@ if TYPE_CHECKING:
     from scan2albedo.io import load_scan
     from scan2albedo.io.geometry_image_files import read_geometry_image
     from scan2albedo.pipeline.options import Quality
+    from scan2albedo.pipeline.person import PersonResult, process_person
     from scan2albedo.pipeline.process import process
     from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.registration import Registration, register
@@ -38,10 +45,12 @@ _HOMES = {
     "AlbedoEstimate": "albedo",
     "AnnotatedFaceModel": "templates",
     "Budget": "core",
+    "CommonAlbedo": "albedo",
     "EnvironmentLight": "core",
     "FittedFace": "fitting",
     "GeometryImage": "core",
     "PointLight": "core",
+    "PersonResult": "pipeline.person",
     "ProcessResult": "pipeline.result",
     "Quality": "pipeline.options",
     "RawScan": "core",
@@ -51,11 +60,13 @@ _HOMES = {
     "Trace": "core",
     "albedo_error": "albedo",
     "estimate_albedo": "albedo",
+    "estimate_common_albedo": "albedo",
     "fit": "fitting",
     "geometry_image": "sampling",
     "geometry_image_of_scan": "sampling",
     "load_scan": "io",
     "process": "pipeline.process",
+    "process_person": "pipeline.person",
     "read_geometry_image": "io.geometry_image_files",
     "register": "registration",
 }

@@ -23,7 +23,7 @@ from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.process import process, without_light
 from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
-from scan2albedo.recognition import albedo_templates, same_person_log_odds
+from scan2albedo.recognition import albedo_templates, certainty, same_person_log_odds
 from scan2albedo.sampling import geometry_image
 
 
@@ -216,16 +216,16 @@ def _common_albedo(
 
 def _same_person(spool: _Spool) -> np.ndarray:
     """Return (K,) the mean log odds by albedo that each scan shows the person of the others; 0 for one."""
-    albedos, masks, errors = list[Any](), list[Any](), list[Any]()
+    albedos, masks = list[Any](), list[Any]()
     for name in spool.names:
         estimate = spool.read(name).albedo
         assert estimate is not None
         albedos.append(estimate.albedo_linear)
-        masks.append(estimate.image.seen)
-        errors.append(estimate.expected_error)
+        seen, error = estimate.image.seen, estimate.expected_error
+        masks.append(seen if error is None else certainty(estimate.albedo_linear, error, seen))
     if len(albedos) < 2:
         return np.zeros(len(albedos))
-    templates = {"albedo": albedo_templates(albedos, spool.names, masks, expected_error=errors)}
+    templates = {"albedo": albedo_templates(albedos, spool.names, masks=masks)}
     odds = same_person_log_odds(templates, templates)
     np.fill_diagonal(odds, 0.0)
     return np.asarray(odds.sum(1) / (len(odds) - 1))
