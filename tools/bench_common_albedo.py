@@ -1,9 +1,8 @@
 """Error of one albedo from 1, 2, 4 and 8 photographs of a face, each under its own unknown flash.
 
 Six people under single flashes (`../shared/data/yale`); the truth is photometric stereo over sixty flashes.
-The error is 100 MSE / mean^2 on the texels that each photograph's flash reaches, averaged over the photographs,
-as `../shared/checks/check_real_lamps.py` measures single ones; beside it the error of each photograph's own
-albedo, of their plain median, and of dividing each by its true lamp.
+The error is 100 MSE / mean^2 on the texels that each photograph's flash reaches, mean over photographs;
+beside it that of each photograph without its light, found together with the others'.
 
     tools/bench_common_albedo.py [--people N] [--draws N] [--counts 1,2,4,8]
 """
@@ -85,7 +84,7 @@ def main() -> None:
         table = np.array(rows)
         mean, worst = table.mean(0), table[:, 0].max()
         print(
-            f"{count} photographs: common albedo {mean[0]:.2f} % (worst {worst:.2f}), each in the common light "
+            f"{count} photographs: common albedo {mean[0]:.2f} % (worst {worst:.2f}), each photograph's "
             f"{mean[1]:.2f} %; stated error {100 * mean[3]:.1f} %, holds {100 * mean[2]:.0f} %; "
             f"{mean[4]:.1f} s CPU",
             flush=True,

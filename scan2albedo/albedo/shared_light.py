@@ -24,7 +24,6 @@ from scan2albedo.albedo.posterior import (
     EXTRA,
     FREEDOM,
     NOISE,
-    TEMPER,
     Point,
     cell_trust,
     descend,
@@ -146,11 +145,10 @@ class SharedLight:
         matrix, _, along = self._equations
         lights = along @ np.linalg.pinv(matrix, hermitian=True) @ along.T
         precision = np.tril(self.factor) @ np.tril(self.factor).T
-        # Light is told with the precision that path-traced faces show (`TEMPER`).
         left = cho_solve(cho_factor(precision - lights, lower=True), np.eye(len(precision)))
         mean = np.asarray(self.nodes.sum(0)).ravel() / len(self.own)
         turned = np.eye(len(mean)) - mean
-        covariance = turned @ left @ turned.T / TEMPER
+        covariance = turned @ left @ turned.T
         variance = cell_variances(self.nodes.indptr, self.nodes.indices, self.nodes.data, covariance)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 

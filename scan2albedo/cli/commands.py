@@ -98,7 +98,7 @@ def _flags(
         metavar="none|grey-skin|R,G,B",
     ),
 ) -> None:
-    """Hold the flags of `process`, `batch` and `demo`, named as the fields of `ProcessOptions`."""
+    """Hold the flags of `process`, `person`, `batch` and `demo`, named as the fields of `ProcessOptions`."""
 
 
 def _with_flags(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -183,6 +183,36 @@ def process(
         raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
     if strict and lost:
         say("scan2albedo: --strict: a texture is missing, so the exit status is 1")
+        raise typer.Exit(SOME_FAILED)
+
+
+@app.command()
+@_with_flags()
+def person(
+    context: typer.Context,
+    name: Annotated[str, typer.Argument(help="Of the person: the results get a folder of this name.")],
+    scans: Annotated[list[Path], typer.Argument(help="Scans of the person.", metavar="SCAN...")],
+    out: OutOption,
+    json_summary: JsonOption = False,
+    **flags: Any,
+) -> None:
+    """Process several scans of one person into one neutral shape and one albedo."""
+    refuse_shared_folders(scans)
+    options = _process_options(context)
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.io.atomic import removed_if_empty
+    from scan2albedo.pipeline.person import process_person
+
+    stop_cleanly_on_interrupt(out)
+    with removed_if_empty(out), ProgressLines(name) as progress:
+        progress.say(f"{name}: {len(scans)} scans")
+        result = process_person(scans, out, name=name, on_progress=progress.update, **options.arguments())
+        for note in result.notes:
+            progress.say(f"{name}: {note}")
+        progress.say(result.summary())
+    if json_summary:
+        echo_json({"name": name, "out": str(result.out), "notes": list(result.notes), **result.metrics()})
+    if result.left_out:
         raise typer.Exit(SOME_FAILED)
 
 

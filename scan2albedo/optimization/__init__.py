@@ -14,7 +14,6 @@ __all__ = [
     "Damping",
     "Descent",
     "LeastSquaresPoint",
-    "LeastSquaresPoint",
     "NormalEquations",
     "damped_step",
     "minimize",

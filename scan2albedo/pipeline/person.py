@@ -241,7 +241,6 @@ def _assembled(
     plan: Sequence[PlanStep],
 ) -> PersonResult:
     """Return the neutral face as a result like that of a scan."""
-    first = spool.read(spool.names[0])
     near = np.nanmin([np.where(np.isnan(fit.residual_mm), np.inf, fit.residual_mm) for fit in fits], axis=0)
     neutral = replace(
         fits[0],
@@ -254,6 +253,7 @@ def _assembled(
         model_from_scan=np.eye(4),
     )
     image, estimate, rows = geometry_image(neutral, None, chosen.texels), None, [*plan]
+    maps = dict[str, Any]()
     if common is not None:
         mask, lit = image.mask, next(r.albedo for r in map(spool.read, spool.names) if r.albedo is not None)
         source, seen = lit.image, common.coverage > 0
@@ -265,6 +265,7 @@ def _assembled(
             labels=source.labels,
         )
         rows += common.plan
+        maps = {"coverage.png": common.coverage / len(fits), "disagreement.png": common.disagreement}
         estimate = replace(
             lit,
             albedo_linear=common.albedo_linear,
@@ -294,6 +295,7 @@ def _assembled(
         timings_s={},
         options=chosen.recorded(shape.model),
         seed=chosen.seed,
+        maps=maps,
         shape=shape,
         common=common,
         members=tuple(spool.names),

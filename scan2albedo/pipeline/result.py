@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -89,6 +89,8 @@ class ProcessResult:
     """File the scan was read from."""
     out: Path | None = None
     """Folder with the files, when they were written."""
+    maps: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
+    """(H, W) from 0 to 1 by the name of the picture they are written to."""
     input_sha256: str | None = None
     """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
 
@@ -189,6 +191,8 @@ def write_result(
                 writer(staging.folder / name, *content, **options)
 
         write("trace.csv", result.trace.to_csv)
+        for name, values in result.maps.items():
+            write(name, write_png, _gray_bytes(values))
         write("geometry_image.npz", write_geometry_image, image)
         write("geometry_image.exr", write_geometry_image_exr, image)
         if image.skin is not None:
