@@ -27,26 +27,23 @@ class PersonShape:
     """A person's neutral face in the model's frame, mm, and K scans' differences from it in their order."""
 
     model: AnnotatedSurface
+    """Of the first fit."""
     control_points: FloatArray
-    """(C, 3)."""
     vertices: FloatArray
-    """(V, 3): limit surface."""
     faces: IntArray
-    """(F, 3)."""
+    """`control_points` (C, 3), `vertices` (V, 3) and `faces` (F, 3) of the limit surface."""
     landmarks: FloatArray | None
     """(68, 3)."""
     deviation_mm: FloatArray
     """(V,): standard deviation of each vertex along the normal."""
     common_from_fit: FloatArray
-    """(K, 4, 4): similarities from each fitted face's frame. Sizes have the geometric mean 1: a scanner's
-    wrong unit is told from the other scans' only."""
+    """(K, 4, 4): similarities from each fitted face's frame, whose sizes have the geometric mean 1."""
     expression: FloatArray
     """(K, C, 3): displacements of the control points from the neutral face."""
     distance_mm: FloatArray
-    """(K,): RMS along the normal to what the other scans say of the neutral face, where they say it surely;
-    0 for one scan."""
+    """(K,): RMS along the normal to the others' neutral face, where it is sure; 0 for one scan."""
     other_person: FloatArray
-    """(K,): log odds that the scan shows another person than the others, at even odds before; 0 for one."""
+    """(K,): log odds, even before, that the scan shows another person than the others; 0 for one scan."""
 
 
 def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
@@ -104,7 +101,6 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
             pulled += precision[k, :, None] * moved
         known = seen + 1 / loose
         neutral = (pulled + likely / loose) / known[:, None]
-        # The modes follow the scans' mean.
         weighted = basis * np.repeat(patches / (loose + 1 / seen), 3)
         away = weighted @ (pulled / seen[:, None] - rest).ravel()
         likely = rest + (np.linalg.solve(weighted @ basis.T + ridge, away) @ basis).reshape(rest.shape)
