@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -57,7 +57,8 @@ def identify(
     from scan2albedo.recognition.labelled_templates import checked_use
 
     try:
-        kinds = checked_use([name.strip() for name in use.split(",")])  # type: ignore[misc]
+        kinds: list[Any] = [name.strip() for name in use.split(",")]
+        checked_use(kinds)
     except ValueError as error:
         raise typer.BadParameter(f"--use is {use!r}, expected some of albedo,texture,shape") from error
     stop_cleanly_on_interrupt(out)

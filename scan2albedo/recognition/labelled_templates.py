@@ -279,7 +279,7 @@ def read_templates(path: str | Path) -> Templates:
     )
     try:
         options = TemplateOptions(size=header.options.size, unit_mean=header.options.unit_mean)
-        arrays |= {"names": header.names, "chart": header.chart, "kind": header.kind}
-        return Templates(**arrays, options=options)
+        held = arrays["coefficients"], arrays["mask"], header.names, options
+        return Templates(*held, header.chart, header.kind, arrays["weight"])
     except (ValueError, RecognitionError) as error:
         raise RecognitionError(f"templates {path}: {error}; write the file again") from error

@@ -166,8 +166,10 @@ class Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
-        coefficients, mask, weight = (of[chosen] for of in (self.coefficients, self.mask, self.weight))
-        return replace(self, coefficients=coefficients, mask=mask, weight=weight, names=names)
+        arrays: dict[str, Any] = {
+            name: getattr(self, name)[chosen] for name in ("coefficients", "mask", "weight")
+        }
+        return replace(self, names=names, **arrays)
 
 
 def albedo_templates(

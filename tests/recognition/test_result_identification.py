@@ -168,7 +168,7 @@ def test_errors_of_the_albedo_are_weights(people, tmp_path):
     shown, known = read_face(folder), read_face(people / "bob")
     options = {"options": OPTIONS, "mask_b": known.seen}
     weighed = cw_ssim(shown.values, known.values, shown.certainty, **options)
-    assert weighed > cw_ssim(shown.values, known.values, shown.seen, **options) + 0.05
+    assert weighed > cw_ssim(shown.values, known.values, shown.seen, **options) + 0.03
 
 
 def test_what_cannot_be_read_is_named_with_its_line(gallery, people, tmp_path):
