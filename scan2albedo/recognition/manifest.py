@@ -114,7 +114,7 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
 def _of_folder(folder: Path, persons_required: bool) -> Manifest:
     def holds_result(of: Path) -> bool:
         """Whether it is the folder of one processed scan, or of a face that an application wrote."""
-        return any((of / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE))
+        return any((of / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE, IMAGE_FILE))
 
     def folders(of: Path) -> list[Path]:
         return sorted(path for path in of.iterdir() if path.is_dir() and not path.name.startswith("."))
@@ -204,11 +204,12 @@ def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
 
 
 def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
+    model = None  # unknown in a folder of images without a record
     if (folder / RESULT_FILE).is_file():
         model = str(read_record(folder / RESULT_FILE, ResultRecord).options.get("model", "none"))
     elif (folder / APPLICATION_FILE).is_file():
         model = read_record(folder / APPLICATION_FILE, ApplicationRecord).model
-    else:
+    elif not (folder / IMAGE_FILE).is_file():
         raise RecognitionError(
             f"{folder}: holds no {RESULT_FILE}; give the folder of one processed scan, OUT/<scan name>"
         )
