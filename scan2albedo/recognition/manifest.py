@@ -182,10 +182,10 @@ class StoredFace:
 def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
     """Return the albedo or the shape, by `kind`, of a processed scan, of an application, or of an image.
 
-    `path` is a folder with result.json or application.json, geometry_image.npz and, but for the shape,
-    albedo.exr and, where errors are known, expected_error.exr; a file in such a folder means the folder. Any
-    other image is an albedo and must be on the model's chart: its texels count where alpha is half or more
-    or, without alpha, where they are not black.
+    `path` is a folder with geometry_image.npz, its record result.json or application.json if it has one, and,
+    but for the shape, albedo.exr and, where errors are known, expected_error.exr; a file in such a folder
+    means the folder. Any other image is an albedo and must be on the model's chart: its texels count where
+    alpha is half or more or, without alpha, where they are not black.
 
     RecognitionError, which names the file, when something is missing, cannot be read, or is not on a model's
     chart: a `NothingToCompareError` for anything but the albedo of an image or the shape of a scan without
