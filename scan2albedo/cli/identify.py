@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -28,8 +28,7 @@ def identify(
     ),
     out: Path | None = typer.Option(None, "--out", "-o", help="Folder for table, similarities and curves."),
     use: str = typer.Option(
-        "albedo,texture,shape",
-        help="What is compared: albedo, texture, shape, or several with commas between.",
+        "albedo,texture,shape", help="What is compared: albedo, texture, shape, or several of them."
     ),
     combine: str = typer.Option("mean", help="Of a person's several images in the gallery: best, or mean."),
     size: int | None = typer.Option(
@@ -44,9 +43,8 @@ def identify(
 ) -> None:
     """Find the person of a gallery whom each probe resembles most, by albedo, texture and shape.
 
-    Somebody of the gallery is always the most similar: the log odds, and how much higher they are than the
-    next person's, show how reliable that is. Where probes name their person, the rate of right answers is
-    printed.
+    Somebody of the gallery is always the most similar: the log odds, and those of the next person, show how
+    reliable that is. Where probes name their person, the rate of right answers is printed.
     """
     if combine not in ("best", "mean"):
         raise typer.BadParameter(f"--combine is {combine!r}, expected best or mean")
@@ -57,7 +55,8 @@ def identify(
     from scan2albedo.recognition.labelled_templates import checked_use
 
     try:
-        kinds = checked_use([name.strip() for name in use.split(",")])  # type: ignore[misc]
+        kinds: list[Any] = [name.strip() for name in use.split(",")]
+        checked_use(kinds)
     except ValueError as error:
         raise typer.BadParameter(f"--use is {use!r}, expected some of albedo,texture,shape") from error
     stop_cleanly_on_interrupt(out)

@@ -119,7 +119,7 @@ def read_labelled_templates(
         )
     first = next(iter(found.values()))
     for templates in found.values():
-        if options is not None and options != templates.options:
+        if options not in (None, templates.options):
             raise RecognitionError(
                 f"{file} was made with {templates.options}, asked for were {options}; leave the choice out, "
                 "or make the file anew"
@@ -127,9 +127,8 @@ def read_labelled_templates(
         if templates.names != first.names or templates.options != first.options:
             raise RecognitionError(f"{file} and those beside it come from different runs; make all anew")
     labels = tuple(f"{name} [{k}]" for k, name in enumerate(first.names))
-    missing = [
-        f"{file}: holds no {kind}; it is left aside" for kind in kinds if kind not in (*found, "shading")
-    ]
+    absent = [kind for kind in kinds if kind not in (*found, "shading")]
+    missing = [f"{file}: holds no {kind}; it is left aside" for kind in absent]
     rows = {kind: np.arange(len(first)) for kind in found}
     return LabelledTemplates(file, found, rows, labels, first.names, tuple(missing))
 
@@ -279,7 +278,7 @@ def read_templates(path: str | Path) -> Templates:
     )
     try:
         options = TemplateOptions(size=header.options.size, unit_mean=header.options.unit_mean)
-        arrays |= {"names": header.names, "chart": header.chart, "kind": header.kind}
-        return Templates(**arrays, options=options)
+        held = arrays["coefficients"], arrays["mask"], header.names, options
+        return Templates(*held, header.chart, header.kind, arrays["weight"])
     except (ValueError, RecognitionError) as error:
         raise RecognitionError(f"templates {path}: {error}; write the file again") from error

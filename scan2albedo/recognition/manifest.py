@@ -114,7 +114,7 @@ def read_manifest(path: str | Path, *, persons_required: bool = True) -> Manifes
 def _of_folder(folder: Path, persons_required: bool) -> Manifest:
     def holds_result(of: Path) -> bool:
         """Whether it is the folder of one processed scan, or of a face that an application wrote."""
-        return any((of / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE))
+        return any((of / name).is_file() for name in (RESULT_FILE, APPLICATION_FILE, IMAGE_FILE))
 
     def folders(of: Path) -> list[Path]:
         return sorted(path for path in of.iterdir() if path.is_dir() and not path.name.startswith("."))
@@ -182,10 +182,10 @@ class StoredFace:
 def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
     """Return the albedo or the shape, by `kind`, of a processed scan, of an application, or of an image.
 
-    `path` is a folder with result.json or application.json, geometry_image.npz and, but for the shape,
-    albedo.exr and, where errors are known, expected_error.exr; a file in such a folder means the folder. Any
-    other image is an albedo and must be on the model's chart: its texels count where alpha is half or more
-    or, without alpha, where they are not black.
+    `path` is a folder with geometry_image.npz, its record result.json or application.json if it has one, and,
+    but for the shape, albedo.exr and, where errors are known, expected_error.exr; a file in such a folder
+    means the folder. Any other image is an albedo and must be on the model's chart: its texels count where
+    alpha is half or more or, without alpha, where they are not black.
 
     RecognitionError, which names the file, when something is missing, cannot be read, or is not on a model's
     chart: a `NothingToCompareError` for anything but the albedo of an image or the shape of a scan without
@@ -204,11 +204,12 @@ def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
 
 
 def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
+    model = None  # unknown in a folder of images without a record
     if (folder / RESULT_FILE).is_file():
         model = str(read_record(folder / RESULT_FILE, ResultRecord).options.get("model", "none"))
     elif (folder / APPLICATION_FILE).is_file():
         model = read_record(folder / APPLICATION_FILE, ApplicationRecord).model
-    else:
+    elif not (folder / IMAGE_FILE).is_file():
         raise RecognitionError(
             f"{folder}: holds no {RESULT_FILE}; give the folder of one processed scan, OUT/<scan name>"
         )

@@ -113,9 +113,8 @@ def common_similarities(
 def fused(similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION) -> FloatArray:
     """Return the log odds (P, G) that probe and image of the gallery show one person, by all kinds.
 
-    `similarities` map kinds to (P, G), NaN where a probe or an image lacks the kind; see
-    `common_similarities`. NaN is returned where a pair has no kind in common. The `calibration` is that of
-    the default templates.
+    `similarities` map kinds to (P, G), NaN where one lacks the kind (see `common_similarities`); the result
+    is NaN where a pair has none in common. The `calibration` is that of the default templates.
 
     Examples
     --------
@@ -196,8 +195,7 @@ def identify_results(
         What is compared; similarities are taken together as `fused` says. A result that lacks one, as a scan
         without colour lacks the albedo, is compared by the others.
     combine : {"best", "mean"}
-        A person's log odds are the best of, or the mean over, the images in the gallery: of three photographs
-        a person in random light the mean knew 98.7 %, the best 96.6 %.
+        A person's log odds are the best of, or the mean over, the images in the gallery.
     options : TemplateOptions, optional
         Those of a file of templates, otherwise the default ones, when omitted.
     on_count : callable, optional
@@ -219,9 +217,9 @@ def identify_results(
 
     known = read(gallery, "gallery", options)
     shown = read(probes, "probes", known.templates.options)
-    kinds = [kind for kind in get_args(Kind) if kind in known.sets and kind in shown.sets]
-    if not {"albedo", "texture"} <= set(kinds):
-        kinds = [kind for kind in kinds if kind != "shading"]
+    both = set(known.sets) & set(shown.sets)
+    both -= set() if {"albedo", "texture"} <= both else {"shading"}
+    kinds = [kind for kind in get_args(Kind) if kind in both]
     if not kinds:
         raise RecognitionError(
             f"{known.source} can be compared by {' and '.join(known.sets)}, {shown.source} by "
@@ -232,20 +230,19 @@ def identify_results(
     # window, which have similarity 0.
     scores = {kind: np.full((len(shown), len(known)), np.nan) for kind in kinds}
     apart = np.zeros((len(shown), len(known)), bool)
-    for kind in kinds:
-        if kind in known.sets and kind in shown.sets:
-            a, b = shown.sets[kind], known.sets[kind]
-            common_chart(b.chart, a.chart, str(known.source), str(shown.source))
-            here = np.ix_(shown.rows[kind], known.rows[kind])
-            found = comparable_similarities(a, b, WINDOW)
-            scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
+    for kind in both & set(known.sets) & set(shown.sets):  # may have lost results without a window
+        a, b = shown.sets[kind], known.sets[kind]
+        common_chart(b.chart, a.chart, str(known.source), str(shown.source))
+        here = np.ix_(shown.rows[kind], known.rows[kind])
+        found = comparable_similarities(a, b, WINDOW)
+        scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
     names = [person or "" for person in known.persons]
     compared = common_similarities(scores)
     parts = log_odds_by_kind(compared)
     total = np.asarray(sum(parts.values()))
+    persons = [person if person in known.persons else None for person in shown.persons]
     # A pair with nothing in common is as unlike as similarities of 0.
     unlike = sum(log_odds_by_kind({kind: np.zeros((1, 1)) for kind in kinds}).values())
-    persons = [person if person in known.persons else None for person in shown.persons]
     filled = np.where(np.isnan(total), unlike, total)
     matches = identify_by_similarity(filled, names, persons, combine=combine)
     by_kind = {kind: similarities_by_person(values, names, combine)[1] for kind, values in scores.items()}
@@ -265,15 +262,15 @@ def identify_results(
     cues = [kind for kind in kinds if kind != "shading"]
     uses = np.array([(~np.isnan(compared[kind])).any(axis=1) for kind in cues])
     for pattern in np.unique(uses[:, uses.any(axis=0) & ~uses.all(axis=0)], axis=1).T:
-        alone = (uses == pattern[:, None]).all(axis=0).sum()
-        by = " and ".join(kind for kind, used in zip(cues, pattern, strict=True) if used)
-        missing = [kind for kind, used in zip(cues, pattern, strict=True) if not used]
+        by, missing = (
+            [kind for kind, on in zip(cues, pattern, strict=True) if on == side] for side in (1, 0)
+        )
         lacking = sorted(set(range(len(known))) - set(known.rows.get(missing[0], ())))
-        images_of = _few([known.labels[k] for k in lacking])
-        reason = f"; of the gallery {images_of} lack{'s' if len(lacking) == 1 else ''} it" if lacking else ""
+        lack = f"{_few([known.labels[k] for k in lacking])} lack{'s' if len(lacking) == 1 else ''} it"
         notes.append(
-            f"{alone} of {len(shown)} probes are compared by {by} alone, for {' or '.join(missing)} counts "
-            f"where the probe and all images of the gallery have it{reason}"
+            f"{(uses == pattern[:, None]).all(axis=0).sum()} of {len(shown)} probes are compared by "
+            f"{' and '.join(by)} alone, for {' or '.join(missing)} counts where the probe and all images of "
+            f"the gallery have it{f'; of the gallery {lack}' if lacking else ''}"
         )
     people = zip(shown.labels, shown.persons, strict=True)
     if strangers := [f"{label} ({one})" for label, one in people if one not in (None, *known.persons)]:

@@ -11,13 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.templates import (
-    LEAST_WEIGHT,
-    TemplateOptions,
-    Templates,
-    common_chart,
-    image_coefficients,
-)
+from scan2albedo.recognition.templates import TemplateOptions, Templates, common_chart, image_coefficients
 
 STABILIZER = 1e-3
 """K of the index, in squared coefficients summed over a window: windows with less energy count as alike.
@@ -87,11 +81,7 @@ def cw_ssim(
 
 
 def pair_similarity(
-    a: NDArray[np.complexfloating],
-    weight_a: NDArray[np.floating],
-    b: NDArray[np.complexfloating],
-    weight_b: NDArray[np.floating],
-    window: int = WINDOW,
+    a: NDArray[Any], weight_a: NDArray[Any], b: NDArray[Any], weight_b: NDArray[Any], window: int = WINDOW
 ) -> float:
     """Return `cw_ssim` of coefficients (O, h, w) with their weights (h, w), 0 outside the masks."""
     _check_window(weight_a.shape, window)
@@ -114,7 +104,7 @@ def _window_weights(weight: NDArray[np.floating], window: int) -> NDArray[np.flo
     """Return the mean weight (..., h', w') of windows that lie inside the mask; 0 of others."""
     inside = _window_sums(weight > 0, window) == window**2
     mean = _window_sums(weight.astype(np.float64), window) / window**2
-    return np.where(inside, np.maximum(mean, LEAST_WEIGHT), 0.0).astype(np.float32)
+    return np.where(inside, np.maximum(mean, np.finfo(np.float32).eps), 0.0).astype(np.float32)
 
 
 def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:

@@ -166,8 +166,10 @@ class Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
-        coefficients, mask, weight = (of[chosen] for of in (self.coefficients, self.mask, self.weight))
-        return replace(self, coefficients=coefficients, mask=mask, weight=weight, names=names)
+        arrays: dict[str, Any] = {
+            name: getattr(self, name)[chosen] for name in ("coefficients", "mask", "weight")
+        }
+        return replace(self, names=names, **arrays)
 
 
 def albedo_templates(
@@ -224,11 +226,17 @@ def shape_templates(
 
 
 def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> FloatArray:
-    """Return (H, W) the part of an albedo's contrast that is the albedo's own, 0 outside the mask.
+    """Return (H, W) the part of an albedo's contrast that is its own, v / (v + e^2); 0 outside the mask.
 
-    That is v / (v + e^2) with the variance v of the albedo over its mean and the expected error e (H, W),
-    which `AlbedoEstimate.expected_error` holds; a texture is as certain, for its doubtful texels lie in
-    shadow.
+    A texture is as certain, for its doubtful texels lie in shadow.
+
+    Parameters
+    ----------
+    albedo : (H, W) or (H, W, 3)
+        Linear; v is the variance of its luminance over the squared mean.
+    expected_error : (H, W)
+        The relative error e, as `AlbedoEstimate.expected_error`.
+    mask : (H, W) bool
     """
     values = np.asarray(albedo, np.float64)
     of_mask = (values @ LUMINANCE if values.ndim == 3 else values)[mask]

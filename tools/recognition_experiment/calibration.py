@@ -20,6 +20,6 @@ def calibrated(similarities: Mapping[Kind, ArrayLike], genuine: ArrayLike) -> Ca
     same = np.ravel(np.asarray(genuine, bool))
     if min(same.sum(), (~same).sum()) < 3:
         raise ValueError(f"{same.sum()} pairs of one person and {(~same).sum()} of two, expected 3 or more")
-    means = [tuple(scores[:, chosen].mean(1).tolist()) for chosen in (same, ~same)]
+    own, other = (tuple(scores[:, chosen].mean(1).tolist()) for chosen in (same, ~same))
     spread = np.mean([np.atleast_2d(np.cov(scores[:, chosen])) for chosen in (same, ~same)], axis=0)
-    return Calibration(tuple(similarities), *means, tuple(map(tuple, spread.tolist())))
+    return Calibration(tuple(similarities), own, other, tuple(map(tuple, spread.tolist())))

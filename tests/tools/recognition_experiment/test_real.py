@@ -80,7 +80,7 @@ def test_methods_are_compared_and_reported_by_condition(manifest, tmp_path):
     for method in ("albedo, oren-nayar", SHAPE, BOTH):
         assert by_method[method].rank_1 == 1
     assert by_method["raw texture"].separation < by_method["albedo, oren-nayar"].separation
-    assert np.isfinite(found.calibration("albedo, oren-nayar").both).all()
+    assert np.isfinite(found.calibration("albedo, oren-nayar").covariance).all()
     write_real_report(results, found.data, tmp_path / "out")
     rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines()))
     assert [row["method"] for row in rows] == list(by_method)
