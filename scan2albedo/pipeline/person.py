@@ -23,8 +23,10 @@ from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.process import process, without_light
 from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
-from scan2albedo.recognition import albedo_templates, certainty, same_person_log_odds
+from scan2albedo.recognition import Templates, albedo_templates, certainty, same_person_log_odds
+from scan2albedo.recognition.templates import Kind
 from scan2albedo.sampling import geometry_image
+from scan2albedo.templates import chosen_model
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class _Spool(Sequence[GeometryImage]):
 
     def read(self, name: str) -> ProcessResult:
         # Written by this process, into a folder of its own.
-        return pickle.loads((self.folder / name).read_bytes())  # type: ignore[no-any-return]
+        return pickle.loads((self.folder / name).read_bytes())
 
     def __len__(self) -> int:
         return len(self.names)
@@ -135,7 +137,9 @@ def process_person(
         RunFolder(Path(out) / name, FILES).check()
         check_writable(Path(out))
     left_out, plan = list[tuple[str, str]](), list[PlanStep]()
-    arguments = chosen.arguments() | {"skip": (*chosen.skip, "albedo"), "unlit": None, "files": "standard"}
+    model = chosen_model(chosen.model)
+    alone = {"model": model, "skip": (*chosen.skip, "albedo"), "unlit": None, "files": "standard"}
+    arguments = chosen.arguments() | alone
     with tempfile.TemporaryDirectory(prefix="scan2albedo") as folder, compiled_beside():
         spool, fits = _Spool(Path(folder)), list[FittedFace]()
         for one, scan in zip(names, scans, strict=True):
@@ -176,6 +180,7 @@ def process_person(
         person = replace(
             person,
             left_out=tuple(left_out),
+            options=chosen.recorded(model),
             timings_s={"person": time.perf_counter() - begin},
             results=() if out is not None else tuple(map(spool.read, spool.names)),
         )
@@ -225,7 +230,7 @@ def _same_person(spool: _Spool) -> np.ndarray:
         masks.append(seen if error is None else certainty(estimate.albedo_linear, error, seen))
     if len(albedos) < 2:
         return np.zeros(len(albedos))
-    templates = {"albedo": albedo_templates(albedos, spool.names, masks=masks)}
+    templates: dict[Kind, Templates] = {"albedo": albedo_templates(albedos, spool.names, masks=masks)}
     odds = same_person_log_odds(templates, templates)
     np.fill_diagonal(odds, 0.0)
     return np.asarray(odds.sum(1) / (len(odds) - 1))
@@ -293,7 +298,7 @@ def _assembled(
         plan=Plan(tuple(rows)),
         trace=Trace() if common is None else common.trace,
         timings_s={},
-        options=chosen.recorded(shape.model),
+        options={},
         seed=chosen.seed,
         maps=maps,
         shape=shape,

@@ -1,0 +1,82 @@
+"""One shape and one albedo from several scans of a person."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from scan2albedo import RawScan, process_person, read_geometry_image
+from scan2albedo.albedo import albedo_error
+from scan2albedo.errors import RegistrationError
+from scan2albedo.io.images import read_exr_channels
+from scan2albedo.recognition import read_labelled_templates
+from scan2albedo.synthetic import Scanner, light_at, raw_scan
+
+LIGHTS = (
+    (light_at(-32, 18, distance_mm=900.0, intensity=2.5),),
+    (light_at(45, 10, distance_mm=900.0, intensity=3.0),),
+    (light_at(0, 50, distance_mm=900.0, intensity=2.0),),
+)
+SCANNER = Scanner(size=256)
+
+
+def scanned(seed: int, k: int, expression: str) -> tuple[RawScan, np.ndarray]:
+    scan, truth = raw_scan(seed, expression=expression, lights=LIGHTS[k], scanner=SCANNER)  # type: ignore[arg-type]
+    return replace(scan, name=f"scan{k}"), truth.albedo_linear
+
+
+def test_what_no_person_can_be_made_of_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no scan was given"):
+        process_person([])
+    with pytest.raises(ValueError, match="several are called 'a'"):
+        process_person([tmp_path / "a.obj", tmp_path / "x" / "a.ply"])
+    with pytest.raises(ValueError, match="a person needs the model of a face"):
+        process_person([tmp_path / "a.obj"], model="none")
+    with pytest.raises(ValueError, match=r"name is '\.\./x'"):
+        process_person([tmp_path / "a.obj"], name="../x")
+    with pytest.raises(RegistrationError, match=r"ann: no scan can be used: .*missing.obj"):
+        process_person([tmp_path / "missing.obj"], tmp_path / "out", name="ann")
+    assert not (tmp_path / "out" / "ann").exists()
+
+
+@pytest.mark.slow
+def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path: Path) -> None:
+    (first, truth), (second, _) = scanned(3, 0, "neutral"), scanned(3, 1, "smile")
+    third, stranger = scanned(3, 2, "frown")[0], scanned(8, 2, "neutral")[0]
+    broken = tmp_path / "broken.obj"
+    broken.write_text("no mesh\n")
+    scans = [first, second, third, replace(stranger, name="stranger"), broken]
+    person = process_person(scans, tmp_path, name="ann", quality="draft")
+    assert person.members == ("scan0", "scan1", "scan2")
+    assert [name for name, _ in person.left_out] == ["broken", "stranger"]
+    assert "another person" in dict(person.left_out)["stranger"]
+    assert {"broken", "stranger"} <= {word for note in person.notes for word in note.split()}
+    common, shape = person.common, person.shape
+    assert common is not None
+    assert shape is not None
+    seen = (common.coverage > 1) & (truth.max(-1) > 0) & (person.geometry_image.skin > 0.5)
+    alone = [read_albedo(tmp_path / "ann" / name, truth, seen) for name in person.members]
+    together = albedo_error(common.albedo_linear[seen], truth[seen], np.ones(seen.sum(), bool))
+    assert together.relative_rmse < 1.05 * min(alone), alone
+    assert shape.expression.shape[0] == 3
+    record = json.loads((tmp_path / "ann" / "result.json").read_text())
+    assert record["metrics"]["person"]["left_out"].keys() == {"broken", "stranger"}
+    for name in ("albedo.exr", "expected_error.exr", "coverage.png", "disagreement.png", "fitted.glb"):
+        assert (tmp_path / "ann" / name).is_file()
+    for name in person.members:
+        assert (tmp_path / "ann" / name / "albedo.exr").is_file()
+    image = read_geometry_image(tmp_path / "ann" / "geometry_image.npz")
+    assert image.texture_linear is not None
+    gallery = tmp_path / "gallery.csv"
+    gallery.write_text(f"person,result\nann,{tmp_path / 'ann'}\nann,{tmp_path / 'ann' / 'scan0'}\n")
+    assert len(read_labelled_templates(gallery)) == 2
+
+
+def read_albedo(folder: Path, truth: np.ndarray, seen: np.ndarray) -> float:
+    channels = read_exr_channels(folder / "albedo.exr")
+    albedo = np.stack([channels[name] for name in "RGB"], -1)
+    return albedo_error(albedo[seen], truth[seen], np.ones(seen.sum(), bool)).relative_rmse
