@@ -52,7 +52,9 @@ class CommonAlbedo:
     estimates: tuple[AlbedoEstimate, ...]
     """Each image in its own light, beside the common albedo; empty where `on_estimate` took them."""
     plan: Plan
+    """What ran, and why."""
     trace: Trace
+    """Error against run time."""
     converged: bool
     """False when the budget ended the search."""
 
@@ -74,7 +76,8 @@ def estimate_common_albedo(
     once with one albedo between them (`SharedLight`), which separates what moves with the light from what
     stays. Texels are averaged with gains a channel and an image, weighed by how well each is lit and seen, by
     Student's t: what one image shows otherwise, a shadow that no ray finds or a brow a millimetre away,
-    counts little. Raises LightingError without images or where their charts differ; see `estimate_albedo`.
+    counts little. Raises LightingError without images or where their charts differ, ValueError for a light
+    without lamps; see `estimate_albedo`.
 
     Parameters
     ----------
@@ -88,6 +91,10 @@ def estimate_common_albedo(
         Called with the number and the estimate of each image, which are then not kept.
     on_progress : callable, optional
         Called with each trace row.
+
+    Returns
+    -------
+    CommonAlbedo
 
     Notes
     -----

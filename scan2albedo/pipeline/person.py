@@ -107,8 +107,8 @@ def process_person(
     and one that rather shows another person by the odds of shape and albedo, is left out by name; of two
     scans that differ, none is.
 
-    Raises Scan2AlbedoError when no scan can be used or the results cannot be written; ValueError for no scan,
-    two of one name, and what `ProcessOptions` refuses; TypeError for unknown options.
+    Raises RegistrationError when no scan can be used, OutputError when the results cannot be written;
+    ValueError for no scan, two of one name, and what `ProcessOptions` refuses; TypeError for unknown options.
 
     Parameters
     ----------
