@@ -305,3 +305,12 @@ def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
     shown = capsys.readouterr().err
     assert shown.startswith(f"scan2albedo: error: {str(error) or type(error).__name__}")
     assert shown.count("\n") == 1
+
+
+def test_a_person_of_no_usable_scan_is_one_line(tmp_path):
+    done = run("person", "ann", tmp_path / "missing.obj", "-o", tmp_path / "out")
+    assert done.returncode == 2
+    assert "ann: no scan can be used:" in done.stderr
+    assert "missing.obj" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "out").exists()
