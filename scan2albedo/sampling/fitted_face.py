@@ -91,8 +91,8 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
         transform_points(scan_from_model, position[inside]),
         transform_directions(scan_from_model, normal[inside]),
         np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+        fitted.model_from_scan,
     )
-    cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)
     region[inside] = fitted.region[raster.face[inside]]
     # Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
@@ -109,8 +109,8 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     looks = appearance(
         position,
         normal,
-        raster.covered if texture.seen is None else texture.seen,
-        texture.linear,
+        texture.get("texture_valid", raster.covered),
+        texture.get("texture_linear"),
         place=face_chart,
         share=_annotation(fitted, region, "skin_share"),
         residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
@@ -120,20 +120,16 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
         position=position,
         normal=normal,
         mask=raster.covered,
-        texture_linear=texture.linear,
         region=region,
         occluder=(fitted.vertices, fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]),
-        texture_valid=texture.seen,
-        filled=texture.filled,
         specular_scale=np.where(inside, blurred / np.maximum(weight, 1e-6), np.float32(0)),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
         skin=looks.skin,
         labels=looks.labels,
         texture_log_odds=looks.log_odds,
-        camera=texture.camera,
-        camera_positions=None if cameras is None else transform_points(fitted.model_from_scan, cameras),
         face_chart=face_chart,
         on_face=None if counted.all() else counted[region] & inside,
+        **texture,
     )
 
 

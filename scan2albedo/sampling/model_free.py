@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.geometry_image import GeometryImage, check_size
@@ -12,6 +11,7 @@ from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.mesh import face_areas, normalized, turned_against_neighbours, vertex_normals
 from scan2albedo.geometry.parametrization import LAST_ATLAS
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.geometry.rigid import compose
 from scan2albedo.sampling.texture_lookup import texel_steps, texture_on_chart
 
 MOST_FACES = 15_000
@@ -35,11 +35,30 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     GeometryImage
         In the scan's frame with its centroid moved to the origin; no regions.
     """
+    import igl
     import xatlas
 
     require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
     check_size(size)
-    vertices, faces = _chartable(scan, MOST_FACES)
+    # The scan welded, each face once, with area and wound alike, its edges collapsed down to `MOST_FACES`.
+    vertices, inverse = np.unique(scan.vertices, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[scan.faces]
+    faces = faces[face_areas(vertices, faces) > 0]
+    if len(faces) == 0:
+        raise GeometryImageError(f"{scan.name}: every face has zero area; there is no surface to sample")
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    faces = faces[np.sort(first)]
+    faces = np.where(turned_against_neighbours(faces)[:, None], faces[:, ::-1], faces)
+    if len(faces) > MOST_FACES:
+        # qslim returns nothing where parts of a mesh meet in one vertex: such vertices are split first.
+        split, source = igl.split_nonmanifold(faces)[:2]
+        fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), MOST_FACES, False)
+        if len(index) == 0:
+            raise GeometryImageError(
+                f"{scan.name}: its {len(split)} faces cannot be simplified to the {MOST_FACES} that charts "
+                "are cut from; give a mesh of fewer faces"
+            )
+        vertices, faces = np.asarray(fewer, np.float64), np.asarray(index, np.int64)
     # xatlas computes in float32 with absolute tolerances: it gets the mesh at the origin, of a head's size.
     used = vertices[np.unique(faces)]
     low, high = used.min(0), used.max(0)
@@ -65,42 +84,8 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     position = interpolate(raster, chart_faces, position_of)
     normal = normalized(interpolate(raster, chart_faces, normal_of))
     steps = texel_steps(position_of, uv, chart_faces, raster.face.shape)[raster.face[inside]]
-    texture = texture_on_chart(scan, inside, position[inside], normal[inside], steps)
     center = vertices.mean(0)
+    centered = compose(np.eye(3), -center)
+    texture = texture_on_chart(scan, inside, position[inside], normal[inside], steps, centered)
     position[inside] -= center
-    return GeometryImage(
-        position,
-        normal,
-        inside,
-        texture_linear=texture.linear,
-        occluder=(vertices - center, faces),
-        texture_valid=texture.seen,
-        filled=texture.filled,
-        camera=texture.camera,
-        camera_positions=None if texture.camera_positions is None else texture.camera_positions - center,
-    )
-
-
-def _chartable(scan: RawScan, max_faces: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Weld a scan, each face once, with area and wound alike, and collapse its edges down to `max_faces`."""
-    import igl
-
-    vertices, inverse = np.unique(scan.vertices, axis=0, return_inverse=True)
-    faces = inverse.reshape(-1)[scan.faces]
-    faces = faces[face_areas(vertices, faces) > 0]
-    if len(faces) == 0:
-        raise GeometryImageError(f"{scan.name}: every face has zero area; there is no surface to sample")
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    faces = faces[np.sort(first)]
-    faces = np.where(turned_against_neighbours(faces)[:, None], faces[:, ::-1], faces)
-    if len(faces) <= max_faces:
-        return vertices, faces
-    # qslim returns nothing where parts of a mesh meet in one vertex: such vertices are split first.
-    split, source = igl.split_nonmanifold(faces)[:2]
-    fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), max_faces, False)
-    if len(index) == 0:
-        raise GeometryImageError(
-            f"{scan.name}: its {len(split)} faces cannot be simplified to the {max_faces} that charts are "
-            "cut from; give a mesh of fewer faces"
-        )
-    return np.asarray(fewer, np.float64), np.asarray(index, np.int64)
+    return GeometryImage(position, normal, inside, occluder=(vertices - center, faces), **texture)
