@@ -30,12 +30,11 @@ class TemplateSurface:
     """The largest part of a template, welded and oriented; still with its holes, and in any pose.
 
     `vertices` (T, 3) are all the template's, in mm, origin at the centroid of those in the manifold `faces`
-    (F, 3). `template_from_surface` (4, 4) leads back to the input's `unit`; `notes` say what was mended.
+    (F, 3). `template_from_surface` (4, 4) leads back to the input's unit; `notes` say what was mended.
     """
 
     vertices: FloatArray
     faces: IntArray
-    unit: str
     template_from_surface: FloatArray
     notes: tuple[str, ...] = ()
 
@@ -100,7 +99,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     if float(np.sum(face_cross_products(xyz, mesh) * corner)) < 0:
         mesh = mesh[:, ::-1].copy()
     notes = (f"unit {unit}", *(f"{text}: {count}" for count, text in found if count))
-    return TemplateSurface(xyz, mesh, unit, compose(np.eye(3) / UNITS_MM[unit], origin), notes)
+    return TemplateSurface(xyz, mesh, compose(np.eye(3) / UNITS_MM[unit], origin), notes)
 
 
 def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
