@@ -30,7 +30,7 @@ from scan2albedo.geometry.rasterization import filled_from_nearest, interpolate,
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
-from scan2albedo.sampling.fitted_face import without_covers
+from scan2albedo.sampling.geometry_images import without_covers
 from scan2albedo.sampling.texture_lookup import sample_colors, texel_steps
 
 LARGEST_TEXTURE = 8192

@@ -69,7 +69,7 @@ def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) ->
     cosine = np.maximum(shadows.normal @ sky.directions.T, 0.0)
     whole, part = cosine @ weighted, (cosine * sky.visibility.T) @ weighted
     # The first harmonic is constant, so its coefficient gives the visible share.
-    share = part[:, :1] / np.maximum(whole[:, :1], 1e-12)
+    share = part[:, :1] / np.maximum(whole[:, :1], np.finfo(float).tiny)
     return np.asarray(part + share * (free - whole))
 
 
