@@ -46,7 +46,7 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.geometry.tangents import tangent_mesh
 from scan2albedo.io.color import encode_srgb_bytes, srgb_to_linear
 from scan2albedo.io.images import read_image_linear
-from scan2albedo.rendering.views import View, render_mesh
+from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 LEAST_LIGHT = 0.03

@@ -34,7 +34,7 @@ from PIL import Image
 import scan2albedo as s2a
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.pipeline.result import ProcessResult
-from scan2albedo.rendering.views import View, render_mesh
+from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.synthetic import Scanner
 
 ROOT = Path(__file__).resolve().parents[1]

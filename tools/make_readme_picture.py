@@ -19,7 +19,7 @@ from PIL import Image, ImageDraw, ImageFont
 import scan2albedo as s2a
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.pipeline.result import ProcessResult
-from scan2albedo.rendering.views import View, render_mesh
+from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.report.overview import preview_srgb
 from scan2albedo.synthetic import Scanner
 

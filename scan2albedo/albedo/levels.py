@@ -17,7 +17,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
-from scan2albedo.lighting.interreflection import SMALLEST_MM, surface_keys
+from scan2albedo.lighting.environment_light import SMALLEST_MM, surface_keys
 
 _BLOCK_AREA = 0.125
 """Area of a block of constant albedo as a part of the chart's: larger than the texture's grain."""

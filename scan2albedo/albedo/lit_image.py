@@ -25,8 +25,7 @@ from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
-from scan2albedo.lighting.environment_light import SKY, shadowed_transfer
-from scan2albedo.lighting.interreflection import Patches
+from scan2albedo.lighting.environment_light import SKY, Patches, shadowed_transfer
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 
 CONE_RAD = 1.92

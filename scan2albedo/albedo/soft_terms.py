@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.lighting.interreflection import Bounce
+from scan2albedo.lighting.environment_light import Bounce
 
 DARKEST = 0.03
 """Light below this part of the ambient counts as this: harmonics may turn negative, light may not."""

@@ -30,8 +30,8 @@ from scan2albedo.geometry.rasterization import filled_from_nearest, interpolate,
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
-from scan2albedo.sampling.fitted_face import without_covers
-from scan2albedo.sampling.texture_lookup import TextureLookup, texel_steps
+from scan2albedo.sampling.geometry_images import without_covers
+from scan2albedo.sampling.texture_lookup import sample_colors, texel_steps
 
 LARGEST_TEXTURE = 8192
 """Texels of a side: pictures with more are not read back."""
@@ -107,7 +107,7 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     if not isinstance(size, Integral) or not 8 <= size <= LARGEST_TEXTURE:
         raise ValueError(f"size is {size!r}, expected a whole number of texels from 8 to {LARGEST_TEXTURE}")
     numbers, shown = tile_numbers(uv), without_covers(fitted, scan)
-    lookup, shape, tiles = TextureLookup(shown), FineShape(fitted, shown), []
+    shape, tiles = FineShape(fitted, shown), []
     scan_from_model, template_normals = invert_rigid(fitted.model_from_scan), vertex_normals(vertices, faces)
     rows = max(LARGEST_TEXTURE**2 // 256 // size, 1)
     bands = [slice(top, min(top + rows, size)) for top in range(0, size, rows)]  # of 2^18 texels each
@@ -131,7 +131,8 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
                 interpolate(raster, split.faces, values)[there]
                 for values in (points, frames.normals, frames.tangents)
             )
-            found = lookup.sample(
+            found = sample_colors(
+                shown,
                 transform_points(scan_from_model, place),
                 transform_directions(scan_from_model, normalized(outward)),
                 np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps[raster.face[there]]),

@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import breadth_first_order
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
@@ -74,17 +76,8 @@ SKELETON = tuple((KEY_POINT_NAMES.index(a), KEY_POINT_NAMES.index(b)) for a, b i
 """Pairs of key points that one stretch of the frame joins: both rims, the bridge, both temples."""
 
 
-def _tree() -> tuple[int, ...]:
-    parents, queue = {0: -1}, [0]
-    for joint in queue:
-        for neighbour in sorted(j for bone in SKELETON if joint in bone for j in bone):
-            if neighbour not in parents:
-                parents[neighbour] = joint
-                queue.append(neighbour)
-    return tuple(parents[k] for k in range(KEY_POINT_COUNT))
-
-
-PARENTS: tuple[int, ...] = _tree()
+_JOINED = csr_matrix((np.ones(len(SKELETON)), np.array(SKELETON).T), shape=(KEY_POINT_COUNT,) * 2)
+PARENTS = tuple(np.maximum(breadth_first_order(_JOINED + _JOINED.T, 0)[1], -1).tolist())
 """Each key point's parent in a tree of bones that hangs on the top of the bridge, whose own is -1."""
 
 

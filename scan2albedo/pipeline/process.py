@@ -39,7 +39,7 @@ from scan2albedo.pipeline.white_balance import balanced
 from scan2albedo.registration import Registration, register
 from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
-from scan2albedo.sampling.fitted_face import texture_doubt
+from scan2albedo.sampling.geometry_images import texture_doubt
 from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9, "unlit": 0.3}

@@ -222,10 +222,7 @@ def fit_face(
         accepted_field = detail_field(divided, xyz, index, normal_error)
         factor = np.where(reflectance.known[:, None], np.exp(accepted_field), 1.0)
         reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
-        part = VertexReflectance(
-            reflectance.diffuse_linear[used], reflectance.weights[used], reflectance.known[used]
-        )
-        made = observation.response(used).shade(part, fit.light).radiance_linear
+        made = observation.response(used).shade(reflectance.chosen(used), fit.light).radiance_linear
         radiance, observed = among_all(used, len(xyz), made), np.asarray(observation.observed_linear)[used]
         rmse = float(np.linalg.norm(made - observed) / np.linalg.norm(observed))
     evidence, better = (details, person), person.accepted or details.accepted
@@ -372,7 +369,7 @@ class ShadingDivided:
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
         lit[used] = bright & (open_share > _LEAST_OPEN)
         usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
-        part = VertexReflectance(reflectance.diffuse_linear[used], reflectance.weights[used], lit[used])
+        part = replace(reflectance.chosen(used), known=lit[used])
         normals, toward = np.asarray(observation.normals)[used], np.asarray(observation.toward_camera)[used]
         by_normal, _ = shading_gradient(part, normals, toward, light)
         slopes = by_normal / np.maximum(diffuse + np.maximum(highlight, 0), floor)[..., None]

@@ -209,9 +209,7 @@ def photometric_term(
     unit = float(np.median(grey)) or float(grey.mean())
     if not unit > 0:
         return None
-    one = reflectance
-    part = VertexReflectance(one.diffuse_linear[used], one.weights[used], one.known[used])
-    return PhotometricTerm(image, camera, faces, used, part, light, unit)
+    return PhotometricTerm(image, camera, faces, used, reflectance.chosen(used), light, unit)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance.environment_shading import LightResponse
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.map_fit import LocalTerm, MapPoint, most_probable
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
@@ -109,7 +108,7 @@ def fit_image(
     if not (seen & model.known).any():
         raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
     lighting = LightingModel.default() if lighting is None else lighting
-    terms = ImageTerms.from_observation(observation, model, lighting, perceptual)
+    terms = ImageTerms(observation, model, lighting, perceptual)
     meter = Meter("reflectance.image", "objective", Budget.of(budget), on_progress)
     # The mean face in mean light, as bright as the image.
     start = np.zeros(len(terms.prior))
@@ -177,7 +176,6 @@ class Prediction:
     """Second derivative of the distance, taken as the same along every colour."""
 
 
-@dataclass(frozen=True)
 class ImageTerms:
     """One image's vertices U that are seen and known to the model; the objective of `fit_image`.
 
@@ -186,45 +184,27 @@ class ImageTerms:
 
         I_vj = c_v(b)_j D_v . L_j + sum_k s_v(b) w'_vk(b) S_vk . L_j,
         L_j = exp(t_j) (mean + sum g_i basis_i)_j.
+
+    `prior` (P,) are second derivatives of the prior; log scale_rgb has none. `mean` and `basis` are those of
+    c, s and w' at the vertices `used`, directions last: (U, 3, N), (U, N), (U, 3, N).
     """
 
-    used: IntArray
-    observed: FloatArray
-    response: LightResponse
-    mean: tuple[FloatArray, ...]
-    """Of c, s and w' at the vertices used."""
-    basis: tuple[FloatArray, ...]
-    """The same, directions last: (U, 3, N), (U, N), (U, 3, N)."""
-    lighting: LightingModel
-    prior: FloatArray
-    """(P,) second derivatives of the prior; log scale_rgb has none."""
-    perceptual: PerceptualDistance | None
-    count: int
-    """V."""
-
-    @classmethod
-    def from_observation(
-        cls,
+    def __init__(
+        self,
         observation: ImageObservation,
         model: MorphableReflectanceModel,
         lighting: LightingModel,
         perceptual: PerceptualDistance | None = None,
-    ) -> ImageTerms:
-        """Gather the inputs of an image's terms."""
-        used = np.flatnonzero(np.asarray(observation.seen) & model.known)
+    ) -> None:
+        self.used: IntArray = np.flatnonzero(np.asarray(observation.seen) & model.known)
+        self.observed: FloatArray = np.asarray(observation.observed_linear)[self.used]
+        self.response = observation.response(self.used)
         parts = model.diffuse, model.total, model.share
+        self.mean = [part.mean[self.used] for part in parts]
+        self.basis = [np.ascontiguousarray(np.moveaxis(part.basis[:, self.used], 0, -1)) for part in parts]
+        self.lighting, self.perceptual, self.count = lighting, perceptual, len(model.known)
         weight = 2 * PRIOR_WEIGHT[observation.transfer is not None]
-        return cls(
-            used,
-            np.asarray(observation.observed_linear)[used],
-            observation.response(used),
-            tuple(part.mean[used] for part in parts),
-            tuple(np.ascontiguousarray(np.moveaxis(part.basis[:, used], 0, -1)) for part in parts),
-            lighting,
-            np.append(np.full(model.components + lighting.components, weight), np.zeros(3)),
-            perceptual,
-            len(model.known),
-        )
+        self.prior = np.append(np.full(model.components + lighting.components, weight), np.zeros(3))
 
     @cached_property
     def unit(self) -> float:

@@ -84,12 +84,37 @@ def generated_environment(seed: int | np.random.Generator) -> FloatArray:
     likely. The same `seed` gives the same map.
     """
     rng = np.random.default_rng(seed)
-    return (_sky, _windows, _lamps, _studio)[int(rng.choice(4, p=[0.3, 0.3, 0.25, 0.15]))](rng)
+    toward, kind = texel_directions(SHAPE), int(rng.choice(4, p=[0.3, 0.3, 0.25, 0.15]))
+    if kind == 0:
+        return _sky(rng, toward)
+    if kind == 1:
+        # Walls that are lit through one to four windows.
+        image = _room(rng, toward, rng.uniform(0.05, 0.5))
+        day = _color(rng.uniform(5000, 10000))
+        for _ in range(rng.integers(1, 5)):
+            low = rng.uniform(-0.5, 0.1)
+            window = _panel(toward, rng, low=low, high=low + rng.uniform(0.4, 1.1), widest=1.0)
+            image = np.where(window[..., None], day * rng.uniform(2, 15), image)
+    elif kind == 2:
+        # A room at night with one to six lamps, most of them above.
+        image = _room(rng, toward, rng.uniform(0.02, 0.3))
+        color = _color(rng.choice([1900, 2800, 4200, 6000]))  # candles, tungsten, neutral, daylight
+        for _ in range(rng.integers(1, 7)):
+            lamp = map_directions(np.arccos(rng.uniform(-0.3, 1.0)), rng.uniform(-np.pi, np.pi))
+            strength = rng.uniform(2, 30)
+            image = image + strength * _blob(toward, lamp, rng.uniform(0.08, 0.3))[..., None] * color
+    else:
+        # A dark studio with a key light, a fill and a rim light of free colours, from all sides.
+        image = _room(rng, toward, rng.uniform(0.01, 0.1))
+        for strength in rng.uniform(0.5, 12, rng.integers(1, 4)):
+            light = map_directions(rng.uniform(0.2, 2.4), rng.uniform(-np.pi, np.pi))
+            color = _color(rng.uniform(2500, 9000)) * rng.uniform(0.6, 1.4, 3)
+            image = image + strength * _blob(toward, light, rng.uniform(0.15, 0.6))[..., None] * color
+    return image
 
 
-def _sky(rng: np.random.Generator) -> FloatArray:
+def _sky(rng: np.random.Generator, toward: FloatArray) -> FloatArray:
     """Gradient from zenith to horizon, a sun that clouds may cover, ground, and things on the horizon."""
-    toward = texel_directions(SHAPE)
     up = toward[..., 1]
     horizon, zenith = _color(rng.uniform(4500, 7500)), _color(rng.uniform(7000, 14000))
     blend = np.clip(up, 0, 1)[..., None] ** rng.uniform(0.3, 0.9)
@@ -108,41 +133,8 @@ def _sky(rng: np.random.Generator) -> FloatArray:
     return image
 
 
-def _windows(rng: np.random.Generator) -> FloatArray:
-    """A room whose walls are lit through one to four windows."""
-    toward, image = texel_directions(SHAPE), _room(rng, rng.uniform(0.05, 0.5))
-    day = _color(rng.uniform(5000, 10000))
-    for _ in range(rng.integers(1, 5)):
-        low = rng.uniform(-0.5, 0.1)
-        window = _panel(toward, rng, low=low, high=low + rng.uniform(0.4, 1.1), widest=1.0)
-        image = np.where(window[..., None], day * rng.uniform(2, 15), image)
-    return image
-
-
-def _lamps(rng: np.random.Generator) -> FloatArray:
-    """A room at night with one to six lamps, most of them above."""
-    toward, image = texel_directions(SHAPE), _room(rng, rng.uniform(0.02, 0.3))
-    color = _color(rng.choice([1900, 2800, 4200, 6000]))  # candles, tungsten, neutral, daylight
-    for _ in range(rng.integers(1, 7)):
-        lamp = map_directions(np.arccos(rng.uniform(-0.3, 1.0)), rng.uniform(-np.pi, np.pi))
-        strength = rng.uniform(2, 30)
-        image = image + strength * _blob(toward, lamp, rng.uniform(0.08, 0.3))[..., None] * color
-    return image
-
-
-def _studio(rng: np.random.Generator) -> FloatArray:
-    """A dark studio with a key light, a fill and a rim light of free colours, from all sides."""
-    toward, image = texel_directions(SHAPE), _room(rng, rng.uniform(0.01, 0.1))
-    for strength in rng.uniform(0.5, 12, rng.integers(1, 4)):
-        light = map_directions(rng.uniform(0.2, 2.4), rng.uniform(-np.pi, np.pi))
-        color = _color(rng.uniform(2500, 9000)) * rng.uniform(0.6, 1.4, 3)
-        image = image + strength * _blob(toward, light, rng.uniform(0.15, 0.6))[..., None] * color
-    return image
-
-
-def _room(rng: np.random.Generator, brightness: float) -> FloatArray:
+def _room(rng: np.random.Generator, toward: FloatArray, brightness: float) -> FloatArray:
     """Four walls, floor and ceiling, each of one colour."""
-    toward = texel_directions(SHAPE)
     turn = rng.uniform(0, np.pi / 2)
     x = np.cos(turn) * toward[..., 0] + np.sin(turn) * toward[..., 2]
     z = -np.sin(turn) * toward[..., 0] + np.cos(turn) * toward[..., 2]

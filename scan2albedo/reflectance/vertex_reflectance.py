@@ -57,6 +57,10 @@ class VertexReflectance:
         object.__setattr__(self, "weights", np.where(known[:, None], weights, np.nan))
         object.__setattr__(self, "known", known)
 
+    def chosen(self, rows: IntArray) -> VertexReflectance:
+        """Return the reflectance of some vertices."""
+        return VertexReflectance(self.diffuse_linear[rows], self.weights[rows], self.known[rows])
+
 
 def among_all(rows: IntArray, count: int, values: FloatArray, otherwise: float = np.nan) -> FloatArray:
     """Return values (R, ...) of the vertices `rows` (R,) among all `count`; the others have `otherwise`."""

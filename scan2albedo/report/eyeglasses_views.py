@@ -15,8 +15,7 @@ from scan2albedo.eyeglasses.on_face.outline import hidden_by
 from scan2albedo.geometry.pinhole import normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.rendering.pictures import seen_samples
-from scan2albedo.rendering.views import View, heat_colors, render_mesh
+from scan2albedo.rendering.pictures import View, heat_colors, render_mesh, seen_samples
 from scan2albedo.report.overview import Panel
 
 Mesh = tuple[FloatArray, IntArray]

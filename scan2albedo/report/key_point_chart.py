@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, KEY_POINT_PLACES
-from scan2albedo.rendering.views import View, render_mesh
+from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.synthetic import GlassesShape, eyeglasses
 
 if TYPE_CHECKING:

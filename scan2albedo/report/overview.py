@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes, label_colors, linear_to_srgb
-from scan2albedo.rendering.views import View, heat_colors, render_mesh
+from scan2albedo.rendering.pictures import View, heat_colors, render_mesh
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -15,8 +15,7 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance import MeshReflectance, ReflectanceFit, VertexReflectance
 from scan2albedo.reflectance.point_light_lobes import point_light_lobes
 from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM
-from scan2albedo.rendering.pictures import seen_samples
-from scan2albedo.rendering.views import View, heat_colors, render_mesh
+from scan2albedo.rendering.pictures import View, heat_colors, render_mesh, seen_samples
 from scan2albedo.report.overview import Panel
 
 _MOST_ERROR = 0.2

@@ -3,7 +3,6 @@
 `scan2albedo.geometry_image` is the function; import modules of this folder by their full names.
 """
 
-from scan2albedo.sampling.fitted_face import geometry_image
-from scan2albedo.sampling.model_free import geometry_image_of_scan
+from scan2albedo.sampling.geometry_images import geometry_image, geometry_image_of_scan
 
 __all__ = ["geometry_image", "geometry_image_of_scan"]

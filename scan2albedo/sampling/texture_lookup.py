@@ -1,8 +1,9 @@
-"""Colour of a raw scan at given surface points, and whether each was well seen."""
+"""Colour of a raw scan at given surface points, whether each was well seen, and by which camera."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -13,9 +14,17 @@ from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.closest_points import ClosestHits, surface_query
-from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
+from scan2albedo.geometry.mesh import (
+    boundary_vertex_mask,
+    face_areas,
+    face_cross_products,
+    face_normals,
+    vertex_components,
+)
+from scan2albedo.geometry.pinhole import camera_centers, fit_camera
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.geometry.tangents import split_at_seams
 from scan2albedo.io.texture_atlas import in_first_period
-from scan2albedo.sampling.cameras import texture_cameras
 
 MAX_DISTANCE_MM = 4.0
 """Farther from the raw surface than this, a texel has no texture (hole, hair, ear)."""
@@ -37,45 +46,50 @@ MOVES = {
 }
 """Where a pixel's colour is if the texture was moved: signs of its column and row, and parts of the texture's
 width and height that are added."""
-
-
-@dataclass(frozen=True)
-class ChartTexture:
-    """What the scan shows of each texel, None for scans without colour.
-
-    Linear colour (H, W, 3), whether it was well `seen` (H, W) and, for textures of photographs, the number of
-    the `camera` (H, W) and `camera_positions` (K, 3), mm in the scan's frame. Where no picture showed the
-    scan (`filled` (H, W), None without such texels), the colour goes on from around.
-    """
-
-    linear: NDArray[np.float32] | None = None
-    seen: BoolArray | None = None
-    camera: NDArray[np.uint8] | None = None
-    camera_positions: FloatArray | None = None
-    filled: BoolArray | None = None
+_LEAST_PART, _LEAST_FACES = 0.02, 100
+"""Faces of a piece of the texture from which a camera is fitted: as a part of all, and their number."""
+_OFF = 0.003
+"""Median distance, as a part of a piece's span in the texture, by which a camera may miss it. Photographs of
+a stereo scanner have 0.0005, unwrapped surfaces 0.01 and more."""
+_RELIEF = 0.02
+"""Least thickness of a piece as a part of its length: nothing shows where the camera of a plane stood."""
+_FACING = 0.9
+"""Part of a piece's faces that has to face its camera."""
+_CAMERAS = 0.8
+"""Part of the faces that cameras have to explain: the texture is photographs or it is not."""
 
 
 def texture_on_chart(
-    scan: RawScan | None, inside: BoolArray, points: FloatArray, normals: FloatArray, steps: FloatArray
-) -> ChartTexture:
-    """Return the texture on a chart: of `TextureLookup.sample` at its texels `inside` (H, W)."""
+    scan: RawScan | None,
+    inside: BoolArray,
+    points: FloatArray,
+    normals: FloatArray,
+    steps: FloatArray,
+    image_from_scan: FloatArray,
+) -> dict[str, Any]:
+    """Return the fields of a `GeometryImage` that hold a scan's texture; none for scans without colour.
+
+    At the texels `inside` (H, W) it is that of `sample_colors`; the image's frame is `image_from_scan` (4, 4)
+    of the scan's. Where no picture showed the scan, the colour goes on from around.
+    """
     if scan is None or not scan.has_color:
-        return ChartTexture()
+        return {}
     linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
-    found = TextureLookup(scan).sample(points, normals, steps)
-    linear[inside], seen[inside], filled = found.color_linear, found.seen, None
+    found = sample_colors(scan, points, normals, steps)
+    linear[inside], seen[inside] = found.color_linear, found.seen
+    texture: dict[str, Any] = {"texture_linear": linear, "texture_valid": seen}
     if not found.pictured.all():
         if not found.seen.any():
-            return ChartTexture()
+            return {}
         filled = np.zeros(inside.shape, bool)
         filled[inside] = ~found.pictured
         linear[filled] = filled_smoothly(linear, seen)[filled]
-    cameras = texture_cameras(scan)
-    if cameras is None:
-        return ChartTexture(linear, seen, filled=filled)
-    camera, number = np.full(inside.shape, NO_CAMERA, np.uint8), cameras.face_camera[found.face]
-    camera[inside] = np.where(number < 0, NO_CAMERA, number)
-    return ChartTexture(linear, seen, camera, cameras.positions, filled)
+        texture["filled"] = filled
+    if (cameras := texture_cameras(scan)) is not None:
+        camera, number = np.full(inside.shape, NO_CAMERA, np.uint8), cameras[0][found.face]
+        camera[inside] = np.where(number < 0, NO_CAMERA, number)
+        texture |= {"camera": camera, "camera_positions": transform_points(image_from_scan, cameras[1])}
+    return texture
 
 
 @dataclass(frozen=True)
@@ -93,91 +107,140 @@ class Samples:
     pixel: FloatArray | None = None
 
 
-@dataclass(frozen=True)
-class TextureLookup:
-    """Looks up a scan's texture (or vertex colour) at the closest points of its surface."""
+def sample_colors(scan: RawScan, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
+    """Return what a scan's texture, or its vertices' colours, show of the surface closest to points.
 
-    scan: RawScan
+    `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
+    on the surface of one texel to the right and one down: the footprint for means of the photograph.
+    """
+    # The faces near the points, all when none is: indexing the whole scan would cost most.
+    margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
+    low, high = points.min(0) - margin, points.max(0) + margin
+    inside = np.all((scan.vertices >= low) & (scan.vertices <= high), axis=1)
+    near = np.flatnonzero(inside[scan.faces].any(1))
+    near = near if len(near) else np.arange(len(scan.faces))
+    hits = surface_query(scan.vertices, scan.faces[near]).query(points)
+    face = near[hits.face]
+    valid = hits.distance <= MAX_DISTANCE_MM
+    facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
+    # The raw surface must face the way the fitted one does, within 60 degrees.
+    valid &= np.einsum("ij,ij->i", normals, facing) >= 0.5
+    on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
+    # In a hole the closest point is on the scan's edge, and the point 0.5 mm or more sideways of it.
+    at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
+    offset = points - hits.points
+    sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
+    valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
+    pixel = None
+    if scan.uv is not None and scan.texture_linear is not None:
+        color, inside, pictured, pixel = _photograph(scan, near, hits, steps)
+        # Faces need enough photograph pixels for their area.
+        e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
+        texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+        density = texture_area / np.maximum(face_areas(scan.vertices, scan.faces), 1e-12)
+        used = density[texture_area > 0]
+        valid &= (density > (MIN_DENSITY * np.median(used) if len(used) else np.inf))[face] & inside
+    else:
+        assert scan.vertex_color_linear is not None
+        corners = scan.vertex_color_linear[scan.faces[face]]
+        color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
+        seen = np.ones(len(scan.vertices), bool) if scan.color_seen is None else scan.color_seen
+        pictured = np.asarray(seen[scan.faces[face]].all(1))
+    return Samples(color, valid & pictured, face, pictured, pixel)
 
-    def sample(self, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
-        """Return what the scan shows of points.
 
-        `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
-        on the surface of one texel to the right and one down: the footprint for means of the photograph.
-        """
-        scan = self.scan
-        # The faces near the points, all when none is: indexing the whole scan would cost most.
-        margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
-        low, high = points.min(0) - margin, points.max(0) + margin
-        inside = np.all((scan.vertices >= low) & (scan.vertices <= high), axis=1)
-        near = np.flatnonzero(inside[scan.faces].any(1))
-        near = near if len(near) else np.arange(len(scan.faces))
-        hits = surface_query(scan.vertices, scan.faces[near]).query(points)
-        face = near[hits.face]
-        valid = hits.distance <= MAX_DISTANCE_MM
-        facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
-        # The raw surface must face the way the fitted one does, within 60 degrees.
-        valid &= np.einsum("ij,ij->i", normals, facing) >= 0.5
-        on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
-        # In a hole the closest point is on the scan's edge, and the point 0.5 mm or more sideways of it.
-        at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
-        offset = points - hits.points
-        sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-        valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
-        pixel = None
-        if scan.uv is not None and scan.texture_linear is not None:
-            color, inside, pictured, pixel = self._photograph(near, hits, steps)
-            # Faces need enough photograph pixels for their area.
-            e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
-            texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-            density = texture_area / np.maximum(face_areas(scan.vertices, scan.faces), 1e-12)
-            used = density[texture_area > 0]
-            valid &= (density > (MIN_DENSITY * np.median(used) if len(used) else np.inf))[face] & inside
-        else:
-            assert scan.vertex_color_linear is not None
-            corners = scan.vertex_color_linear[scan.faces[face]]
-            color = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
-            seen = np.ones(len(scan.vertices), bool) if scan.color_seen is None else scan.color_seen
-            pictured = np.asarray(seen[scan.faces[face]].all(1))
-        return Samples(color, valid & pictured, face, pictured, pixel)
+def _photograph(
+    scan: RawScan, near: IntArray, hits: ClosestHits, steps: FloatArray
+) -> tuple[NDArray[np.float32], BoolArray, BoolArray, FloatArray]:
+    """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
-    def _photograph(
-        self, near: IntArray, hits: ClosestHits, steps: FloatArray
-    ) -> tuple[NDArray[np.float32], BoolArray, BoolArray, FloatArray]:
-        """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
+    Also return whether its centre is in the photograph, which wraps around only by whole periods for a
+    face, whether a picture showed most of it (the mean is over that part), and the centre.
+    """
+    assert scan.uv is not None
+    assert scan.texture_linear is not None
+    height, width = scan.texture_linear.shape[:2]
+    to_pixels = np.array([width, -height])
+    uv = in_first_period(scan.uv[near], scan.texture_linear.shape)[hits.face]
+    center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
+    inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
+    # Gradients (F, 2, 3) of u and v over each of the faces, per mm; zero on degenerate ones.
+    faces, corners = scan.faces[near], scan.vertices[scan.faces[near]]
+    cross = face_cross_products(scan.vertices, faces)
+    squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
+    gradient = np.zeros((len(faces), 2, 3))
+    for k in range(3):
+        hat = np.cross(cross, corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]) / squared[:, None]
+        gradient += scan.uv[near, k, :, None] * hat[:, None, :]
+    footprint = np.einsum("nck,nkd->ncd", gradient[hits.face], steps) * to_pixels[:, None]
+    # So many that no pixel between them is left out.
+    sides = np.linalg.norm(footprint, axis=1).max(1)
+    longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
+    taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
+    if scan.color_seen is None:
+        color = mean_over_footprints(scan.texture_linear, center, footprint, taps)
+        return color, inside, np.ones(len(color), bool), center
+    shown = scan.color_seen[..., None].astype(np.float32)
+    weighted = np.concatenate([scan.texture_linear * shown, shown], axis=2)
+    total = mean_over_footprints(weighted, center, footprint, taps)
+    color = total[:, :3] / np.maximum(total[:, 3:], np.finfo(np.float32).tiny)
+    return color, inside, total[:, 3] > 0.5, center
 
-        Also return whether its centre is in the photograph, which wraps around only by whole periods for a
-        face, whether a picture showed most of it (the mean is over that part), and the centre.
-        """
-        scan = self.scan
-        assert scan.uv is not None
-        assert scan.texture_linear is not None
-        height, width = scan.texture_linear.shape[:2]
-        to_pixels = np.array([width, -height])
-        uv = in_first_period(scan.uv[near], scan.texture_linear.shape)[hits.face]
-        center = np.einsum("nk,nkc->nc", hits.barycentric, uv) * to_pixels + [-0.5, height - 0.5]
-        inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
-        # Gradients (F, 2, 3) of u and v over each of the faces, per mm; zero on degenerate ones.
-        faces, corners = scan.faces[near], scan.vertices[scan.faces[near]]
-        cross = face_cross_products(scan.vertices, faces)
-        squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
-        gradient = np.zeros((len(faces), 2, 3))
-        for k in range(3):
-            hat = np.cross(cross, corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]) / squared[:, None]
-            gradient += scan.uv[near, k, :, None] * hat[:, None, :]
-        footprint = np.einsum("nck,nkd->ncd", gradient[hits.face], steps) * to_pixels[:, None]
-        # So many that no pixel between them is left out.
-        sides = np.linalg.norm(footprint, axis=1).max(1)
-        longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
-        taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
-        if scan.color_seen is None:
-            color = mean_over_footprints(scan.texture_linear, center, footprint, taps)
-            return color, inside, np.ones(len(color), bool), center
-        shown = scan.color_seen[..., None].astype(np.float32)
-        weighted = np.concatenate([scan.texture_linear * shown, shown], axis=2)
-        total = mean_over_footprints(weighted, center, footprint, taps)
-        color = total[:, :3] / np.maximum(total[:, 3:], np.finfo(np.float32).tiny)
-        return color, inside, total[:, 3] > 0.5, center
+
+def texture_cameras(scan: RawScan) -> tuple[IntArray, FloatArray] | None:
+    """Find the cameras whose photographs a scan's texture is made of; None where it is not.
+
+    Returns the number (F,) of the camera that took each face, -1 where it is not known, and where the cameras
+    stood (K, 3), mm in the scan's frame.
+    Of a photograph, texture coordinates are the vertices' projection by a pinhole camera. It is fitted to
+    each connected piece of the texture, large ones first; unwrapped surfaces fit none.
+    """
+    if scan.uv is None or scan.texture_linear is None or len(scan.faces) < _LEAST_FACES:
+        return None
+    height, width = scan.texture_linear.shape[:2]
+    corners, pixels = scan.vertices[scan.faces], scan.uv * np.array([width, height])
+    normals = face_normals(scan.vertices, scan.faces)
+    # The connected piece of the texture that each face is part of.
+    corner = split_at_seams(scan.faces, scan.uv).faces
+    pieces = vertex_components(int(corner.max()) + 1, corner)[corner[:, 0]]
+    camera, positions = np.full(len(scan.faces), -1), list[FloatArray]()
+    sizes = np.bincount(pieces)
+    least = max(_LEAST_FACES, _LEAST_PART * len(scan.faces))
+    for piece in np.flatnonzero(sizes >= least)[np.argsort(-sizes[sizes >= least], kind="stable")]:
+        inside = pieces == piece
+        if np.mean(camera[inside] >= 0) > 0.5 or len(positions) == 100:
+            continue
+        tolerance = _OFF * float(np.ptp(pixels[inside].reshape(-1, 2), axis=0).max())
+        every = np.flatnonzero(inside)
+        some = every[np.linspace(0, len(every) - 1, min(len(every), 4000)).astype(np.int64)]
+        points, places = corners[some].reshape(-1, 3), pixels[some].reshape(-1, 2)
+        extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
+        if extents[2] < _RELIEF * extents[0]:
+            continue
+        kept: BoolArray = np.ones(len(points), bool)
+        for _ in range(4):
+            fitted = fit_camera(points[kept], places[kept])
+            off = _distances(fitted, points, places)
+            kept = off <= 4 * np.median(off)
+        if not np.median(off) < tolerance:
+            continue
+        position = camera_centers(fitted[None])[0]
+        facing = np.einsum("ij,ij->i", position - corners[inside, 0], normals[inside]) > 0
+        if facing.mean() < _FACING:
+            continue
+        off = _distances(fitted, corners, pixels).max(1)
+        camera[(camera < 0) & (inside | (off < tolerance))] = len(positions)
+        positions.append(position)
+    if np.mean(camera >= 0) < _CAMERAS:
+        return None
+    return camera, np.array(positions)
+
+
+def _distances(camera: FloatArray, points: FloatArray, places: FloatArray) -> FloatArray:
+    """Return how far from `places` (..., 2) a camera (3, 4) projects points (..., 3)."""
+    image = points @ camera[:, :3].T + camera[:, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.linalg.norm(image[..., :2] / image[..., 2:] - places, axis=-1))
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
@@ -199,7 +262,7 @@ def moved_colors(
 
     Of those texels are `points` and `normals` (N, 3), mm in the scan's frame.
     """
-    pixel = TextureLookup(scan).sample(points, normals, np.zeros((len(points), 3, 2))).pixel
+    pixel = sample_colors(scan, points, normals, np.zeros((len(points), 3, 2))).pixel
     assert pixel is not None
     assert scan.texture_linear is not None
     last = np.array(scan.texture_linear.shape[1::-1]) - 1

@@ -17,9 +17,8 @@ from scan2albedo.face_model import AnnotatedSurface, Region
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, REST_REGION, surface_frames
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
-from scan2albedo.geometry.mesh import adjacency, face_cross_products, vertex_normals
-from scan2albedo.templates.cleaning import CleanTemplate, clean_template
-from scan2albedo.templates.surface import TemplateSurface
+from scan2albedo.geometry.mesh import adjacency, face_cross_products, vertex_normals, without_unreferenced
+from scan2albedo.templates.surface import TemplateSurface, clean_template
 
 LANDMARK_REACH_MM = 30.0
 MAX_REGIONS, MIN_CONTROL_SIZE = 253, 20
@@ -52,43 +51,41 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
             f"{name}: control_size is {control_size}, but fewer than {MIN_CONTROL_SIZE} control vertices "
             "hold no face; 1000 are usual"
         )
-    template = clean_template(surface, name)
-    vertices, faces = np.asarray(given.vertices, float), np.array(given.faces, np.int64)
-    start, control_faces = decimated(template.vertices, template.faces, control_size)
-    control = fit_limit_surface(start, control_faces, template.vertices, template.faces)
+    disc, filled = clean_template(surface, name)
+    # The template vertices that it uses, and its faces among them.
+    source, clean_faces = without_unreferenced(disc.vertices, disc.faces)
+    clean, faces = disc.vertices[source], np.array(given.faces, np.int64)
+    start, control_faces = decimated(clean, clean_faces, control_size)
+    control = fit_limit_surface(start, control_faces, clean, clean_faces)
     subdivision = LoopSubdivision.of(len(control), control_faces, LANDMARK_LEVELS)
     # The cleaned vertices are placed on the limit surface, loose ones where the nearest of these is.
-    normals = vertex_normals(template.vertices, template.faces)
-    inner = project(subdivision, control, template.vertices, normals)
-    tree = cKDTree(template.vertices)
-    distance, nearest = tree.query(template.all_vertices)
+    inner = project(subdivision, control, clean, vertex_normals(clean, clean_faces))
+    tree = cKDTree(clean)
+    distance, nearest = tree.query(disc.vertices)
     face, barycentric = inner.face[nearest].copy(), inner.barycentric[nearest].copy()
-    face[template.source], barycentric[template.source] = inner.face, inner.barycentric
+    face[source], barycentric[source] = inner.face, inner.barycentric
     apart = distance > 1e-3
-    apart[template.source] = False
+    apart[source] = False
     if apart.any():
-        loose = project(subdivision, control, template.all_vertices[apart], np.zeros((1, 3)))
+        loose = project(subdivision, control, disc.vertices[apart], np.zeros((1, 3)))
         face[apart], barycentric[apart] = loose.face, loose.barycentric
     placed = SurfacePoints(face, barycentric)
     matrix, frames = subdivision.points_matrix(placed), surface_frames(control[control_faces[face]])
-    offset = np.einsum("nij,ni->nj", frames, template.all_vertices - matrix @ control)
+    offset = np.einsum("nij,ni->nj", frames, disc.vertices - matrix @ control)
     # Each control face gets the region of the template vertex nearest to its centre.
     label, table = _regions(given, faces)
-    region = label[template.source][tree.query(control[control_faces].mean(1))[1]]
-    if template.filled.any():
+    region = label[source][tree.query(control[control_faces].mean(1))[1]]
+    if filled.any():
         index = len(table)
-        corners = template.vertices[template.faces[template.filled]]
+        corners = disc.vertices[disc.faces[filled]]
         region[project(subdivision, control, corners.mean(1), np.zeros((1, 3))).face] = index
         # These faces are softer, so that a mouth may open.
         table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
-    chart, chart_note = _chart(vertex_uv(given), template, (control, control_faces), matrix, name)
+    chart, chart_note = _chart(vertex_uv(given), source, (control, control_faces), matrix, name)
     corners_uv, uv_note = corner_uv(given)
-    cut = len(surface.faces) - int((~template.filled).sum())
-    off = np.linalg.norm(offset[template.source], axis=1)
+    off = np.linalg.norm(offset[source], axis=1)
     notes = (
-        *surface.notes,
-        f"faces cut off the back of a closed surface: {cut}" if cut > 0 else "",
-        f"holes filled: {template.holes}" if template.holes > 0 else "",
+        *disc.notes,
         f"the surface keeps {off.mean():.1f} mm (mean) and {off.max():.0f} mm (most) from the template; a "
         "greater control_size follows it better"
         if off.mean() > 1
@@ -102,7 +99,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         uv=chart,
         region=region,
         regions=table,
-        landmark_points=_landmarks(given.landmarks, vertices, template, placed, name),
+        landmark_points=_landmarks(given, disc, source, placed),
         template_points=placed,
         template_offset=offset,
         template_faces=faces,
@@ -143,7 +140,7 @@ def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
 
 def _chart(
     uv: FloatArray | None,
-    template: CleanTemplate,
+    source: IntArray,
     mesh: tuple[FloatArray, IntArray],
     matrix: sparse.csr_matrix,
     name: str,
@@ -154,15 +151,15 @@ def _chart(
     note = ""
     if uv is not None:
         given = np.asarray(uv, np.float64)
-        if given.shape != (len(template.all_vertices), 2):
+        if given.shape != (matrix.shape[0], 2):
             raise ModelError(
-                f"{name}: uv has shape {given.shape}, expected ({len(template.all_vertices)}, 2): "
+                f"{name}: uv has shape {given.shape}, expected ({matrix.shape[0]}, 2): "
                 "one coordinate a vertex; split vertices at seams or leave uv out"
             )
-        known = given[template.source]
+        known = given[source]
         note = "a new chart was drawn: the uv given holds NaN"
         if np.isfinite(known).all():
-            rows = matrix[template.source]
+            rows = matrix[source]
             tie = 1e-6 * sparse.identity(rows.shape[1])
             chart = np.clip(splu((rows.T @ rows + tie).tocsc()).solve(rows.T @ known), 0.0, 1.0)
             flat = np.column_stack([chart, np.zeros(len(chart))])
@@ -200,37 +197,33 @@ def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], 
 
 
 def _landmarks(
-    landmarks: FloatArray | IntArray | None,
-    vertices: FloatArray,
-    template: CleanTemplate,
-    placed: SurfacePoints,
-    name: str,
+    given: DenseTemplate, disc: TemplateSurface, source: IntArray, placed: SurfacePoints
 ) -> SurfacePoints | None:
-    if landmarks is None:
+    if given.landmarks is None:
         return None
-    given = np.asarray(landmarks)
-    if given.shape == (68,) and given.dtype.kind in "iu":
-        if given.min() < 0 or given.max() >= len(vertices):
-            wrong = given.min() if given.min() < 0 else given.max()
+    name, landmarks, vertices = given.name, np.asarray(given.landmarks), np.asarray(given.vertices, float)
+    if landmarks.shape == (68,) and landmarks.dtype.kind in "iu":
+        if landmarks.min() < 0 or landmarks.max() >= len(vertices):
+            wrong = landmarks.min() if landmarks.min() < 0 else landmarks.max()
             raise ModelError(f"{name}: landmark vertex {wrong} out of range 0 ... {len(vertices) - 1}")
-        chosen = given.astype(np.int64)
-    elif given.shape == (68, 3):
+        chosen = landmarks.astype(np.int64)
+    elif landmarks.shape == (68, 3):
         # Points in the template's own unit and frame: the nearest cleaned vertices.
-        points, cleaned = given.astype(float), vertices[template.source]
+        points, cleaned = landmarks.astype(float), vertices[source]
         if not np.isfinite(points).all():
             wrong = int(np.flatnonzero(~np.isfinite(points).all(1))[0])
             raise ModelError(f"{name}: landmark {wrong} is NaN or infinite; give its point, or no landmarks")
         distance, nearest = cKDTree(cleaned).query(points)
-        distance /= float(np.ptp(cleaned, axis=0).max() / np.ptp(template.vertices, axis=0).max())
+        distance /= float(np.ptp(cleaned, axis=0).max() / np.ptp(disc.vertices[source], axis=0).max())
         farthest = int(np.argmax(distance))
         if distance[farthest] > LANDMARK_REACH_MM:
             raise ModelError(
                 f"{name}: landmark {farthest} lies {distance[farthest]:.0f} mm from the template, at most "
                 f"{LANDMARK_REACH_MM:.0f} expected; give landmarks in the template's own frame"
             )
-        chosen = template.source[nearest]
+        chosen = source[nearest]
     else:
-        raise ModelError(f"{name}: landmarks are {given.shape}, expected (68, 3) points or (68,) indices")
+        raise ModelError(f"{name}: landmarks are {landmarks.shape}, expected (68, 3) points or (68,) indices")
     return SurfacePoints(placed.face[chosen], placed.barycentric[chosen])
 
 

@@ -1,19 +1,27 @@
-"""The surface of anyone's face template: its unit, its seams, its main part, which side is out."""
+"""The surface of anyone's face template: unit, seams, main part, which side is out; and as a disc."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.geometry.mesh import edges_with_faces, face_cross_products, far_faces, vertex_components
+from scan2albedo.geometry.mesh import (
+    boundary_loops,
+    edges_with_faces,
+    face_cross_products,
+    far_faces,
+    vertex_components,
+)
 from scan2albedo.geometry.rigid import compose
 
 MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
 """A template with fewer vertices is refused, and one that is a surface only without more of its faces."""
 HEAD_SIZE_MM, _TRIM_PERCENT = (80.0, 600.0), 0.5
+_BACK_OF_HEAD = 0.35
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
 
 
@@ -22,12 +30,11 @@ class TemplateSurface:
     """The largest part of a template, welded and oriented; still with its holes, and in any pose.
 
     `vertices` (T, 3) are all the template's, in mm, origin at the centroid of those in the manifold `faces`
-    (F, 3). `template_from_surface` (4, 4) leads back to the input's `unit`; `notes` say what was mended.
+    (F, 3). `template_from_surface` (4, 4) leads back to the input's unit; `notes` say what was mended.
     """
 
     vertices: FloatArray
     faces: IntArray
-    unit: str
     template_from_surface: FloatArray
     notes: tuple[str, ...] = ()
 
@@ -92,7 +99,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     if float(np.sum(face_cross_products(xyz, mesh) * corner)) < 0:
         mesh = mesh[:, ::-1].copy()
     notes = (f"unit {unit}", *(f"{text}: {count}" for count, text in found if count))
-    return TemplateSurface(xyz, mesh, unit, compose(np.eye(3) / UNITS_MM[unit], origin), notes)
+    return TemplateSurface(xyz, mesh, compose(np.eye(3) / UNITS_MM[unit], origin), notes)
 
 
 def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
@@ -114,8 +121,22 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
     import igl
 
     kept = faces
-    while len(spoilt := _spoilt(kept)):
-        kept = np.delete(kept, spoilt, axis=0)
+    while True:
+        edges, uses = edges_with_faces(kept)
+        if uses.max() > 2:
+            # At an edge of more than two faces those with a free edge go, or all.
+            size = int(kept.max()) + 1
+            keys = np.sort(kept[:, [[0, 1], [1, 2], [2, 0]]], axis=2) @ [size, 1]
+            key = edges @ [size, 1]
+            at_knot = np.isin(keys, key[uses > 2]).any(1)
+            loose = at_knot & np.isin(keys, key[uses == 1]).any(1)
+            spoilt = loose if loose.any() else at_knot
+        else:
+            # Those around pinched points; vertices without a face count as such, but no face is at them.
+            spoilt = np.isin(kept, np.flatnonzero(~igl.is_vertex_manifold(kept))).any(1)
+        if not spoilt.any():
+            break
+        kept = kept[~spoilt]
         if len(faces) - len(kept) > max(MENDABLE_SHARE * len(faces), 1):
             raise ModelError(
                 f"{name}: more than {MENDABLE_SHARE:.0%} of the faces lie at edges with more than two "
@@ -130,20 +151,82 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
     return oriented, len(faces) - len(kept)
 
 
-def _spoilt(faces: IntArray) -> IntArray:
-    """Return the faces that keep the mesh from being a surface.
+def clean_template(surface: TemplateSurface, name: str) -> tuple[TemplateSurface, BoolArray]:
+    """Cut a closed head in the model's axes open at the back, fill the holes, and check that it is a disc.
 
-    At an edge of more than two faces those with a free edge, or all; else those around pinched points.
+    Also return which of its faces (F,) close holes. Raises `ModelError` when the surface has handles, or
+    holes too long to fill.
     """
-    import igl
+    xyz, mesh = surface.vertices, surface.faces
+    if not len(boundary_loops(mesh)):
+        depth = xyz[:, 2]
+        low, high = depth[mesh].min(), depth[mesh].max()
+        mesh = largest_component(len(xyz), mesh[(depth[mesh] > low + _BACK_OF_HEAD * (high - low)).all(1)])
+    # Every boundary loop is closed but the one with the greatest length in mm.
+    loops = [loop for loop in boundary_loops(mesh) if len(loop) >= 3]
+    length = [float(np.linalg.norm(xyz[loop] - xyz[np.roll(loop, 1)], axis=1).sum()) for loop in loops]
+    rim = int(np.argmax(length)) if loops else -1
+    holes = [loop for i, loop in enumerate(loops) if i != rim and len(loop) <= 600]
+    closed = np.concatenate([mesh, *(fill_hole(xyz, mesh, loop) for loop in holes)])
+    filled = np.arange(len(closed)) >= len(mesh)
+    edges, _ = edges_with_faces(closed)
+    euler = len(np.unique(closed)) - len(edges) + len(closed)
+    rims = len(boundary_loops(closed))
+    if euler != 1 or rims != 1:
+        raise ModelError(
+            f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}, "
+            "expected 1 and 1 (a disc); close handles or cut the face out of the head"
+        )
+    done = (
+        (len(surface.faces) - len(mesh), "faces cut off the back of a closed surface"),
+        (len(holes), "holes filled"),
+    )
+    notes = (*surface.notes, *(f"{text}: {count}" for count, text in done if count))
+    return replace(surface, faces=closed, notes=notes), filled
 
-    edges, uses = edges_with_faces(faces)
-    if uses.max() > 2:
-        size = int(faces.max()) + 1
-        keys = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2) @ [size, 1]
-        key = edges @ [size, 1]
-        at_knot = np.isin(keys, key[uses > 2]).any(1)
-        loose = at_knot & np.isin(keys, key[uses == 1]).any(1)
-        return np.flatnonzero(loose if loose.any() else at_knot)
-    # Vertices without a face count as pinched, but no face is at them.
-    return np.flatnonzero(np.isin(faces, np.flatnonzero(~igl.is_vertex_manifold(faces))).any(1))
+
+def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray:
+    """Return the (n - 2, 3) faces of least total area that close a loop (n,) of `boundary_loops`.
+
+    The new faces run against the loop; the mesh's own edges are no chords. Dynamic programming (Barequet and
+    Sharir, "Filling gaps in the boundary of a polyhedron", 1995), O(n^3): 500 vertices take a second.
+    """
+    ring = np.ascontiguousarray(loop[::-1])
+    # Where the mesh has an edge between two vertices of the loop.
+    place = np.full(len(vertices), -1)
+    place[ring] = np.arange(len(ring))
+    ends = place[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
+    ends = ends[(ends >= 0).all(1)]
+    joined = np.zeros((len(ring), len(ring)), bool)
+    joined[ends[:, 0], ends[:, 1]] = joined[ends[:, 1], ends[:, 0]] = True
+    split = _least_area_splits(np.ascontiguousarray(vertices[ring]), joined)
+    patch, pending = [], [(0, len(ring) - 1)]
+    while pending:
+        i, k = pending.pop()
+        if k - i < 2:
+            continue
+        j = int(split[i, k])
+        patch.append((ring[i], ring[j], ring[k]))
+        pending += [(i, j), (j, k)]
+    return np.array(patch, np.int64).reshape(-1, 3)
+
+
+@njit(cache=True, nogil=True)
+def _least_area_splits(points, joined):  # type: ignore[no-untyped-def]
+    n = len(points)
+    # More than any triangulation's area, so that a chord already in the mesh is the last resort.
+    forbidden = n * np.sum((points - points[0]) ** 2)
+    cost = np.zeros((n, n))
+    split = np.zeros((n, n), np.int64)
+    for span in range(2, n):
+        for i in range(n - span):
+            k = i + span
+            best = np.inf
+            for j in range(i + 1, k):
+                area = 0.5 * np.linalg.norm(np.cross(points[j] - points[i], points[k] - points[i]))
+                total = cost[i, j] + cost[j, k] + area
+                if total < best:
+                    best = total
+                    split[i, k] = j
+            cost[i, k] = best + (forbidden if joined[i, k] and span < n - 1 else 0.0)
+    return split

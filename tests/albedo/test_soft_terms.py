@@ -8,8 +8,7 @@ from scipy import sparse
 
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
-from scan2albedo.lighting.environment_light import open_transfer
-from scan2albedo.lighting.interreflection import Bounce
+from scan2albedo.lighting.environment_light import Bounce, open_transfer
 
 VIEW = (0.0, 0.0, 1.0)
 STEP = 1e-3

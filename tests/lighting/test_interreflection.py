@@ -6,8 +6,13 @@ import trimesh
 
 from scan2albedo.core import EnvironmentLight
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.lighting.environment_light import environment_light_on, shadowed_transfer
-from scan2albedo.lighting.interreflection import Patches, surface_keys, surface_weights
+from scan2albedo.lighting.environment_light import (
+    Patches,
+    environment_light_on,
+    shadowed_transfer,
+    surface_keys,
+    surface_weights,
+)
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 OFFSET_MM = 0.01

@@ -153,7 +153,7 @@ def test_all_vertices_in_the_dark(model):
 def test_a_perceptual_term_leads_to_its_known_optimum(model, lighting, scale, offset, monkeypatch):
     """Colours that the models can make, of another face in other light than the image."""
     image = picture(people(1, 5)[0], 3)
-    terms = ImageTerms.from_observation(image, model, lighting)
+    terms = ImageTerms(image, model, lighting)
     p = np.concatenate([0.5 * np.random.default_rng(4).normal(size=40), np.log([0.5, 0.6, 0.4])])
     target = np.full((len(SEEN), 3), np.nan)
     target[terms.used] = terms.predict(p).color

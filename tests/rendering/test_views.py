@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from scan2albedo import RawScan
-from scan2albedo.rendering.views import View, heat_colors, render_mesh
+from scan2albedo.rendering.pictures import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel, _scan_panel, overview_figure, preview_srgb
 
 

@@ -13,7 +13,7 @@ from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling import geometry_image, texture_lookup
-from scan2albedo.sampling.fitted_face import texture_doubt
+from scan2albedo.sampling.geometry_images import texture_doubt
 from scan2albedo.sampling.texture_lookup import MOVES, moved_colors
 
 

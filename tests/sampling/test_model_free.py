@@ -8,7 +8,7 @@ import xatlas
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.parametrization import LAST_ATLAS
-from scan2albedo.sampling import geometry_image_of_scan, model_free
+from scan2albedo.sampling import geometry_image_of_scan, geometry_images
 
 
 def test_a_sphere_is_covered_once_with_true_positions_and_normals():
@@ -48,7 +48,7 @@ def test_holes_that_meet_in_a_vertex_do_not_keep_a_surface_from_being_simplified
         face for face in around if len(np.intersect1d(sphere.faces[face], sphere.faces[around[0]])) == 1
     ]
     faces = np.delete(sphere.faces, [around[0], beside[0]], axis=0)
-    monkeypatch.setattr(model_free, "MOST_FACES", 600)
+    monkeypatch.setattr(geometry_images, "MOST_FACES", 600)
     image = geometry_image_of_scan(RawScan(sphere.vertices, faces), 64)
     assert len(image.occluder[1]) <= 600
     np.testing.assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=2)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.geometry.mesh import boundary_edges, boundary_loops, face_areas, face_cross_products
-from scan2albedo.templates.cleaning import fill_hole
+from scan2albedo.templates.surface import fill_hole
 
 
 def test_a_hole_is_closed_with_least_area_and_the_right_orientation():

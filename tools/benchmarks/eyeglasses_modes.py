@@ -19,7 +19,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalEyeglasses, CanonicalizationOptions, canonicalize
 from scan2albedo.geometry.rigid import procrustes, transform_points
-from scan2albedo.rendering.views import View, render_mesh
+from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.synthetic import GlassesShape
 

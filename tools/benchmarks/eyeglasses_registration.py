@@ -160,7 +160,7 @@ class SameLoss:
         state, scale = self.start, np.r_[np.full(3, LEVER_MM), np.ones(63)]
         first, second = np.zeros(66), np.zeros(66)
         for n in count(1):
-            at = self.objective.linearize(state, self.samples, with_matrix=False)
+            at = self.objective.linearize(state, self.samples)
             yield state, at.cost
             gradient = at.gradient / scale
             first = 0.9 * first + 0.1 * gradient

@@ -22,7 +22,7 @@ from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.io.images import write_png
-from scan2albedo.rendering.views import View, render_mesh
+from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
 BENT = GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)

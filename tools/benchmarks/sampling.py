@@ -19,7 +19,7 @@ from scan2albedo.geometry.mesh import face_areas, face_normals
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.sampling import geometry_image
-from scan2albedo.sampling.texture_lookup import TextureLookup
+from scan2albedo.sampling.texture_lookup import sample_colors
 from scan2albedo.synthetic import Scanner, raw_scan
 
 SIZES = (64, 96, 128, 192, 256, 384, 512, 768, 1024)
@@ -57,8 +57,8 @@ def _sampled_face(seed: int, picture_size: int) -> SampledFace:
     scan_from_model = invert_rigid(fitted.model_from_scan)
     normal = face_normals(fitted.vertices, fitted.faces)[face]
     step = np.broadcast_to(_POINT_MM * np.eye(3)[:, :2], (_POINTS, 3, 2))
-    found = TextureLookup(scan).sample(
-        transform_points(scan_from_model, position), transform_directions(scan_from_model, normal), step
+    found = sample_colors(
+        scan, transform_points(scan_from_model, position), transform_directions(scan_from_model, normal), step
     )
     seen = found.seen
     return SampledFace(scan, fitted, uv[seen], position[seen], found.color_linear[seen])
@@ -123,15 +123,12 @@ def _vertex_colors(scene: SampledFace) -> Outcome:
 
         normals = vertex_normals(fitted.vertices, fitted.faces)
         step = np.broadcast_to(_POINT_MM * np.eye(3)[:, :2], (len(fitted.vertices), 3, 2))
-        return (
-            TextureLookup(scene.scan)
-            .sample(
-                transform_points(scan_from_model, fitted.vertices),
-                transform_directions(scan_from_model, normals),
-                step,
-            )
-            .color_linear
-        )
+        return sample_colors(
+            scene.scan,
+            transform_points(scan_from_model, fitted.vertices),
+            transform_directions(scan_from_model, normals),
+            step,
+        ).color_linear
 
     color, cost = timed(work)
     from scan2albedo.geometry.closest_points import ClosestPointQuery

@@ -130,19 +130,14 @@ class RegistrationObjective:
         return FrameMotion(self.keypoints, state)
 
     def linearize(
-        self,
-        state: FrameState,
-        samples: OutlineSamples | None,
-        *,
-        rigid: bool = False,
-        with_matrix: bool = True,
+        self, state: FrameState, samples: OutlineSamples | None, *, rigid: bool = False
     ) -> Linearization:
         """Return the objective at a state, with outlines where there are `samples`.
 
-        `rigid`: of turn and translation alone, without a prior. Without `with_matrix` data do not add to it.
+        `rigid`: of turn and translation alone, without a prior.
         """
         motion = self.motion(state)
-        sums = _Sums(motion, with_matrix)
+        sums = _Sums(motion)
         labels_px = self._add_labels(sums)
         outline_px = np.zeros(0) if samples is None else self._add_outlines(samples, sums)
         if self.contact is not None:
@@ -226,11 +221,10 @@ class RegistrationObjective:
             weight = VOTE * _huber_weights(residual[mine])
             error[mine] -= bias
             sums.cost += (bias / BIAS_PX) ** 2
-            if sums.with_matrix:
-                # What the bias takes from the matrix: all values may be off by one amount.
-                terms = slope[mine], along, weight
-                common, _ = motion.raw_sums(samples.points[mine], place[mine], *terms, with_matrix=False)
-                sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / BIAS_PX**2)
+            # What the bias takes from the matrix: all values may be off by one amount.
+            terms = slope[mine], along, weight
+            common, _ = motion.raw_sums(samples.points[mine], place[mine], *terms, with_matrix=False)
+            sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / BIAS_PX**2)
         size = np.abs(residual)
         cost = np.where(size > ROBUST, ROBUST * (2 * size - ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
@@ -247,14 +241,14 @@ def _huber_weights(residual: FloatArray) -> FloatArray:
 class _Sums:
     """Cost, gradient and matrix at a motion, the turns of its handles apart."""
 
-    def __init__(self, motion: FrameMotion, with_matrix: bool) -> None:
+    def __init__(self, motion: FrameMotion) -> None:
         size = RIGID + 6 * len(motion.keypoints)
         self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
-        self.motion, self.with_matrix = motion, with_matrix
+        self.motion = motion
 
     def add(self, points: SkinnedPoints, place: FloatArray, *terms: FloatArray) -> None:
         """Add slopes, values and votes of points at their places."""
-        gradient, matrix = self.motion.raw_sums(points, place, *terms, with_matrix=self.with_matrix)
+        gradient, matrix = self.motion.raw_sums(points, place, *terms)
         self.gradient += gradient
         self.matrix += matrix
 

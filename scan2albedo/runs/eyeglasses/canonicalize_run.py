@@ -178,8 +178,7 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
                 notes=frame.scan.notes,
             )
         write_keypoints(staging.folder / "mean_keypoints.json", result.mean_keypoints, unit="mm")
-        result.trace.to_csv(staging.folder / "trace.csv")
-        staging.figure("error_vs_time.png", result.trace.plot())
+        staging.trace(result.trace)
         drawn = [(frame.name, frame.scan.vertices, canonical) for frame, canonical in both]
         title = f"{MOST_SHOWN} of " * (len(drawn) > MOST_SHOWN)
         title += f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"

@@ -200,8 +200,7 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
             for camera, mask in zip(given.cameras, result.proposed_masks, strict=True):
                 if mask is not None:
                     write_png(folder / f"{camera.name}_mask.png", mask)
-        result.trace.to_csv(folder / "trace.csv")
-        staging.figure("error_vs_time.png", result.trace.plot())
+        staging.trace(result.trace)
         assert given.labels is not None
         pairs = zip(given.masks, result.proposed_masks, strict=True)
         masks = [proposed if mask is None else mask for mask, proposed in pairs]

@@ -9,7 +9,6 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from scan2albedo.core import Trace
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import Figures, Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
@@ -63,12 +62,6 @@ def publishing(
             metrics=figures,
             notes=tuple(notes),
         )
-
-
-def write_trace(results: Staging[ReflectanceRecord], trace: Trace) -> None:
-    """Write a trace as a table and as a figure."""
-    trace.to_csv(results.folder / "trace.csv")
-    results.figure("error_vs_time.png", trace.plot())
 
 
 @contextmanager

@@ -39,7 +39,7 @@ from scan2albedo.report.reflectance_views import (
     relit_panels,
     relit_picture,
 )
-from scan2albedo.runs.reflectance import naming, publishing, write_trace
+from scan2albedo.runs.reflectance import naming, publishing
 
 _DOUBTFUL_MISFIT = 1.25
 """Median of the misfit above which a note says so, as of normals that are off by two degrees."""
@@ -177,7 +177,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:
         write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
-        write_trace(results, fit.trace)
+        results.trace(fit.trace)
         results.figure("overview.png", overview_figure(title, reflectance_panels(mesh, fit), 5))
         if done.error is not None:
             relit = (

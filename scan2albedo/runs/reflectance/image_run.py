@@ -38,7 +38,7 @@ from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.registration import register
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
-from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, naming, publishing, write_trace
+from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, naming, publishing
 from scan2albedo.runs.reflectance.capture_run import gamma_notes, write_colored_mesh
 from scan2albedo.runs.reflectance.model_run import SURFACE_LEVELS, FaceModels
 from scan2albedo.templates import AnnotatedFaceModel
@@ -214,7 +214,7 @@ def write_fitted_photograph(
     with publishing(out, "fit-image", inputs, options, figures, done.notes()) as results:
         write_reflectance(results.folder / "reflectance.npz", mesh)
         write_colored_mesh(results.folder / "face.ply", mesh)
-        write_trace(results, done.trace)
+        results.trace(done.trace)
         linear = _linear(done.photograph)
         made, shown = draw_in_camera(
             done.photograph.camera, linear.shape[:2], done.vertices, done.faces, face.radiance_linear
@@ -305,5 +305,5 @@ def tune_model(
         write_reflectance(results.folder / MEAN_FILE, replace(models.mean, reflectance=mean))
         if models.shape is not None:
             shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
-        write_trace(results, tuning.trace)
+        results.trace(tuning.trace)
     return figures

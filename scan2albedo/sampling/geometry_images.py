@@ -1,4 +1,4 @@
-"""The geometry image of a fitted face: the model's chart rasterised, the scan's texture looked up."""
+"""Geometry images: of a fitted face on its model's chart, and of any scanned object on charts of xatlas."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.face_model.annotation import FittedSurface
 from scan2albedo.face_model.appearance import appearance, placed
-from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, normalized, turned_against_neighbours, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.geometry.parametrization import LAST_ATLAS
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
-from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
+from scan2albedo.geometry.rigid import compose, invert_rigid, transform_directions, transform_points
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling.texture_lookup import MOVES, moved_colors, texel_steps, texture_on_chart
 
@@ -30,6 +31,8 @@ WRONG = 0.05
 """Part of the scans whose texture does not belong to them as it is: turned by an exporter, or another's."""
 _CHECK_SIZE = 48
 """Side of the grid on which the texture is held against the shape."""
+MOST_FACES = 15_000
+"""Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly."""
 
 
 def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512) -> GeometryImage:
@@ -91,8 +94,8 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
         transform_points(scan_from_model, position[inside]),
         transform_directions(scan_from_model, normal[inside]),
         np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
+        fitted.model_from_scan,
     )
-    cameras = texture.camera_positions
     region = np.full(raster.face.shape, 255, np.uint8)
     region[inside] = fitted.region[raster.face[inside]]
     # Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
@@ -109,8 +112,8 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     looks = appearance(
         position,
         normal,
-        raster.covered if texture.seen is None else texture.seen,
-        texture.linear,
+        texture.get("texture_valid", raster.covered),
+        texture.get("texture_linear"),
         place=face_chart,
         share=_annotation(fitted, region, "skin_share"),
         residual_mm=interpolate(raster, fitted.faces, fitted.residual_mm),
@@ -120,21 +123,90 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
         position=position,
         normal=normal,
         mask=raster.covered,
-        texture_linear=texture.linear,
         region=region,
         occluder=(fitted.vertices, fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]),
-        texture_valid=texture.seen,
-        filled=texture.filled,
         specular_scale=np.where(inside, blurred / np.maximum(weight, 1e-6), np.float32(0)),
         inpaint=_annotation(fitted, region, "inpaint") > 0,
         skin=looks.skin,
         labels=looks.labels,
         texture_log_odds=looks.log_odds,
-        camera=texture.camera,
-        camera_positions=None if cameras is None else transform_points(fitted.model_from_scan, cameras),
         face_chart=face_chart,
         on_face=None if counted.all() else counted[region] & inside,
+        **texture,
     )
+
+
+def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
+    """Sample any scanned surface on a grid over charts that xatlas cuts and packs.
+
+    Raises GeometryImageError when `size` is below 8, or no chart can be made (only zero-area faces).
+
+    Parameters
+    ----------
+    scan : RawScan
+        Any object; its own frame, mm.
+    size : int
+        Height and width in texels, at least 8.
+
+    Returns
+    -------
+    GeometryImage
+        In the scan's frame with its centroid moved to the origin; no regions.
+    """
+    import igl
+    import xatlas
+
+    require_type(scan, RawScan, "geometry_image_of_scan: scan", "load_scan(path) returns one")
+    check_size(size)
+    # The scan welded, each face once, with area and wound alike, its edges collapsed down to `MOST_FACES`.
+    vertices, inverse = np.unique(scan.vertices, axis=0, return_inverse=True)
+    faces = inverse.reshape(-1)[scan.faces]
+    faces = faces[face_areas(vertices, faces) > 0]
+    if len(faces) == 0:
+        raise GeometryImageError(f"{scan.name}: every face has zero area; there is no surface to sample")
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    faces = faces[np.sort(first)]
+    faces = np.where(turned_against_neighbours(faces)[:, None], faces[:, ::-1], faces)
+    if len(faces) > MOST_FACES:
+        # qslim returns nothing where parts of a mesh meet in one vertex: such vertices are split first.
+        split, source = igl.split_nonmanifold(faces)[:2]
+        fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), MOST_FACES, False)
+        if len(index) == 0:
+            raise GeometryImageError(
+                f"{scan.name}: its {len(split)} faces cannot be simplified to the {MOST_FACES} that charts "
+                "are cut from; give a mesh of fewer faces"
+            )
+        vertices, faces = np.asarray(fewer, np.float64), np.asarray(index, np.int64)
+    # xatlas computes in float32 with absolute tolerances: it gets the mesh at the origin, of a head's size.
+    used = vertices[np.unique(faces)]
+    low, high = used.min(0), used.max(0)
+    placed = (vertices - (low + high) / 2) * (200 / float(np.max(high - low)))
+    LAST_ATLAS[:] = [atlas := xatlas.Atlas()]
+    atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding, pack.create_image = size, 2, False
+    atlas.generate(xatlas.ChartOptions(), pack)
+    chart_vertex, chart_faces, uv = atlas[0]
+    chart_vertex, chart_faces = chart_vertex.astype(np.int64), chart_faces.astype(np.int64)
+    # xatlas may need more than the resolution asked for; scale all charts into one square.
+    extent = np.array([atlas.width, atlas.height], float) / max(atlas.width, atlas.height, 1)
+    uv = np.asarray(uv, float) * extent
+    position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
+    raster = rasterize_uv(uv, chart_faces, size)
+    if not raster.covered.any():
+        raise GeometryImageError(
+            f"{scan.name}: xatlas made no chart that covers a texel at size {size}; choose a larger size, "
+            "and remove vertices that lie far from the rest, which shrink it"
+        )
+    inside = raster.covered
+    position = interpolate(raster, chart_faces, position_of)
+    normal = normalized(interpolate(raster, chart_faces, normal_of))
+    steps = texel_steps(position_of, uv, chart_faces, raster.face.shape)[raster.face[inside]]
+    center = vertices.mean(0)
+    centered = compose(np.eye(3), -center)
+    texture = texture_on_chart(scan, inside, position[inside], normal[inside], steps, centered)
+    position[inside] -= center
+    return GeometryImage(position, normal, inside, occluder=(vertices - center, faces), **texture)
 
 
 def without_covers(fitted: FittedSurface, scan: RawScan) -> RawScan:
