@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.geometry.area_mean import area_mean
+from scan2albedo.geometry.rasterization import area_mean
 
 CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")
 """By number in `Appearance.labels`. Cloth is whatever else lies before a face: a cap, a mask, glints."""

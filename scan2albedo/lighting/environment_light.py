@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.lights import EnvironmentLight
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.interreflection import Patches

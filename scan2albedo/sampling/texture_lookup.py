@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.closest_points import ClosestHits, surface_query
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_areas, face_cross_products, face_normals
+from scan2albedo.geometry.rasterization import filled_smoothly
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.sampling.cameras import texture_cameras
 

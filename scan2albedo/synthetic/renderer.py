@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import normalized
 

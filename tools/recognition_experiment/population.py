@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.room_light import random_colors, random_room, room_light_on
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.synthetic import Material, Scanner, SyntheticTruth
