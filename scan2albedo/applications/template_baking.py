@@ -25,6 +25,7 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
     without_unreferenced,
 )
+from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rasterization import (
     fill_smoothly,
     filled_from_nearest,
@@ -33,7 +34,6 @@ from scan2albedo.geometry.rasterization import (
     rasterize,
 )
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
 from scan2albedo.sampling.fitted_face import without_covers
 from scan2albedo.sampling.texture_lookup import TextureLookup, texel_steps

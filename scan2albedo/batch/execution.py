@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from scan2albedo.batch import worker
-from scan2albedo.batch.layout import Layout
-from scan2albedo.batch.records import BatchScanRecord
+from scan2albedo.batch.records import BatchScanRecord, Layout
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.errors import BatchError, OutputError, Scan2AlbedoError, needs_extra
 from scan2albedo.io import limits

@@ -20,9 +20,15 @@ from scan2albedo import face_model
 from scan2albedo.batch import records
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.execution import job_limit, run_in_processes, run_on_cluster, worker_mb
-from scan2albedo.batch.layout import Layout
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
-from scan2albedo.batch.records import BatchProgress, BatchRecord, BatchReport, BatchScanRecord, BatchStatus
+from scan2albedo.batch.records import (
+    BatchProgress,
+    BatchRecord,
+    BatchReport,
+    BatchScanRecord,
+    BatchStatus,
+    Layout,
+)
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture

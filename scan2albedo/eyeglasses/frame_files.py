@@ -20,9 +20,9 @@ from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, PARENTS, checked_keypoints
 from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
 from scan2albedo.geometry.rigid import is_rigid, procrustes, transform_points
+from scan2albedo.io.glb import SkinWritten, write_skinned_glb
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Content, Matrix, Record, plain_json, read_record, write_record
-from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.io.units import MM_PER_UNIT
 
 LengthUnit = Literal["mm", "cm", "m"]

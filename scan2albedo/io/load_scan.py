@@ -30,8 +30,8 @@ READERS = {
     ".ply": ("scan2albedo.io.ply:read_ply", "scan2albedo.io.ply:files_of_ply"),
     ".glb": ("scan2albedo.io.gltf:read_gltf", ""),
     ".gltf": ("scan2albedo.io.gltf:read_gltf", "scan2albedo.io.gltf:files_of_gltf"),
-    ".stl": ("scan2albedo.io.stl_off:read_stl", ""),
-    ".off": ("scan2albedo.io.stl_off:read_off", ""),
+    ".stl": ("scan2albedo.io.ply:read_stl", ""),
+    ".off": ("scan2albedo.io.ply:read_off", ""),
 }
 """Functions of a path and a `ScanFolder`, imported when such a file is read: one that returns a `ParsedMesh`,
 and where a scan refers to other files one that returns their names."""

@@ -12,9 +12,8 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.alignment import NearestGrid
 from scan2albedo.geometry.mesh import far_faces, turned_against_neighbours
-from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, oriented_points
+from scan2albedo.geometry.oriented_points import OrientedPoints, SurfaceNoise, anchors, oriented_points
 from scan2albedo.geometry.rigid import in_principal_frame
-from scan2albedo.geometry.surface_noise import SurfaceNoise
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ import pytest
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import load_scan
 from scan2albedo.io.load_scan import input_sha256
-from scan2albedo.io.mtl import parse_mtl
 from scan2albedo.io.obj import read_obj, write_obj
+from scan2albedo.io.parsed_mesh import parse_mtl
 from scan2albedo.io.scan_folder import ScanFolder
 from tests.io.meshes import (
     CORNER_LINEAR,

@@ -11,7 +11,7 @@ from scan2albedo.eyeglasses import KEY_POINT_NAMES, skin, solve_weights
 from scan2albedo.eyeglasses.keypoints import PARENTS, SKELETON
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.io import load_scan
-from scan2albedo.io.skinned_glb import write_skinned_glb
+from scan2albedo.io.glb import write_skinned_glb
 from scan2albedo.synthetic import eyeglasses
 from tests.io.meshes import SQUARE_FACES, SQUARE_MM, glb_bytes, square_gltf
 
