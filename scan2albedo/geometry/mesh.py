@@ -14,6 +14,15 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 _OBJECT_SHARE = 0.05
 
 
+@dataclass(frozen=True)
+class RayHits:
+    """First hits: `face` (N,) with -1 for none, `barycentric` (N, 3), `distance` (N,) with inf for none."""
+
+    face: IntArray
+    barycentric: FloatArray
+    distance: FloatArray
+
+
 def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F, 3) cross products of two edges of each face: normal direction, length twice the area."""
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))

@@ -70,8 +70,35 @@ def publish(staging: Path, target: Path, dropped: Collection[str], last: Collect
             return
         if not os.access(target, os.W_OK | os.X_OK):
             raise PermissionError(None, f"the folder {target} cannot be written")
-        if not _exchanged(staging, target, dropped):
-            _renamed_one_by_one(staging, target, made, dropped)
+        if _exchanged(staging, target, dropped):
+            return
+        # Files are renamed one by one.
+        holder = hidden_path(target / target.name)
+        try:
+            holder.mkdir(mode=0o700)
+            new, old = holder / "new", holder / "old"
+            try:
+                os.rename(staging, new)
+            except OSError:  # a mount point
+                shutil.copytree(staging, new, symlinks=True)
+            older = [name for name in {*made, *dropped} if os.path.lexists(target / name)]
+            for name in older:
+                (old / name).parent.mkdir(parents=True, exist_ok=True)
+            journal = {"holder": holder.name, "made": made, "dropped": older}
+            (holder / JOURNAL).write_text(json.dumps(journal), encoding="utf-8")
+            keep(holder)  # from here on it holds what is not to be lost
+            os.rename(holder / JOURNAL, target / JOURNAL)
+            for name in older:
+                os.rename(target / name, old / name)
+            for name in made:
+                os.rename(new / name, target / name)
+            os.unlink(target / JOURNAL)
+        except BaseException:  # whatever stops it, an interrupt too: the folder is whole again
+            roll_back(target, locked=True)
+            raise
+        finally:
+            if not os.path.lexists(target / JOURNAL):
+                finished(holder)
 
 
 def _moves(source: Path, target: Path, prefix: str = "") -> list[str]:
@@ -148,35 +175,6 @@ def _exchange(a: Path, b: Path) -> None:
     # 2 is RENAME_SWAP of macOS and RENAME_EXCHANGE of Linux.
     if exchange(*here, os.fsencode(a), *here, os.fsencode(b), 2):
         raise OSError(ctypes.get_errno(), "paths cannot be exchanged")
-
-
-def _renamed_one_by_one(staging: Path, target: Path, made: list[str], dropped: Collection[str]) -> None:
-    holder = hidden_path(target / target.name)
-    try:
-        holder.mkdir(mode=0o700)
-        new, old = holder / "new", holder / "old"
-        try:
-            os.rename(staging, new)
-        except OSError:  # a mount point
-            shutil.copytree(staging, new, symlinks=True)
-        older = [name for name in {*made, *dropped} if os.path.lexists(target / name)]
-        for name in older:
-            (old / name).parent.mkdir(parents=True, exist_ok=True)
-        journal = {"holder": holder.name, "made": made, "dropped": older}
-        (holder / JOURNAL).write_text(json.dumps(journal), encoding="utf-8")
-        keep(holder)  # from here on it holds what is not to be lost
-        os.rename(holder / JOURNAL, target / JOURNAL)
-        for name in older:
-            os.rename(target / name, old / name)
-        for name in made:
-            os.rename(new / name, target / name)
-        os.unlink(target / JOURNAL)
-    except BaseException:  # whatever stops it, an interrupt too: the folder is whole again
-        roll_back(target, locked=True)
-        raise
-    finally:
-        if not os.path.lexists(target / JOURNAL):
-            finished(holder)
 
 
 @contextmanager

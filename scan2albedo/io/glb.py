@@ -198,16 +198,6 @@ def plain_material(
 _MATERIAL = plain_material("frame", (0.25, 0.25, 0.28, 1.0), 0.6)
 
 
-@dataclass(frozen=True)
-class SkinWritten:
-    """What stands in a file that `write_skinned_glb` wrote."""
-
-    weights: FloatArray
-    """(V, K) after the cut to the largest ones and rounding to 32 bits; rows sum to 1."""
-    cut: float
-    """Greatest part of a vertex's weight that was cut off."""
-
-
 def write_skinned_glb(
     path: str | Path,
     vertices: ArrayLike,
@@ -218,7 +208,7 @@ def write_skinned_glb(
     *,
     parents: Sequence[int],
     influences: int | None = 4,
-) -> SkinWritten:
+) -> tuple[FloatArray, float]:
     """Write a mesh with a node at each key point and the weights that tie it to them, as binary glTF 2.0.
 
     A viewer that moves the nodes moves the mesh: v' = sum over k of w_k J_k B_k v, J_k the joint's transform
@@ -228,8 +218,10 @@ def write_skinned_glb(
     node; `weights` (V, K) not negative, rows sum to 1, 0 for missing key points; `parents` (K,) the joint
     that carries each along, -1 for none (children of a missing joint are attached to its parent). Each vertex
     keeps its `influences` largest weights, divided by their sum, as most viewers read only a file's first
-    four; None keeps all that are not 0 in 32 bits. The cut moves a vertex by at most `SkinWritten.cut` times
-    the greatest distance between any two of the places to which its joints, each by itself, would take it.
+    four; None keeps all that are not 0 in 32 bits. Returns the weights (V, K) as written, rounded to 32 bits,
+    rows sum to 1, and the greatest part of a vertex's weight that was cut off: that times the greatest
+    distance between any two of the places to which its joints, each by itself, would take it, it moves at
+    most.
 
     Raises OutputError when the folder cannot be written; ValueError for wrong shapes, numbers that are not
     finite, negative weights, weights of missing joints or parents that form a cycle.
@@ -303,4 +295,4 @@ def write_skinned_glb(
     file.write(path, nodes, [0, 1], skins=[skin], materials=[_MATERIAL])
     written = np.zeros(shares.shape)
     np.add.at(written, (np.arange(len(shares))[:, None], known[order]), kept)
-    return SkinWritten(written / written.sum(1, keepdims=True), cut)
+    return written / written.sum(1, keepdims=True), cut

@@ -273,7 +273,7 @@ def test_a_plain_material_needs_no_picture(tmp_path):
 
 
 def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
-    from scan2albedo.io import mtl
+    from scan2albedo.io import parsed_mesh
 
     path = write_square_obj(tmp_path)
     text = path.read_text().splitlines()
@@ -282,9 +282,11 @@ def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
         "newmtl skin\nmap_Kd face.png\nnewmtl other\nmap_Kd -clamp on ./face.png\n"
     )
     taken = []
-    read = mtl.read_image_linear
+    read = parsed_mesh.read_image_linear
     monkeypatch.setattr(
-        mtl, "read_image_linear", lambda file, **options: (taken.append(file), read(file, **options))[1]
+        parsed_mesh,
+        "read_image_linear",
+        lambda file, **options: (taken.append(file), read(file, **options))[1],
     )
     scan = load_scan(path)
     assert len(taken) == 1
