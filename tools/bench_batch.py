@@ -27,7 +27,7 @@ from benchmarks.scan_files import write_obj
 from loky import ProcessPoolExecutor
 
 import scan2albedo as s2a
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import Layout
 from scan2albedo.synthetic import Scanner, raw_scan
 
 COMMAND = [sys.executable, "-m", "scan2albedo", "batch"]

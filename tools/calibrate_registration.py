@@ -49,8 +49,7 @@ from scan2albedo.geometry.rigid import (
 )
 from scan2albedo.registration.candidates import Colors, ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
-from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.scan_preparation import prepared_scan
+from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
 from scan2albedo.registration.template import Template
 
 SIGNS = {"relief": 1, "distance": -1, "share": 1}

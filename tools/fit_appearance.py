@@ -35,7 +35,7 @@ from scan2albedo.face_model.appearance import (
     light_basis,
     skin_in_light,
 )
-from scan2albedo.geometry.area_mean import area_mean
+from scan2albedo.geometry.rasterization import area_mean
 
 SIZE, CELLS, LIGHTS = 256, 128, 6
 SIDE = 1024

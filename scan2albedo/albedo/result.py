@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
-from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import Plan
-from scan2albedo.core.point_light import PointLight
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_points

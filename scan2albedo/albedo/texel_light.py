@@ -19,8 +19,7 @@ from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.environment_light import EnvironmentLight
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics as harmonics_of
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows

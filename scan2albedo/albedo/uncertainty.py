@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo.posterior import NOISE, TEMPER, Point
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 
 _NOT_SKIN = 0.2
 """Relative error of what is not skin, whose shape and reflectance are least known: .68 of the texels of

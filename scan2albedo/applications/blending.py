@@ -12,13 +12,15 @@ from scan2albedo.applications.face_features import (
     AROUND,
     FEATURES,
     UNLIKE,
+    displacement,
     grown,
     named_texels,
+    skin_gains,
     taken_features,
     unlike_features,
+    warped,
 )
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.skin_match import displacement, skin_gains, warped
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ApplicationError

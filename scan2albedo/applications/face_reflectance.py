@@ -11,7 +11,7 @@ import numpy as np
 from scan2albedo.applications.files import ProcessedScan, load_result
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.lighting.shading import shade_points

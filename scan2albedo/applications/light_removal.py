@@ -24,11 +24,10 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
-from scan2albedo.geometry.mesh import face_areas, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, thinned, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv, rasterize
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.geometry.thinning import thinned
 from scan2albedo.io.texture_atlas import in_first_period
 
 REACHES = ("face", "all")

@@ -13,7 +13,7 @@ from pydantic import Field
 
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
-from scan2albedo.core.point_light import LAMP_RADIUS_DEG, PointLight
+from scan2albedo.core.lights import LAMP_RADIUS_DEG, PointLight
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
 from scan2albedo.io.result_records import RunRecord

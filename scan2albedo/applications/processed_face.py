@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.environment_light import EnvironmentLight
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv

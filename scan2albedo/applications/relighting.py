@@ -15,8 +15,7 @@ from scan2albedo.applications.face_features import AROUND, feature_texels, witho
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace, on_grid
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.environment_light import EnvironmentLight
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras

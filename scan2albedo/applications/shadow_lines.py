@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.area_mean import filled_smoothly
+from scan2albedo.geometry.rasterization import filled_smoothly
 
 _STEEP = 0.08
 """Change of log light in a mm of the surface from which there is an outline."""

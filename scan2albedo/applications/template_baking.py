@@ -16,7 +16,6 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
-from scan2albedo.geometry.area_mean import fill_smoothly
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import (
     adjacency,
@@ -26,9 +25,15 @@ from scan2albedo.geometry.mesh import (
     vertex_normals,
     without_unreferenced,
 )
-from scan2albedo.geometry.rasterization import filled_from_nearest, interpolate, pixels_from_uv, rasterize
+from scan2albedo.geometry.oriented_points import SurfaceNoise
+from scan2albedo.geometry.rasterization import (
+    fill_smoothly,
+    filled_from_nearest,
+    interpolate,
+    pixels_from_uv,
+    rasterize,
+)
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
-from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
 from scan2albedo.sampling.geometry_images import without_covers
 from scan2albedo.sampling.texture_lookup import sample_colors, texel_steps

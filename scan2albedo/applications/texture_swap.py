@@ -10,17 +10,20 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 from scan2albedo.applications.face_features import (
     AROUND,
     FLOOR,
+    LOCAL,
     UNLIKE,
+    blurred_inside,
     dark_sides,
     feature_texels,
     grown,
     mirrored,
+    skin_gains,
     taken_features,
     unlike_features,
     without_catchlights,
+    without_light_left,
 )
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.applications.skin_match import LOCAL, blurred_inside, skin_gains, without_light_left
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface

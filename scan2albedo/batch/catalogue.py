@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.batch.layout import CATALOGUE
 from scan2albedo.batch.manifest import BatchManifest
-from scan2albedo.batch.records import FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
+from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
 from scan2albedo.errors import BatchError, needs_extra
-from scan2albedo.geometry.area_mean import area_mean
+from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.leftovers import settle

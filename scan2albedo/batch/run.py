@@ -19,21 +19,25 @@ from pathlib import Path
 from scan2albedo import face_model
 from scan2albedo.batch import records
 from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
-from scan2albedo.batch.execution import run_in_processes, run_on_cluster
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.execution import job_limit, run_in_processes, run_on_cluster, worker_mb
 from scan2albedo.batch.manifest import BatchManifest, read_manifest
-from scan2albedo.batch.memory import job_limit, worker_mb
-from scan2albedo.batch.records import BatchProgress, BatchRecord, BatchReport, BatchScanRecord, BatchStatus
+from scan2albedo.batch.records import (
+    BatchProgress,
+    BatchRecord,
+    BatchReport,
+    BatchScanRecord,
+    BatchStatus,
+    Layout,
+)
 from scan2albedo.batch.worker import ScanTask
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError, ModelError, Scan2AlbedoError, needs_extra
-from scan2albedo.io.atomic import check_writable
-from scan2albedo.io.input_hash import file_sha256, files_of_scan, input_sha256
+from scan2albedo.io.atomic import check_writable, signals_held
 from scan2albedo.io.landmark_files import landmarks_file
 from scan2albedo.io.leftovers import remove_leftovers
-from scan2albedo.io.publishing import signals_held
+from scan2albedo.io.load_scan import file_sha256, files_of_scan, input_sha256
 from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector
 from scan2albedo.pipeline.options import ProcessOptions

@@ -60,7 +60,7 @@ def key_points(
 ) -> None:
     """Say where the 20 key points of a frame go; with -o, show it in a labelled picture."""
     from scan2albedo.io.atomic import atomic_path, check_writable
-    from scan2albedo.report.key_point_chart import key_point_chart, key_point_table
+    from scan2albedo.report.eyeglasses_views import key_point_chart, key_point_table
 
     try:
         if out is not None:

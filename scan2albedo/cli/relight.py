@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
-from scan2albedo.core.point_light import LAMP_RADIUS_DEG
+from scan2albedo.core.lights import LAMP_RADIUS_DEG
 
 LAMP_INTENSITY = 3.0
 PICTURES, TEXTURED, ANIMATED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"), ".glb", ".gif"

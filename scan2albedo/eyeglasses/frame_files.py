@@ -20,9 +20,9 @@ from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, PARENTS, checked_keypoints
 from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
 from scan2albedo.geometry.rigid import is_rigid, procrustes, transform_points
+from scan2albedo.io.glb import write_skinned_glb
 from scan2albedo.io.npz import read_npz, write_npz
 from scan2albedo.io.records import Content, Matrix, Record, plain_json, read_record, write_record
-from scan2albedo.io.skinned_glb import SkinWritten, write_skinned_glb
 from scan2albedo.io.units import MM_PER_UNIT
 
 LengthUnit = Literal["mm", "cm", "m"]
@@ -238,8 +238,10 @@ def read_registered(path: str | Path) -> RegisteredEyeglasses:
     return _read(path, RegisteredEyeglasses)
 
 
-def write_frame_glb(path: Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) -> SkinWritten:
-    """Write a frame with its key points as joints; raises OutputError when the folder cannot be written."""
+def write_frame_glb(
+    path: Path, frame: CanonicalEyeglasses | RegisteredEyeglasses
+) -> tuple[FloatArray, float]:
+    """Write a frame with its key points as joints; see `write_skinned_glb` for results and errors."""
     mesh = frame.vertices, frame.faces, frame.keypoints, frame.weights
     return write_skinned_glb(path, *mesh, KEY_POINT_NAMES, parents=PARENTS)
 

@@ -117,7 +117,43 @@ class AnnotatedSurface:
         file = Path(path).with_name(entry.arrays)
         advice = "copy it beside its .json file again"
         arrays = read_npz(file, what="face model", advice=advice, error=ModelError)
-        _check_arrays(entry, arrays, file)
+        # The arrays must be those that the .json file describes.
+        expected: dict[str, tuple[int, ...]] = {
+            "control_vertices": (entry.control_vertices, 3),
+            "control_faces": (entry.control_faces, 3),
+            "uv": (entry.control_vertices, 2),
+            "region": (entry.control_faces,),
+            "landmark_face": (entry.landmarks,),
+            "landmark_barycentric": (entry.landmarks, 3),
+            "template_face": (entry.template_vertices,),
+            "template_barycentric": (entry.template_vertices, 3),
+            "template_faces": (entry.template_faces, 3),
+            "template_offset": (entry.template_vertices, 3),
+            "template_from_model": (4, 4),
+            "template_uv": (entry.template_faces, 3, 2),
+            "face_uv": (entry.control_vertices, 2),
+        }
+        optional = ("template_offset", "template_from_model", "template_uv", "face_uv")
+        for name, shape in expected.items():
+            got = arrays[name].shape if name in arrays else None
+            needed = shape[0] > 0 and name not in optional
+            if got != shape and (got is not None or needed):
+                state = "missing" if got is None else f"of shape {got}"
+                raise ModelError(
+                    f"face model: {name} in {file} is {state}, the .json file says {shape}; "
+                    "the two files do not belong together"
+                )
+        for name, values in arrays.items():
+            if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
+                raise ModelError(f"face model: {name} in {file} holds NaN or infinite values")
+        for name, limit in {
+            "control_faces": entry.control_vertices,
+            "landmark_face": entry.control_faces,
+            "template_face": entry.control_faces,
+            "template_faces": entry.template_vertices,
+        }.items():
+            if name in arrays and (arrays[name].min() < 0 or arrays[name].max() >= limit):
+                raise ModelError(f"face model: {name} in {file} points outside 0 ... {limit - 1}")
         found: dict[str, Any] = {
             name: arrays[name].astype(np.int64 if kind is np.int32 else kind)
             for name, kind in _STORED.items()
@@ -320,42 +356,3 @@ class FaceModelFile(BaseModel):
     template_faces: int = Field(ge=0, description="T_F")
     notes: list[str] = Field(default=[], description="what was decided and mended when the model was made")
     regions: dict[str, RegionEntry] = Field(description="by name, for example left_cheek")
-
-
-def _check_arrays(entry: FaceModelFile, arrays: Arrays, path: Path) -> None:
-    expected: dict[str, tuple[int, ...]] = {
-        "control_vertices": (entry.control_vertices, 3),
-        "control_faces": (entry.control_faces, 3),
-        "uv": (entry.control_vertices, 2),
-        "region": (entry.control_faces,),
-        "landmark_face": (entry.landmarks,),
-        "landmark_barycentric": (entry.landmarks, 3),
-        "template_face": (entry.template_vertices,),
-        "template_barycentric": (entry.template_vertices, 3),
-        "template_faces": (entry.template_faces, 3),
-        "template_offset": (entry.template_vertices, 3),
-        "template_from_model": (4, 4),
-        "template_uv": (entry.template_faces, 3, 2),
-        "face_uv": (entry.control_vertices, 2),
-    }
-    optional = ("template_offset", "template_from_model", "template_uv", "face_uv")
-    for name, shape in expected.items():
-        got = arrays[name].shape if name in arrays else None
-        needed = shape[0] > 0 and name not in optional
-        if got != shape and (got is not None or needed):
-            found = "missing" if got is None else f"of shape {got}"
-            raise ModelError(
-                f"face model: {name} in {path} is {found}, the .json file says {shape}; "
-                "the two files do not belong together"
-            )
-    for name, values in arrays.items():
-        if values.dtype.kind == "f" and not np.all(np.isfinite(values)):
-            raise ModelError(f"face model: {name} in {path} holds NaN or infinite values")
-    for name, limit in {
-        "control_faces": entry.control_vertices,
-        "landmark_face": entry.control_faces,
-        "template_face": entry.control_faces,
-        "template_faces": entry.template_vertices,
-    }.items():
-        if name in arrays and (arrays[name].min() < 0 or arrays[name].max() >= limit):
-            raise ModelError(f"face model: {name} in {path} points outside 0 ... {limit - 1}")

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.geometry.area_mean import area_mean
+from scan2albedo.geometry.rasterization import area_mean
 
 CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")
 """By number in `Appearance.labels`. Cloth is whatever else lies before a face: a cap, a mask, glints."""
@@ -244,10 +244,20 @@ def _explained(
     basis, values = light_basis(normal)[seen], np.column_stack([colors[seen], grain[seen]])
     step = -(-len(values) // 1000)  # so many show the skin's light
     few = values[::step], basis[::step], log_prior[:, seen][:, ::step]
-    fits = [
-        _fitted(*few, start, grid.independent * step, model)
-        for start in _starts(few[0][:, :3], weight[seen][::step])
-    ]
+    # Brightness and chroma that most texels have which may be skin, and the next ones apart.
+    shown, likely = few[0][:, :3], weight[seen][::step]
+    candidates = shown[np.argsort(-likely, kind="stable")[: max(len(likely) // 2, 1)]]
+    candidates = candidates[:: -(-len(candidates) // 32)]
+    distance = ((candidates[:, None, 1:] - shown[:, 1:]) ** 2).sum(-1)
+    near = np.exp(-0.5 * distance / _SAME_MATERIAL**2) * likely
+    typical = _square(candidates[:, 1:] - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
+    order = np.argsort(-near.sum(1) * np.exp(-0.5 * typical))
+    apart = np.linalg.norm(candidates[order, 1:] - candidates[order[0], 1:], axis=1) > 3 * _SAME_MATERIAL
+    fits = []
+    for k in (order[0], *order[apart][:1]):
+        bright = np.average(shown[:, 0], weights=near[k] + 1e-9)
+        start = np.array([bright, *candidates[k, 1:]])
+        fits.append(_fitted(*few, start, grid.independent * step, model))
     light, often, _ = max(fits, key=lambda fit: fit[2])
     values[:, :3] -= basis @ light
     found = np.zeros_like(log_prior)
@@ -293,20 +303,6 @@ def _hue_odds(chroma: FloatArray) -> float:
     skin = _square(chroma - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
     thing = _square(chroma, np.eye(2) * ANY_SPREAD**2)
     return float((thing - skin) / 2 + np.log(ANY_SPREAD**2 / TYPICAL_SPREAD.prod()))
-
-
-def _starts(colors: FloatArray, weight: FloatArray) -> list[FloatArray]:
-    """Return brightness and chroma (3,) that most texels have which may be skin, and the next ones apart."""
-    candidates = colors[np.argsort(-weight, kind="stable")[: max(len(weight) // 2, 1)]]
-    candidates = candidates[:: -(-len(candidates) // 32)]
-    distance = ((candidates[:, None, 1:] - colors[:, 1:]) ** 2).sum(-1)
-    near = np.exp(-0.5 * distance / _SAME_MATERIAL**2) * weight
-    typical = _square(candidates[:, 1:] - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
-    order = np.argsort(-near.sum(1) * np.exp(-0.5 * typical))
-    apart = np.linalg.norm(candidates[order, 1:] - candidates[order[0], 1:], axis=1) > 3 * _SAME_MATERIAL
-    chosen = [order[0], *order[apart][:1]]
-    bright = [np.average(colors[:, 0], weights=near[k] + 1e-9) for k in chosen]
-    return [np.array([level, *candidates[k, 1:]]) for level, k in zip(bright, chosen, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import lengths, neighbour_lists, usual_edge
-from scan2albedo.geometry.surface_noise import above_neighbours
+from scan2albedo.geometry.oriented_points import above_neighbours
 
 SPREAD_PER_PASS = 0.43
 """Variance along each axis that one average over a vertex and its neighbours adds, per edge length^2."""

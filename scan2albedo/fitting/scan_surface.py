@@ -10,9 +10,14 @@ import numpy as np
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting.scan_smoothing import SurfaceAverages
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
-from scan2albedo.geometry.mesh import usual_edge, vertex_components, vertex_normals, without_unreferenced
+from scan2albedo.geometry.mesh import (
+    thinned,
+    usual_edge,
+    vertex_components,
+    vertex_normals,
+    without_unreferenced,
+)
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.geometry.thinning import thinned
 
 WELD_STEP_MM, CELL = 1e-3, 1.25
 """Vertices that lie in one cell of this size, CELL per mm of smoothing, are made one."""

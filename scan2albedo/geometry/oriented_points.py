@@ -1,4 +1,4 @@
-"""Evenly spread, denoised samples of a surface with normals: what every rigid search works on."""
+"""Evenly spread, denoised samples of a surface, what every rigid search works on, and how noisy it is."""
 
 from __future__ import annotations
 
@@ -6,10 +6,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import face_cross_products, normalized
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.mesh import (
+    face_cross_products,
+    neighbour_lists,
+    normalized,
+    vertex_areas,
+    vertex_normals,
+)
 
 _MAX_RAW_SAMPLES = 400_000
 _LEAST_AGREEMENT = 0.3
@@ -100,3 +107,46 @@ def farthest_points(points: FloatArray, spacing: float, limit: int) -> IntArray:
         if squared[chosen[-1]] < spacing * spacing:
             return np.array(chosen[:-1])
     return np.array(chosen[: len(points)], np.int64)
+
+
+_NORMAL_MAD = 1.4826
+"""Standard deviation of a normal distribution, relative to its median absolute deviation."""
+
+
+@dataclass(frozen=True)
+class SurfaceNoise:
+    """What every vertex says of the noise.
+
+    `gap` (V,) is the height above the mean of the n neighbours, relative to that of noise of 1, sqrt(1 + 1 /
+    n); nan where there are few. `area` (V,) is the vertex's part of the surface.
+    """
+
+    gap: FloatArray
+    area: FloatArray
+
+    @classmethod
+    def of(cls, vertices: FloatArray, faces: IntArray) -> SurfaceNoise:
+        """Measure a mesh (V, 3), (F, 3)."""
+        begins, neighbours = neighbour_lists(len(vertices), faces)
+        above, normals = above_neighbours(vertices, begins, neighbours), vertex_normals(vertices, faces)
+        height = np.einsum("ij,ij->i", above, normals)
+        degree = np.diff(begins)
+        gap = np.where(degree >= 4, height / np.sqrt(1 + 1 / np.maximum(degree, 1)), np.nan)
+        return cls(gap, vertex_areas(vertices, faces))
+
+    def among(self, chosen: BoolArray) -> tuple[float, float]:
+        """Return the noise's standard deviation among some vertices (V,), and the area of one of them.
+
+        Robustly about the median, so that neither curvature nor creases count. No noise among few vertices.
+        """
+        chosen = chosen & np.isfinite(self.gap)
+        if chosen.sum() < 20:
+            return 0.0, 0.0
+        gap = self.gap[chosen]
+        return float(_NORMAL_MAD * np.median(np.abs(gap - np.median(gap)))), float(self.area[chosen].mean())
+
+
+def above_neighbours(vertices: FloatArray, begins: IntArray, neighbours: IntArray) -> FloatArray:
+    """Return (V, 3) offsets of the vertices from the mean of their neighbours (`neighbour_lists`)."""
+    around = csr_array((np.ones(len(neighbours)), neighbours, begins), shape=(len(vertices),) * 2)
+    return np.asarray(vertices - around @ vertices / np.maximum(np.diff(begins), 1)[:, None])

@@ -5,24 +5,15 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray
+from scan2albedo.geometry.mesh import RayHits
 
 _CHUNK = 8192
-
-
-@dataclass(frozen=True)
-class RayHits:
-    """First hits: `face` (N,) with -1 for none, `barycentric` (N, 3), `distance` (N,) with inf for none."""
-
-    face: IntArray
-    barycentric: FloatArray
-    distance: FloatArray
 
 
 class RayCaster:

@@ -1,9 +1,12 @@
-"""`load_scan`: any supported scan file as a checked `RawScan` in millimetres and linear colour."""
+"""`load_scan`: any supported scan file as a checked `RawScan` in mm and linear colour; and its hash."""
 
 from __future__ import annotations
 
+import hashlib
+import math
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -11,7 +14,7 @@ from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.core.arguments import linear_doubt, require_type
-from scan2albedo.errors import ScanError, memory_errors_named, one_line
+from scan2albedo.errors import ScanError, TooLargeError, memory_errors_named, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.scan_folder import ScanFolder
 
@@ -22,14 +25,13 @@ if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.io.parsed_mesh import ParsedMesh
 
-
 READERS = {
     ".obj": ("scan2albedo.io.obj:read_obj", "scan2albedo.io.obj:files_of_obj"),
     ".ply": ("scan2albedo.io.ply:read_ply", "scan2albedo.io.ply:files_of_ply"),
     ".glb": ("scan2albedo.io.gltf:read_gltf", ""),
     ".gltf": ("scan2albedo.io.gltf:read_gltf", "scan2albedo.io.gltf:files_of_gltf"),
-    ".stl": ("scan2albedo.io.stl_off:read_stl", ""),
-    ".off": ("scan2albedo.io.stl_off:read_off", ""),
+    ".stl": ("scan2albedo.io.ply:read_stl", ""),
+    ".off": ("scan2albedo.io.ply:read_off", ""),
 }
 """Functions of a path and a `ScanFolder`, imported when such a file is read: one that returns a `ParsedMesh`,
 and where a scan refers to other files one that returns their names."""
@@ -113,9 +115,8 @@ def load_scan_with(
         from scan2albedo.core.raw_scan import RawScan, scan_name
         from scan2albedo.geometry.mesh import vertex_components
         from scan2albedo.io.repair import repair, require_usable
-        from scan2albedo.io.texture_atlas import pack_texture
+        from scan2albedo.io.texture_atlas import pack_texture, seen_colors
         from scan2albedo.io.units import largest_extent, rounding_note
-        from scan2albedo.io.unseen import seen_colors
 
         require_usable(parsed, file.name)
         mesh = repair(parsed)
@@ -176,3 +177,47 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
     except (OSError, ValueError) as error:
         raise ScanError(f"{file}: cannot be read: {one_line(error)}; check the path") from error
     return mesh
+
+
+def input_sha256(source: str | Path | RawScan, textures: str | Path | None = None) -> str:
+    """Return the SHA-256 of a scan file with its material libraries and textures, or of a `RawScan`'s arrays.
+
+    `textures` is the folder that `load_scan` may also read from. Take it when the file is read: the file may
+    change before results are written. Raises ScanError when the file cannot be read.
+    """
+    digest = hashlib.sha256()
+    if not isinstance(source, str | Path):
+        for field in ("vertices", "faces", "uv", "texture_linear", "vertex_color_linear", "color_seen"):
+            value = getattr(source, field)
+            digest.update(f"{field}:{None if value is None else (value.shape, value.dtype.str)};".encode())
+            if value is not None:
+                digest.update(value.tobytes())
+        return digest.hexdigest()
+    try:
+        limits.require_file(Path(source), math.inf)
+        for file in files_of_scan(Path(source), textures):
+            digest.update(f"{file.stat().st_size}:".encode())
+            with file.open("rb") as opened:
+                while block := opened.read(1 << 20):
+                    digest.update(block)
+    except OSError as error:
+        raise ScanError(f"{source}: cannot be read: {error.strerror or error}; check the path") from error
+    return digest.hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """Return the SHA-256 of one file; raises OSError."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def files_of_scan(path: Path, textures: str | Path | None = None) -> tuple[Path, ...]:
+    """Return the scan file and the existing files it refers to: material libraries, textures, buffers."""
+    _, reader = READERS.get(path.suffix.lower(), ("", ""))
+    folder = ScanFolder(path.parent, None if textures is None else Path(textures))
+    names: list[str] = []
+    if reader and path.is_file():  # a pipe or a device may never end
+        with suppress(TooLargeError):  # load_scan says so
+            names = resolve_name(reader)(path, folder)
+    found = map(folder.find, names)
+    return (path, *dict.fromkeys(file for file in found if file is not None))

@@ -14,8 +14,17 @@ from scan2albedo.io import limits
 from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import linear_of_srgb_numbers
-from scan2albedo.io.mtl import MaterialText, ScanPictures, decoded, parse_mtl
-from scan2albedo.io.parsed_mesh import Material, ParsedMesh, cut_note, fan_triangles, require_few_triangles
+from scan2albedo.io.parsed_mesh import (
+    Material,
+    MaterialText,
+    ParsedMesh,
+    ScanPictures,
+    cut_note,
+    decoded,
+    fan_triangles,
+    parse_mtl,
+    require_few_triangles,
+)
 from scan2albedo.io.scan_folder import ScanFolder
 
 

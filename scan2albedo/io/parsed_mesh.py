@@ -1,16 +1,23 @@
-"""`ParsedMesh`, what a file reader hands to `load_scan`, and polygons cut into triangles."""
+"""`ParsedMesh`, what a reader hands to `load_scan`, its materials (MTL, pictures), and polygons cut up."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import codecs
+import re
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
+from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.images import picture_pixels, read_image_linear
+from scan2albedo.io.scan_folder import ScanFolder
 
 
 @dataclass(frozen=True)
@@ -79,3 +86,129 @@ def damaged(path: Path, what: str) -> ScanError:
     """Return the error for a file that is not a whole one of the kind that its name ends with."""
     kind = path.suffix[1:].upper()
     return ScanError(f"{path.name}: {what}; the file is damaged, truncated or no {kind}: export it again")
+
+
+_OPTION = re.compile(
+    r"-(?:(?:blendu|blendv|cc|clamp|texres|bm|boost|imfchan|type)\s+\S+"
+    r"|mm\s+\S+\s+\S+|([ost])((?:\s+[-+]?[\d.]+(?:[eE][-+]?\d+)?){1,3}))\s+"
+)
+
+
+@dataclass(frozen=True)
+class MaterialText:
+    """Name, diffuse colour (sRGB as written), texture file and how it is moved, of one `newmtl` block."""
+
+    name: str
+    diffuse_srgb: tuple[float, float, float] = (0.5, 0.5, 0.5)
+    texture_file: str | None = None
+    uv_placement: tuple[float, ...] = Material.uv_placement
+
+
+def decoded(data: bytes) -> str:
+    """Return text of an OBJ or MTL file; bytes that are no UTF-8 are kept as surrogates."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", "replace")
+    return data.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
+
+
+def parse_mtl(text: str) -> dict[str, MaterialText]:
+    """Return the materials of an MTL text by name, with spaces in names.
+
+    Of the options of a picture `-s` and `-o` are read, others skipped. Shadeless exports have the picture in
+    `map_Ka` or `map_Ke`; it is taken where `map_Kd` is missing.
+
+    >>> parse_mtl("newmtl skin\\nKd 1 0 0\\nmap_Kd -s 1 1 1 -clamp on my face.png")["skin"].texture_file
+    'my face.png'
+    """
+    materials: dict[str, MaterialText] = {}
+    name = None
+    for raw in text.splitlines():
+        if len(raw) > limits.NAME_BYTES:
+            continue
+        keyword, _, rest = raw.strip().partition(" ") if "\t" not in raw else raw.strip().partition("\t")
+        keyword, rest = keyword.lower(), rest.strip()
+        if keyword == "newmtl":
+            name = rest
+            materials[name] = MaterialText(name)
+        elif name is not None and keyword == "kd":
+            try:
+                values = [min(max(float(token), 0.0), 1.0) for token in rest.split()[:3]]
+            except ValueError:
+                values = []
+            red, green, blue = {1: values * 3, 3: values}.get(len(values), MaterialText.diffuse_srgb)
+            materials[name] = replace(materials[name], diffuse_srgb=(red, green, blue))
+        elif name is not None and rest and keyword in ("map_kd", "map_ka", "map_ke"):
+            if keyword != "map_kd" and materials[name].texture_file is not None:
+                continue
+            placement = list(Material.uv_placement)
+            while match := _OPTION.match(rest):
+                rest = rest[match.end() :]
+                with suppress(ValueError):
+                    if (start := {"s": 0, "o": 2}.get(match[1])) is not None:
+                        values = [float(token) for token in match[2].split()[:2]]
+                        placement[start : start + len(values)] = values
+            file = rest.strip().strip('"')
+            materials[name] = replace(materials[name], texture_file=file, uv_placement=tuple(placement))
+    return materials
+
+
+@dataclass
+class ScanPictures:
+    """The pictures beside a scan: each is read once, and together they have at most `limits.PIXELS`."""
+
+    folder: ScanFolder
+    pixels: int = 0
+    read: dict[Path, NDArray[np.float32] | str] = field(default_factory=dict)
+
+    def materials(self, texts: Iterable[MaterialText]) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+        """Return materials with textures, and notes on missing or damaged ones; may raise TooLargeError."""
+        materials, notes = [], []
+        for text in texts:
+            red, green, blue = (float(c) for c in srgb_to_linear(text.diffuse_srgb))
+            picture = None if text.texture_file is None else self._picture(text.texture_file)
+            if isinstance(picture, str):
+                notes.append(f"{picture}: went on without it")
+                picture = None
+            materials.append(Material(text.name, picture, (red, green, blue), text.uv_placement))
+        return tuple(materials), tuple(notes)
+
+    def _picture(self, name: str) -> NDArray[np.float32] | str:
+        file = self.folder.find(name)
+        if file is None:
+            return f"texture {name} {self.folder.why_missing(name)}"
+        file = file.resolve()
+        if file not in self.read:
+            try:
+                pixels = picture_pixels(limits.read_bytes(file), file)
+                if pixels is None:  # as of EXR files, which are judged when they are read
+                    self.read[file] = found = read_image_linear(file, alpha=True)
+                    pixels = found.shape[0] * found.shape[1]
+                self.pixels += pixels
+                place = f"the textures of the scan in {self.folder.path}"
+                advice = "save its textures with fewer pixels"
+                limits.require_at_most(place, "pixels", self.pixels, limits.PIXELS, advice)
+                if file not in self.read:
+                    self.read[file] = read_image_linear(file, alpha=True)
+            except TooLargeError:
+                raise
+            except OSError as error:
+                self.read[file] = f"image {file.name} cannot be read: {error.strerror or error}"
+            except ScanError as error:
+                self.read[file] = str(error)
+        return self.read[file]
+
+    def or_named_like(
+        self, scan: Path, uv: FloatArray | None, materials: tuple[Material, ...], notes: tuple[str, ...]
+    ) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+        """Return materials and notes; where all textures are missing, the image with the scan's own name."""
+        lost = not materials or any(note.startswith("texture ") for note in notes)
+        if uv is None or not lost or any(m.texture_linear is not None for m in materials):
+            return materials, notes
+        for name in self.folder.or_named_like(scan, []):
+            if (file := self.folder.find(name)) is not None:
+                found, _ = self.materials([MaterialText(file.name, texture_file=file.name)])
+                if found[0].texture_linear is None:
+                    break
+                lacking = (note.partition(": went on without")[0] for note in notes)
+                return found, (*lacking, f"texture {found[0].name} was found by the scan's name")
+        return materials, notes

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
-from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import PlanStep
-from scan2albedo.core.point_light import PointLight
-from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 
 if TYPE_CHECKING:

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from scan2albedo.core.trace import Trace
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError
-from scan2albedo.io.atomic import cannot_write
+from scan2albedo.io.atomic import cannot_write, publish, staged
 from scan2albedo.io.leftovers import folder_lock, is_hidden_path, roll_back, settle
-from scan2albedo.io.publishing import publish, staged
 from scan2albedo.io.records import Record, installed_versions, read_record, write_record
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.lights import EnvironmentLight
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics

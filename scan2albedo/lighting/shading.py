@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.lighting import kernels
 
 _BRDFS = "lambert", "minnaert", "oren-nayar"

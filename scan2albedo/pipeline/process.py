@@ -27,9 +27,8 @@ from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.plausibility import doubts, face_coverage
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
-from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.leftovers import remove_leftovers
-from scan2albedo.io.load_scan import with_landmarks
+from scan2albedo.io.load_scan import input_sha256, with_landmarks
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions, Quality

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.synthetic import (
     Material,
     SyntheticScene,

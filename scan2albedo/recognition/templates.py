@@ -15,8 +15,7 @@ from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError, needs_extra
-from scan2albedo.geometry.area_mean import area_mean
-from scan2albedo.geometry.rasterization import filled_from_nearest
+from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 
 Kind = Literal["albedo", "texture", "shape", "shading"]
 """What is compared: the albedo, the texture as photographed, the normals of the fitted surface; and texture

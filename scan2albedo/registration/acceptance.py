@@ -20,8 +20,7 @@ from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidate
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.evidence import Evidence
 from scan2albedo.registration.icp import loosely_shaped, residuals, shaped_icp
-from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.scan_preparation import PreparedScan, box_text
+from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions, box_text
 from scan2albedo.registration.template import Template
 
 LEAST_PROBABILITY = 0.4

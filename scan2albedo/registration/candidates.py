@@ -18,15 +18,12 @@ from scan2albedo.errors import import_open3d
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
-from scan2albedo.registration.coarse_search import Poses
-from scan2albedo.registration.evidence import Evidence, evidence
+from scan2albedo.registration.coarse_search import PlacedPose, Poses
+from scan2albedo.registration.evidence import ColourScorer, Evidence, evidence
 from scan2albedo.registration.icp import FEW, icp, residuals, rigid_distance_mm
-from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.placed_pose import PlacedPose
 from scan2albedo.registration.relief import ReliefAgreement, normal_relief
-from scan2albedo.registration.scan_preparation import PreparedScan
+from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions
 from scan2albedo.registration.template import Template
-from scan2albedo.registration.texture_evidence import ColourScorer
 
 CONVINCING = 4.0
 """Log odds of a face (98 %) beyond which no other pose is refined."""

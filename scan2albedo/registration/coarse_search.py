@@ -1,18 +1,19 @@
-"""Coarse search: thousands of small robust ICPs all over the scan, thinned in two rounds to a few poses."""
+"""Coarse search: small robust ICPs all over the scan, thinned to a few poses; poses by landmarks."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.alignment import align_on_grid
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.geometry.rigid import super_fibonacci_rotations
-from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.scan_preparation import PreparedScan
+from scan2albedo.geometry.rigid import Similarity, procrustes, super_fibonacci_rotations, transform_points
+from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions
 from scan2albedo.registration.template import Template
 
 
@@ -76,3 +77,79 @@ def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: 
     anchor, rotation = np.nonzero(anchors.normals @ rotations[:, :, 2].T >= np.cos(np.deg2rad(35)))
     turned = rotations[rotation]
     return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(anchors.points[anchor] - turned @ front))
+
+
+_PERSON_MM, _ELSEWHERE_MM = 6.0, 40.0
+"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size,
+and of a point that has nothing to do with the landmark, but lies on the face."""
+_WRONG = 0.1
+"""Part of landmarks that are taken to be wrong."""
+_SCALES = (0.6, 1.6)
+
+
+@dataclass(frozen=True)
+class PlacedPose:
+    """At least three landmarks in no line: of the model in its frame, and of the prepared scan, (L, 3) mm."""
+
+    of_model: FloatArray
+    of_scan: FloatArray
+
+    @classmethod
+    def of(cls, scan: PreparedScan, model: AnnotatedSurface) -> PlacedPose | None:
+        """Return the landmarks of a scan; None where they are too few to show a pose."""
+        placed, of_model = scan.raw.landmarks, model.landmarks
+        if placed is None or of_model is None:
+            return None
+        used = placed.placed
+        found = cls(of_model[used], transform_points(scan.prepared_from_scan, placed.points[used]))
+        return found if len(found.triples()) else None
+
+    def triples(self) -> list[tuple[int, int, int]]:
+        """Return at most 200 triples that span a triangle, the same ones each time."""
+        every = list(combinations(range(len(self.of_model)), 3))
+        if not every:
+            return []
+        corners = np.stack([self.of_model, self.of_scan])[:, every]
+        across = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+        # Nearly straight ones, of less than 300 mm2, leave a turn open.
+        wide = np.flatnonzero(np.linalg.norm(across, axis=2).min(0) > 600)
+        if len(wide) > 200:
+            wide = wide[np.random.default_rng(0).choice(len(wide), 200, replace=False)]
+        return [every[i] for i in wide]
+
+    def start(self) -> Poses:
+        """Return the pose, one, with which most landmarks agree whatever the others say."""
+
+        def fitted(weight: FloatArray) -> Similarity:
+            matrix = procrustes(self.of_model, self.of_scan, weights=weight, scale=True)
+            scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+            return Similarity(matrix[:3, :3] / scale, matrix[:3, 3], scale)
+
+        def loss(pose: Similarity) -> float:
+            squared = self._squared(pose)
+            outside = not _SCALES[0] < pose.scale < _SCALES[1]
+            return float(np.sum(squared / (1 + squared))) + outside * len(squared)
+
+        corners = np.eye(len(self.of_model))
+        best = min((fitted(corners[list(triple)].sum(0)) for triple in self.triples()), key=loss)
+        for _ in range(4):
+            refitted = fitted(1 / (1 + self._squared(best)))
+            if loss(refitted) >= loss(best):
+                break
+            best = refitted
+        rigid = best.rigid(self.of_model.mean(0))
+        return Poses(rigid[None, :3, :3], rigid[None, :3, 3])
+
+    def log_odds(self, scan_from_model: Similarity) -> float:
+        """Return what the landmarks say for a pose: how much likelier they are than points anywhere.
+
+        What they say against one is capped: another scan's landmarks must not refuse a face.
+        """
+        ratio = (_ELSEWHERE_MM / _PERSON_MM) ** 3 * np.exp(-0.5 * self._squared(scan_from_model))
+        odds = float(np.log(_WRONG + (1 - _WRONG) * ratio).sum())
+        # A pose with its size has seven numbers: as many coordinates agree with any landmarks.
+        coordinates = self.of_model.size
+        return max(odds * max(coordinates - 7, 0) / coordinates, -2.0)
+
+    def _squared(self, pose: Similarity) -> FloatArray:
+        return np.sum((pose.apply(self.of_model) - self.of_scan) ** 2, axis=1) / _PERSON_MM**2

@@ -16,12 +16,10 @@ from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
 from scan2albedo.registration.acceptance import accepted, probability, proportion_doubts, shape_of
 from scan2albedo.registration.candidates import Colors, ranked_candidates
-from scan2albedo.registration.coarse_search import coarse_poses
+from scan2albedo.registration.coarse_search import PlacedPose, coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.icp import rms_mm, tightened
-from scan2albedo.registration.options import RegistrationOptions
-from scan2albedo.registration.placed_pose import PlacedPose
-from scan2albedo.registration.scan_preparation import SPACING_MM, prepared_scan
+from scan2albedo.registration.scan_preparation import SPACING_MM, RegistrationOptions, prepared_scan
 from scan2albedo.registration.template import Template
 
 

@@ -11,10 +11,9 @@ from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.alignment import NearestGrid
-from scan2albedo.geometry.oriented_points import OrientedPoints
+from scan2albedo.geometry.oriented_points import OrientedPoints, SurfaceNoise
 from scan2albedo.geometry.rasterization import nearest_depths
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.geometry.surface_noise import SurfaceNoise
 
 _LEAST_NORMAL_Z = 0.3
 _FEWEST_SAMPLES = 60

@@ -1,4 +1,4 @@
-"""The scan prepared once for the whole search: checked, in its principal frame, sampled, on a voxel grid."""
+"""Settings of `register`, and the scan prepared once for it: checked, in its principal frame, sampled."""
 
 from __future__ import annotations
 
@@ -12,10 +12,36 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.alignment import NearestGrid
 from scan2albedo.geometry.mesh import far_faces, turned_against_neighbours
-from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, oriented_points
+from scan2albedo.geometry.oriented_points import OrientedPoints, SurfaceNoise, anchors, oriented_points
 from scan2albedo.geometry.rigid import in_principal_frame
-from scan2albedo.geometry.surface_noise import SurfaceNoise
-from scan2albedo.registration.options import RegistrationOptions
+
+
+@dataclass(frozen=True)
+class RegistrationOptions:
+    """Settings of `register`."""
+
+    anchor_spacing_mm: float = 30.0
+    """Distance between the scan points on which the front of the model is put."""
+    kept_starts: int = 240
+    """Starts that go on to the second search."""
+    candidates: int = 8
+    """Distinct poses that Open3D refines, at least 6 to be safe."""
+    settling_iterations: int = 30
+    """Most iterations at the chosen pose until it settles."""
+    annealing_evaluations: int = 400
+    """Objective evaluations of the depth-derivative annealing where it is forced; 0 leaves it out."""
+    force_annealing: bool = False
+    """Anneal, and take its pose where the surface distance falls; else ICP's pose is the answer."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.anchor_spacing_mm < np.inf:
+            raise ValueError(f"anchor_spacing_mm must be finite and above 0, got {self.anchor_spacing_mm}")
+        for name in ("kept_starts", "candidates", "settling_iterations"):
+            if not getattr(self, name) >= 1:
+                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if not self.annealing_evaluations >= 0:
+            raise ValueError(f"annealing_evaluations must be 0 or more, got {self.annealing_evaluations}")
+
 
 SPACING_MM = 4.0
 """Of the samples."""

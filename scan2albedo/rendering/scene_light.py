@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.environment_light import EnvironmentLight
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, lamp_factors

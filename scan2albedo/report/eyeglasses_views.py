@@ -1,8 +1,9 @@
-"""`overview.png` of eyeglasses: canonicalised frames, and frames registered on a face."""
+"""Pictures of eyeglasses: canonicalised frames, frames registered on a face, and where key points go."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
@@ -10,6 +11,7 @@ from scipy.ndimage import affine_transform, binary_dilation
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, KEY_POINT_PLACES
 from scan2albedo.eyeglasses.mean_keypoints import align_key_points, in_own_axes
 from scan2albedo.eyeglasses.on_face.outline import hidden_by
 from scan2albedo.geometry.pinhole import normalized_cameras, project
@@ -17,6 +19,10 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.rendering.pictures import View, heat_colors, render_mesh, seen_samples
 from scan2albedo.report.overview import Panel
+from scan2albedo.synthetic import GlassesShape, eyeglasses
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Mesh = tuple[FloatArray, IntArray]
 SeenView = tuple[Camera, BoolArray | None, FloatArray]
@@ -145,3 +151,50 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     dots = given_labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
     colors = np.where(close[given, None], to_rgb("lime"), to_rgb(_OUTLIER_COLOR))
     return Panel(title, picture, dots, colors)
+
+
+def key_point_chart() -> Figure:
+    """Return a matplotlib figure of a synthetic frame with the names of its key points."""
+    from matplotlib.figure import Figure
+
+    glasses = eyeglasses(shape=GlassesShape(bridge_width=19, bridge_height=5), nose_pads=False)
+    points = dict(zip(KEY_POINT_NAMES, glasses.keypoints, strict=True))
+    x, _, z = map(float, (glasses.vertices.min(0) + glasses.vertices.max(0)) / 2)
+    temple = [name for name in points if name.startswith(("left_temple", "left_ear"))]
+    front = [name for name in points if "temple" not in name and "ear" not in name]
+    pictures = (
+        ("from the front (left is the wearer's left)", View((0, 0, 0), 112), front),
+        (
+            "from the wearer's left; the right temple likewise",
+            View((x, 0, z), 112, yaw_deg=-90),
+            ["left_hinge", "left_rim_top", "left_rim_bottom", *temple],
+        ),
+    )
+    figure = Figure(figsize=(12, 10), dpi=100, layout="constrained")
+    size, line = 1400, {"arrowstyle": "-", "color": "gray", "shrinkB": 0}
+    for axes, (title, view, names) in zip(figure.subplots(2, 1), pictures, strict=True):
+        axes.imshow(render_mesh(glasses.vertices, glasses.faces, view=view, size=size))
+        axes.set_title(title, fontsize=12)
+        axes.set_axis_off()
+        places = dict(zip(names, view.pixels([points[name] for name in names], size), strict=True))
+        middle = np.median([row for _, row in places.values()])
+        # Names of the upper points in a row above the frame, of the lower ones in one below.
+        ordered = sorted(names, key=lambda name: places[name][0])
+        upper = [name for name in ordered if places[name][1] < middle]
+        for row, level in ((upper, -270), ([name for name in ordered if name not in upper], 270)):
+            for number, name in enumerate(row):
+                at, beside = tuple(places[name]), ((number + 0.5) * size / len(row), middle + level)
+                axes.annotate(name, at, beside, arrowprops=line, fontsize=10, ha="center", va="center")
+                axes.plot(*places[name], "o", color="crimson", markersize=5)
+        axes.set_ylim(middle + 320, middle - 320)
+    return figure
+
+
+def key_point_table() -> str:
+    """Return the table of key points as text."""
+    lines = ["left and right are the wearer's; <side> is left or right"]
+    for number, place in enumerate(KEY_POINT_PLACES):
+        name = place.name if number < 2 else f"<side>_{place.name}"
+        lines.append(f"{name:<22}{place.where}")
+        lines.append(f"{'':<22}on: {place.spot}; if the frame has none: {place.absent}")
+    return "\n".join(lines)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.closest_points import ClosestHits, surface_query
 from scan2albedo.geometry.mesh import (
     boundary_vertex_mask,
@@ -22,6 +21,7 @@ from scan2albedo.geometry.mesh import (
     vertex_components,
 )
 from scan2albedo.geometry.pinhole import camera_centers, fit_camera
+from scan2albedo.geometry.rasterization import filled_smoothly
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.geometry.tangents import split_at_seams
 from scan2albedo.io.texture_atlas import in_first_period

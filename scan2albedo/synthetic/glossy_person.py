@@ -16,12 +16,11 @@ from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
 from scan2albedo.synthetic.face_shape import FaceSurface, face_surface
 from scan2albedo.synthetic.face_shape import person as sculpted
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
-from scan2albedo.synthetic.textures import smooth_noise
+from scan2albedo.synthetic.textures import PaintedFeatures, paint_face, smooth_noise
 
 Kind = TypeVar("Kind", bound=np.generic)
 EXPONENTS = (1, 8, 64)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals

@@ -11,19 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.lights import PointLight
 from scan2albedo.errors import import_open3d
-from scan2albedo.geometry.mesh import normalized
-
-
-@dataclass(frozen=True)
-class SceneHits:
-    """First hits: `face` (N,) with -1 for none, `barycentric` (N, 3), `distance` (N,) with inf for none."""
-
-    face: IntArray
-    barycentric: FloatArray
-    distance: FloatArray
+from scan2albedo.geometry.mesh import RayHits, normalized
 
 
 class RayScene:
@@ -45,7 +36,7 @@ class RayScene:
         heading = np.broadcast_to(np.asarray(directions, np.float64), start.shape)
         return self._tensor(np.concatenate([start, heading], 1).astype(np.float32))
 
-    def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> SceneHits:
+    def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
         """Return the first hit of each ray from `origins` (N, 3) along unit `directions` (N, 3)."""
         answer = self._scene.cast_rays(self._rays(origins, directions))
         distance = answer["t_hit"].numpy().astype(np.float64)
@@ -54,7 +45,7 @@ class RayScene:
         face[~np.isfinite(distance)] = -1
         barycentric = np.stack([1 - u - v, u, v], 1)
         barycentric[face < 0] = 0
-        return SceneHits(face, barycentric, distance)
+        return RayHits(face, barycentric, distance)
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf) -> BoolArray:
         """Return (N,) True where the ray hits the mesh nearer than `reach` ((N,) or scalar, mm)."""

@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.camera import auto_exposure, photograph
-from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, face_surface, person
 from scan2albedo.synthetic.renderer import Material, RayScene, render
-from scan2albedo.synthetic.textures import painter, smooth_noise
+from scan2albedo.synthetic.textures import paint_face, painter, smooth_noise
 
 TextureName = Literal["plain", "skin", "wood"]
 

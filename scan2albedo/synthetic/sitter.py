@@ -12,10 +12,9 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.parametrization import boundary_loop
-from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.face_shape import Expression, FaceSurface, face_surface, person, with_relief
 from scan2albedo.synthetic.head import hair_shell, head_around, join, shoulder_sheet
-from scan2albedo.synthetic.textures import skin, smooth_noise
+from scan2albedo.synthetic.textures import paint_face, skin, smooth_noise
 
 Painter = Callable[[FloatArray], FloatArray]
 

@@ -1,15 +1,20 @@
-"""Procedural albedo: wood, skin and a plain colour, evaluated at any texture coordinates."""
+"""Procedural albedo at any texture coordinates: wood, plain, skin, and a face with brows, lips and eyes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
+from skimage.measure import points_in_poly
 
-from scan2albedo.core.arrays import FloatArray, smoothstep
+from scan2albedo.core.arrays import BoolArray, FloatArray, smoothstep
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model import AnnotatedSurface
 
 _LIGHT_WOOD = np.array([0.62, 0.40, 0.22])
 _DARK_WOOD = np.array([0.24, 0.11, 0.05])
@@ -87,3 +92,134 @@ def spots(uv: FloatArray, rng: np.random.Generator, *, count: int, radius: tuple
     centers, radii = rng.uniform(size=(count, 2)), rng.uniform(*radius, size=count)
     distance, nearest = cKDTree(centers).query(uv)
     return smoothstep(1.3 - distance / radii[nearest])
+
+
+_SCLERA = np.array([0.66, 0.60, 0.55])
+_BROW = np.array([0.060, 0.042, 0.030])
+_IRISES = np.array([[0.12, 0.16, 0.20], [0.10, 0.055, 0.03], [0.13, 0.12, 0.06]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class PaintedFeatures:
+    """How brows and lips differ from those that the landmarks give; lengths in chart units (1 = 200 mm).
+
+    `brow_thickness` is a factor; `brow_lift` and `brow_arch` move the brow and its middle upward;
+    `brow_reach` is the share of the brow, from its inner end, that has hair; `lip_fullness` moves the lips'
+    outline outward.
+    """
+
+    brow_thickness: float = 1.0
+    brow_lift: float = 0.0
+    brow_arch: float = 0.0
+    brow_reach: float = 1.0
+    lip_fullness: float = 0.0
+
+
+def paint_face(
+    uv: FloatArray,
+    face: AnnotatedSurface | FloatArray,
+    rng: np.random.Generator,
+    *,
+    grain: float = 1.0,
+    tone: float | None = None,
+    marks: bool = True,
+    features: PaintedFeatures = PaintedFeatures(),
+) -> FloatArray:
+    """Return (N, 3) linear albedo of a face at chart coordinates (N, 2); other arguments as in `skin`.
+
+    `face` is a model, or landmarks (68, 2) on any chart of that scale.
+    """
+    landmarks = landmark_uv(face) if isinstance(face, AnnotatedSurface) else face
+    albedo = skin(uv, rng, grain=grain, tone=tone, marks=marks)
+    pigment, blood = np.zeros(len(uv)), np.zeros(len(uv))
+    for k in (31, 35):
+        blood += rng.uniform(0.05, 0.3) * _blob(uv, landmarks[k] + [0.08 * np.sign(k - 33), 0.02], 0.06)
+    blood += rng.uniform(0.05, 0.25) * _blob(uv, landmarks[30], 0.03)
+    brows = rng.uniform(0.6, 0.9) * sum(
+        _brow(uv, landmarks[side], rng, features) for side in (slice(17, 22), slice(22, 27))
+    )
+    # Redness of the lips, and darkness of the line between them.
+    upper, lower = _curve(landmarks[48:55]), _curve(landmarks[[54, 55, 56, 57, 58, 59, 48]])
+    inside = _signed_distance(uv, np.concatenate([upper, lower[1:-1]])) + features.lip_fullness
+    lips = smoothstep(inside / 0.006 + 0.5)
+    middle = (landmarks[[60, 61, 62, 63, 64]] + landmarks[[60, 67, 66, 65, 64]]) / 2
+    line = smoothstep(1.5 - _distance(uv, _curve(middle)) / 0.004)
+    blood += rng.uniform(0.5, 0.9) * lips * (1 + 0.08 * smooth_noise(uv, (220, 60), rng))
+    pigment += 0.15 * lips + 0.9 * line
+    albedo = albedo * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN)
+    albedo += (_BROW - albedo) * np.clip(brows, 0, 0.95)[:, None]
+    iris = _IRISES[rng.integers(len(_IRISES))]
+    for corners in (landmarks[36:42], landmarks[42:48]):
+        upper = _curve(corners[:4])
+        outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]])[1:-1]])
+        near = _near(uv, outline, 0.03)
+        here = uv[near]
+        opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
+        width = np.linalg.norm(corners[3] - corners[0])
+        from_pupil = np.linalg.norm(here - corners.mean(0) - [0, 0.04 * width], axis=1) / width
+        ball = _SCLERA * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
+        rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
+        ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
+        ball = ball * (1 - 0.9 * smoothstep((0.085 - from_pupil) / 0.02))[:, None]
+        lashes = 1.8 * smoothstep(1.4 - _distance(here, upper) / 0.0045)
+        painted = albedo[near] * (1 - opening) + ball * opening
+        albedo[near] = painted * np.exp(-lashes[:, None] * MELANIN)
+    return np.clip(albedo, 0.01, 0.95)
+
+
+def landmark_uv(model: AnnotatedSurface) -> FloatArray:
+    """Return (68, 2) chart coordinates of the model's landmarks."""
+    points = model.landmark_points
+    if points is None:
+        raise ModelError(f"{model.name}: a painted face is placed by landmarks, but it has none")
+    return np.einsum("nk,nkc->nc", points.barycentric, model.uv[model.control_faces[points.face]])
+
+
+def _blob(uv: FloatArray, center: FloatArray, radius: float) -> FloatArray:
+    return np.exp(-np.sum((uv - center) ** 2, axis=1) / (2 * radius**2))
+
+
+def _curve(points: FloatArray) -> FloatArray:
+    """Return 240 points of a natural cubic spline through (K, 2) points."""
+    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    return CubicSpline(knots, points, bc_type="natural")(np.linspace(0, knots[-1], 240))
+
+
+def _near(uv: FloatArray, points: FloatArray, margin: float) -> BoolArray:
+    """Return (N,) which coordinates lie in the points' bounding box widened by `margin`."""
+    return ((uv > points.min(0) - margin) & (uv < points.max(0) + margin)).all(1)
+
+
+def _distance(uv: FloatArray, line: FloatArray) -> FloatArray:
+    """Return (N,) distance to a polyline's points (K, 2), inf beyond 0.04 of its bounding box."""
+    distance = np.full(len(uv), np.inf)
+    near = _near(uv, line, 0.04)
+    distance[near] = cKDTree(line).query(uv[near])[0]
+    return distance
+
+
+def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:
+    """Return (N,) distance to a closed polyline (K, 2), positive inside, -inf far outside."""
+    signed = -_distance(uv, outline)
+    near = _near(uv, outline, 0.0)
+    signed[near] *= np.where(points_in_poly(uv[near], outline), -1, 1)
+    return signed
+
+
+def _brow(
+    uv: FloatArray, landmarks: FloatArray, rng: np.random.Generator, features: PaintedFeatures
+) -> FloatArray:
+    """Return (N,) density of brow hair around the five landmarks of one brow."""
+    arch = features.brow_arch * np.array([0.0, 0.7, 1.0, 0.7, 0.0])
+    line = _curve(landmarks + np.stack([np.zeros(5), features.brow_lift + arch - 0.006], 1))
+    density, near = np.zeros(len(uv)), _near(uv, line, 0.04)
+    distance, nearest = cKDTree(line).query(uv[near])
+    outward = nearest / (len(line) - 1)
+    if landmarks[0, 0] < landmarks[-1, 0]:
+        outward = 1 - outward
+    width = 0.021 * features.brow_thickness * np.sqrt(np.clip(1.12 - outward, 0.05, 1))
+    strands = 1 + 0.35 * smooth_noise(uv[near] @ np.array([[1, 0.6], [-0.6, 1]]), (240, 90), rng)
+    density[near] = smoothstep(1.6 * (1 - distance / width)) * np.clip(strands, 0.2, 1.5)
+    if features.brow_reach < 1:
+        density[near] *= smoothstep((features.brow_reach - outward) / 0.15 + 0.5)
+    return density

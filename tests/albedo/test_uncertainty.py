@@ -17,7 +17,7 @@ from scan2albedo.albedo.uncertainty import (
 )
 from scan2albedo.core import Budget
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.synthetic import face, light_at
 
 FAR = math.inf

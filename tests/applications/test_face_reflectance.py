@@ -25,7 +25,7 @@ from scan2albedo.reflectance import (
     point_light_lobes,
     point_light_radiance,
 )
-from scan2albedo.synthetic.face_paint import paint_face
+from scan2albedo.synthetic.textures import paint_face
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.applications import SwapOptions, swap_texture
-from scan2albedo.applications.skin_match import displacement, skin_gains, warped, without_light_left
+from scan2albedo.applications.face_features import displacement, skin_gains, warped, without_light_left
 from scan2albedo.errors import ApplicationError
 
 

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import pytest
 
 from scan2albedo.batch import load_catalogue, run_batch
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, MissingDependencyError
 from scan2albedo.pipeline.options import ProcessOptions
 

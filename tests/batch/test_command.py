@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from scan2albedo.batch import load_albedos, load_catalogue, run_batch
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import Layout
 from scan2albedo.cli.commands import app
 from scan2albedo.pipeline.options import ProcessOptions
 

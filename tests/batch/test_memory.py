@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from scan2albedo.batch import memory
-from scan2albedo.batch.memory import available_mb, job_limit, worker_mb
+from scan2albedo.batch import execution
+from scan2albedo.batch.execution import available_mb, job_limit, worker_mb
 
 
 @pytest.fixture
 def four_gb(monkeypatch):
-    monkeypatch.setattr(memory, "available_mb", lambda: 4096.0)
+    monkeypatch.setattr(execution, "available_mb", lambda: 4096.0)
 
 
 def test_a_worker_for_512_texels_is_counted_with_about_as_much_as_was_measured():
@@ -47,7 +47,7 @@ def test_a_texture_counts_by_its_pixels_and_a_mesh_by_its_bytes(four_gb, tmp_pat
 
 def test_a_containers_limit_counts(monkeypatch, tmp_path):
     limit, used = tmp_path / "max", tmp_path / "current"
-    monkeypatch.setattr(memory, "_CGROUP_FILES", ((str(limit), str(used)),))
+    monkeypatch.setattr(execution, "_CGROUP_FILES", ((str(limit), str(used)),))
     unlimited = available_mb()
     limit.write_text("max\n")
     used.write_text("0\n")

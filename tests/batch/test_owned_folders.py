@@ -7,7 +7,7 @@ import pytest
 
 from scan2albedo.batch import load_albedos, load_catalogue, run_batch
 from scan2albedo.batch.catalogue import write_catalogue
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, OutputError
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.report import write_report

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from scan2albedo.batch import load_catalogue, run_batch
-from scan2albedo.batch.layout import Layout
+from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError
 from scan2albedo.pipeline.options import ProcessOptions
 

@@ -15,7 +15,7 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, read_keypoints, write_keypoints
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_PLACES, MIRROR, SKELETON, typical_key_points
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
-from scan2albedo.report.key_point_chart import key_point_chart, key_point_table
+from scan2albedo.report.eyeglasses_views import key_point_chart, key_point_table
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
 
 SCHEMA = Path(__file__).resolve().parents[2] / "data_schemas" / "eyeglasses_keypoints.schema.json"

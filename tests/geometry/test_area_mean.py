@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from skimage.transform import resize_local_mean
 
-from scan2albedo.geometry.area_mean import area_mean
+from scan2albedo.geometry.rasterization import area_mean
 
 
 def test_blocks_of_whole_pixels_are_averaged():

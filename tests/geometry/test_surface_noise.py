@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.surface_noise import SurfaceNoise
+from scan2albedo.geometry.oriented_points import SurfaceNoise
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
-from scan2albedo.geometry.thinning import thinned
+from scan2albedo.geometry.mesh import boundary_vertex_mask, thinned, vertex_normals
 from tests.fitting.conftest import mask_surface
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
-from scan2albedo.io.input_hash import files_of_scan, input_sha256
+from scan2albedo.io.load_scan import files_of_scan, input_sha256
 from tests.io.meshes import glb_bytes, quarters, square_gltf, write_image, write_square_obj
 
 

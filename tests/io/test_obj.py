@@ -5,9 +5,9 @@ import pytest
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import load_scan
-from scan2albedo.io.input_hash import input_sha256
-from scan2albedo.io.mtl import parse_mtl
+from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import read_obj, write_obj
+from scan2albedo.io.parsed_mesh import parse_mtl
 from scan2albedo.io.scan_folder import ScanFolder
 from tests.io.meshes import (
     CORNER_LINEAR,
@@ -273,7 +273,7 @@ def test_a_plain_material_needs_no_picture(tmp_path):
 
 
 def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
-    from scan2albedo.io import mtl
+    from scan2albedo.io import parsed_mesh
 
     path = write_square_obj(tmp_path)
     text = path.read_text().splitlines()
@@ -282,9 +282,11 @@ def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
         "newmtl skin\nmap_Kd face.png\nnewmtl other\nmap_Kd -clamp on ./face.png\n"
     )
     taken = []
-    read = mtl.read_image_linear
+    read = parsed_mesh.read_image_linear
     monkeypatch.setattr(
-        mtl, "read_image_linear", lambda file, **options: (taken.append(file), read(file, **options))[1]
+        parsed_mesh,
+        "read_image_linear",
+        lambda file, **options: (taken.append(file), read(file, **options))[1],
     )
     scan = load_scan(path)
     assert len(taken) == 1

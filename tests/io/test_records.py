@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from scan2albedo.core.environment_light import EnvironmentLight
+from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import PlanStep
-from scan2albedo.core.point_light import PointLight
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
 from scan2albedo.io.result_records import (

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 import scan2albedo
 from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
-from scan2albedo.io import publishing
+from scan2albedo.io import atomic
 from scan2albedo.io.leftovers import JOURNAL, is_hidden_path, remove_leftovers, settle
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RunRecord
@@ -93,7 +93,7 @@ def way(request, monkeypatch):
         def impossible(a, b):
             raise OSError(errno.EINVAL, "Invalid argument")
 
-        monkeypatch.setattr(publishing, "_exchange", impossible)
+        monkeypatch.setattr(atomic, "_exchange", impossible)
     return request.param
 
 
@@ -128,7 +128,7 @@ def interrupt_at(step, interruption, patch):
     for name in OPERATIONS:
         patch.setattr(os, name, stepping(getattr(os, name), name))
     patch.setattr(builtins, "open", stepping(open, "open"))
-    patch.setattr(publishing, "_exchange", stepping(publishing._exchange, "exchange"))
+    patch.setattr(atomic, "_exchange", stepping(atomic._exchange, "exchange"))
     return ran
 
 
@@ -288,7 +288,7 @@ def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeyp
     folder = with_an_old_result(tmp_path)
     (folder / "sub").chmod(0o751)
     folder.chmod(0o710)
-    exchange = publishing._exchange
+    exchange = atomic._exchange
 
     def and_somebody_saves(a, b):
         (folder / "sub" / "late.txt").write_text("late")
@@ -296,7 +296,7 @@ def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeyp
         (folder / "mine.txt").write_text("mine, saved late")
         exchange(a, b)
 
-    monkeypatch.setattr(publishing, "_exchange", and_somebody_saves)
+    monkeypatch.setattr(atomic, "_exchange", and_somebody_saves)
     run(folder, "new")
     assert folder.stat().st_mode & 0o777 == 0o710
     assert (folder / "sub").stat().st_mode & 0o777 == 0o751
@@ -327,7 +327,7 @@ def test_a_folder_that_cannot_be_exchanged_keeps_its_place(tmp_path, monkeypatch
                 raise OSError(errno.EXDEV, "Invalid cross-device link")
             rename(a, b)
 
-        monkeypatch.setattr(publishing, "_exchange", other_file_system)
+        monkeypatch.setattr(atomic, "_exchange", other_file_system)
         monkeypatch.setattr(os, "rename", other_file_system)
     run(folder, "new")
     assert folder.stat().st_ino == place

@@ -8,7 +8,7 @@ from PIL import Image
 
 from scan2albedo.io import load_scan
 from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.unseen import seen_colors
+from scan2albedo.io.texture_atlas import seen_colors
 
 SIDE = 40
 ORANGE = (255, 127, 39)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from brdf_reference import minnaert, oren_nayar, phong
 
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 
 LIGHTS = (PointLight(0.5, 0.2, 400.0, 2.0), PointLight(-1.1, 0.4, math.inf, 0.7))

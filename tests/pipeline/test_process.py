@@ -22,8 +22,8 @@ from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io import publishing
-from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io import atomic
+from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.pipeline import process as pipeline_process
 from scan2albedo.pipeline import result as result_files
@@ -498,7 +498,7 @@ def test_an_interrupted_publication_leaves_the_whole_old_result(result, tmp_path
     def interrupted(*paths):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(publishing, "_exchange", interrupted)
+    monkeypatch.setattr(atomic, "_exchange", interrupted)
     with pytest.raises(KeyboardInterrupt):
         result_files.write_result(result, tmp_path)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

@@ -13,8 +13,8 @@ from scan2albedo.applications import light_removal, load_result, swap_texture, w
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.area_mean import filled_smoothly
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
+from scan2albedo.geometry.rasterization import filled_smoothly
 from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj

@@ -15,7 +15,7 @@ from scan2albedo.geometry.rigid import (
     rotation_angle_rad,
     transform_points,
 )
-from scan2albedo.registration.placed_pose import PlacedPose
+from scan2albedo.registration.coarse_search import PlacedPose
 
 FIVE = [36, 45, 30, 48, 54]
 

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import (
     Similarity,
@@ -13,7 +14,6 @@ from scan2albedo.geometry.rigid import (
     rotation_from_vector,
     transform_points,
 )
-from scan2albedo.geometry.surface_noise import SurfaceNoise
 from scan2albedo.registration.candidates import Candidate
 from scan2albedo.registration.relief import (
     DepthFrame,

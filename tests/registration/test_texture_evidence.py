@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.registration.texture_evidence import ColourScorer
+from scan2albedo.registration.evidence import ColourScorer
 from scan2albedo.synthetic import Scanner, raw_scan
 
 UPSIDE_DOWN = compose(rotation_from_vector([0, 0, np.pi]), np.zeros(3))
@@ -50,7 +50,7 @@ def test_neither_winding_nor_fine_triangles_matter(case, model, monkeypatch):
     scan, pose, witness = case
     right = witness.log_odds(pose)
     assert ColourScorer.of(scan.inside_out(), model).log_odds(pose) == pytest.approx(right, abs=0.3)
-    monkeypatch.setattr("scan2albedo.registration.texture_evidence._MOST_FACES", len(scan.faces) // 2)
+    monkeypatch.setattr("scan2albedo.registration.evidence._MOST_FACES", len(scan.faces) // 2)
     assert ColourScorer.of(scan, model).log_odds(pose) == pytest.approx(right, abs=1.0)
 
 

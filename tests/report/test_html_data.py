@@ -14,7 +14,7 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.io.color import decode_srgb_integers
-from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import InputRecord, RegistrationRecord
 from scan2albedo.report.html.charts import Axis, read_trace, stage_charts
@@ -23,10 +23,10 @@ from scan2albedo.report.html.encoding import (
     mesh_entry,
     octahedral,
     patch_entry,
+    residual_of_result,
     texture_entry,
     thinned_chart,
 )
-from scan2albedo.report.html.viewer_data import residual_of_result
 
 
 def numbers(text, dtype, columns):

@@ -8,7 +8,6 @@ from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import rasterize_uv
 from scan2albedo.synthetic import Material, face, light_at
-from scan2albedo.synthetic.face_paint import PaintedFeatures, landmark_uv, paint_face
 from scan2albedo.synthetic.face_shape import (
     EXPRESSION_BUMPS,
     IDENTITY_BUMPS,
@@ -19,6 +18,7 @@ from scan2albedo.synthetic.face_shape import (
     with_relief,
 )
 from scan2albedo.synthetic.scenes import texel_coordinates
+from scan2albedo.synthetic.textures import PaintedFeatures, landmark_uv, paint_face
 
 
 @pytest.fixture(scope="module")

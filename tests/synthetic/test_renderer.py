@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import scan2albedo.synthetic
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.synthetic.renderer import Material, RayScene, incident_light, oren_nayar, phong, render
 
 LAMBERT = Material(sigma_rad=0.0)

@@ -25,12 +25,11 @@ from scan2albedo.applications import (
 )
 from scan2albedo.applications.blending import matched_skins
 from scan2albedo.applications.face_features import FEATURES as LABELS
-from scan2albedo.applications.face_features import named_texels
+from scan2albedo.applications.face_features import local_contrast, named_texels, warped
 from scan2albedo.applications.files import PORTRAIT_LIGHT
-from scan2albedo.applications.skin_match import local_contrast, warped
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.point_light import LAMP_RADIUS_DEG
+from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.lighting.environment import DistantLights, LightSpread
 from scan2albedo.pipeline.result import write_result
 

@@ -21,7 +21,7 @@ from scan2albedo.reflectance import (
     shade_environment,
 )
 from scan2albedo.synthetic import Portrait, face_photograph, face_shape
-from scan2albedo.synthetic.face_paint import PaintedFeatures, paint_face
+from scan2albedo.synthetic.textures import PaintedFeatures, paint_face
 
 CAMERA_MM = np.array([0.0, 0.0, 900.0])
 _SHAPE_LEVEL = 1

@@ -12,11 +12,10 @@ from scipy.spatial import cKDTree
 import scan2albedo as s2a
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.synthetic.face_paint import landmark_uv
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
-from scan2albedo.synthetic.textures import skin, smooth_noise
+from scan2albedo.synthetic.textures import landmark_uv, skin, smooth_noise
 
 Gloss = Literal["matte", "skin", "oily", "coat"]
 

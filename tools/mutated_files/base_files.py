@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 import scan2albedo as s2a
 from scan2albedo.core import GeometryImage
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
-from scan2albedo.io.glb import write_glb
+from scan2albedo.io.glb import write_glb, write_skinned_glb
 from scan2albedo.io.images import encode_image, write_exr
-from scan2albedo.io.skinned_glb import write_skinned_glb
 
 Reader = Callable[[Path], object]
 

@@ -10,15 +10,15 @@ import numpy as np
 from benchmarks.room_light import random_colors, random_room, room_light_on
 
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.point_light import PointLight
+from scan2albedo.core.lights import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.synthetic import Material, Scanner, SyntheticTruth
-from scan2albedo.synthetic.face_paint import paint_face
 from scan2albedo.synthetic.face_shape import Expression
 from scan2albedo.synthetic.glossy_person import Individual
 from scan2albedo.synthetic.raw_scan import scan_of
 from scan2albedo.synthetic.sitter import sit_down
+from scan2albedo.synthetic.textures import paint_face
 
 _LIGHT_DISTANCE_MM, _HIGHLIGHT = (700.0, 1500.0), (0.05, 0.15)
 """Ranges of the lights' distance and of the highlight's strength."""

@@ -16,9 +16,9 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
+from scan2albedo.geometry.mesh import RayHits
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rasterization import bilinear
-from scan2albedo.geometry.rays import RayHits
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
-from scan2albedo.geometry.mesh import face_cross_products, normalized, vertex_normals
+from scan2albedo.geometry.mesh import RayHits, face_cross_products, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
-from scan2albedo.geometry.rays import RayCaster, RayHits
+from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 
 _SMOOTH = 0.3

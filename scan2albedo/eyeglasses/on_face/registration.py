@@ -21,10 +21,10 @@ from scan2albedo.eyeglasses.on_face.lens_panes import fit_lenses_to_masks
 from scan2albedo.eyeglasses.on_face.objective import FrameEstimate, RegistrationObjective, descend
 from scan2albedo.eyeglasses.on_face.report import WORN_MM, depth_open, mark_deviations, report
 from scan2albedo.eyeglasses.weights import solve_weights
+from scan2albedo.geometry.mesh import thinned
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.geometry.thinning import thinned
 
 _RESOLUTION_MM = 2.0
 """Deviation of depth up to which a frame need not rest on the nose; cells that join the head's vertices."""

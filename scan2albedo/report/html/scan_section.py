@@ -16,7 +16,7 @@ from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures
 from scan2albedo.report.html.charts import read_trace, stage_charts
-from scan2albedo.report.html.encoding import picture_url
+from scan2albedo.report.html.encoding import picture_url, residual_of_result, viewer_entry
 from scan2albedo.report.html.texts import (
     angle_text,
     label_of,
@@ -26,7 +26,6 @@ from scan2albedo.report.html.texts import (
     unit_of,
     value_text,
 )
-from scan2albedo.report.html.viewer_data import residual_of_result, viewer_entry
 
 
 def scan_section(

@@ -147,18 +147,18 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
         for frame, canonical in both:
             folder = staging.folder / frame.name
             folder.mkdir()
-            written = write_frame_glb(folder / "canonical.glb", canonical)
+            weights, weight_cut = write_frame_glb(folder / "canonical.glb", canonical)
             write_canonical(folder / "canonical.npz", canonical)
             write_keypoints(folder / "keypoints.json", canonical.keypoints, unit="mm")
             # How bent the frame was, and what the GLB's cut to four joints a vertex costs.
             rigid = transform_points(canonical.canonical_from_frame, canonical.scale * frame.scan.vertices)
             moved = np.linalg.norm(canonical.vertices - rigid, axis=1)
-            cut = skin(frame.scan.vertices, written.weights, canonical.handle_transforms) - canonical.vertices
+            cut = skin(frame.scan.vertices, weights, canonical.handle_transforms) - canonical.vertices
             figures[frame.name] = {
                 "key_point_residual_mm": canonical.residual,
                 "moved_rms_mm": float(np.sqrt(np.mean(moved**2))),
                 "moved_max_mm": float(moved.max()),
-                "glb_weight_cut": written.cut,
+                "glb_weight_cut": weight_cut,
                 "glb_moved_max_mm": float(np.linalg.norm(cut, axis=1).max()),
             }
             mesh, keypoints = frame.files["mesh"], frame.files["keypoints"]

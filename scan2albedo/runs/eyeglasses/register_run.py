@@ -189,7 +189,7 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
     result, given = done.result, done.given
     with RunFolder(out, FILES).publishing() as staging:
         folder = staging.folder
-        written = write_frame_glb(folder / "registered.glb", result)
+        _, weight_cut = write_frame_glb(folder / "registered.glb", result)
         write_registered(folder / "registered.npz", result)
         write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
         # What was found in pictures, as files that a person may correct and give back.
@@ -211,7 +211,7 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
         mesh = None if given.head is None else (given.head.vertices, given.head.faces)
         panels = registration_panels(result, views, mesh)
         staging.figure("overview.png", overview_figure(title, panels, 3), dpi=150)
-        figures = {**done.figures(), "glb_weight_cut": written.cut}
+        figures = {**done.figures(), "glb_weight_cut": weight_cut}
         staging.write_record(
             name=given.frame.name,
             options=dict(done.options),

@@ -27,7 +27,7 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import front_width
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.io import load_scan
-from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.runs.eyeglasses import canonicalize_run as glasses_files
 from scan2albedo.runs.eyeglasses.canonicalize_run import canonicalize_frames
 from scan2albedo.runs.eyeglasses.inputs import keypoints_beside, read_frame

@@ -17,7 +17,7 @@ from benchmarks.traced_people import (
 )
 
 import scan2albedo as s2a
-from scan2albedo.synthetic.face_paint import landmark_uv
+from scan2albedo.synthetic.textures import landmark_uv
 
 MODEL = s2a.AnnotatedFaceModel.default()
 UV = landmark_uv(MODEL)
