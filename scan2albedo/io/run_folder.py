@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from scan2albedo.core.trace import Trace
+from scan2albedo.core.budget import Trace
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.io.atomic import cannot_write, publish, staged
