@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -60,7 +60,7 @@ class CommonAlbedo:
 
 
 def estimate_common_albedo(
-    images: Sequence[GeometryImage],
+    images: Iterable[GeometryImage],
     *,
     brdf: str = "oren-nayar",
     budget: Budget | float | None = None,
@@ -81,8 +81,8 @@ def estimate_common_albedo(
 
     Parameters
     ----------
-    images : sequence of GeometryImage
-        Each is taken twice and not kept: a sequence may read them from files.
+    images : iterable of GeometryImage
+        Walked through twice, and not kept: it may read them from files.
     brdf, seed, options
         As in `estimate_albedo`, with a diffuse model of lamps.
     budget : Budget or float, optional
@@ -104,8 +104,6 @@ def estimate_common_albedo(
     .. [1] R. Basri, D. Jacobs, I. Kemelmacher, "Photometric stereo with general, unknown lighting", IJCV
        72(3), 2007.
     """
-    if not len(images):
-        raise LightingError("no image was given: give one or more geometry images with a texture")
     if brdf == "spherical-harmonics" or options.objective != "residual":
         raise ValueError("a common albedo is found with lamps and the objective 'residual'")
     meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
@@ -124,6 +122,8 @@ def estimate_common_albedo(
             best.append(told.best)
             plan += steps
             charts.add((*image.shape, told.best.problem.level.factor))
+        if not best:
+            raise LightingError("no image was given: give one or more geometry images with a texture")
         if len(charts) > 1:
             raise LightingError("the images lie on different charts: process all with one model and size")
         (_, width, factor), light_sd = charts.pop(), None

@@ -5,15 +5,15 @@ from __future__ import annotations
 import pickle
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
@@ -66,8 +66,8 @@ class PersonResult(ProcessResult):
         return found
 
 
-class _Spool(Sequence[GeometryImage]):
-    """Results of scans on disk, so that one at a time is in memory; as a sequence, their geometry images."""
+class _Spool:
+    """Results of scans on disk, one at a time in memory; walked through, their geometry images."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.names = folder, list[str]()
@@ -79,17 +79,8 @@ class _Spool(Sequence[GeometryImage]):
         # Written by this process, into a folder of its own.
         return pickle.loads((self.folder / name).read_bytes())
 
-    def __len__(self) -> int:
-        return len(self.names)
-
-    @overload
-    def __getitem__(self, k: int) -> GeometryImage: ...
-    @overload
-    def __getitem__(self, k: slice) -> list[GeometryImage]: ...
-    def __getitem__(self, k: int | slice) -> GeometryImage | list[GeometryImage]:
-        if isinstance(k, slice):
-            return [self.read(name).geometry_image for name in self.names[k]]
-        return self.read(self.names[k]).geometry_image
+    def __iter__(self) -> Iterator[GeometryImage]:
+        return (self.read(name).geometry_image for name in self.names)
 
 
 def process_person(
@@ -207,12 +198,11 @@ def _common_albedo(
             replace(result, albedo=estimate, unlit=unlit, template=template, plan=plan),
         )
 
-    budget, seed = Budget.of(chosen.budget), chosen.seed
     return estimate_common_albedo(
         spool,
         brdf=chosen.brdf,
-        budget=budget,
-        seed=seed,
+        budget=chosen.budget,
+        seed=chosen.seed,
         options=chosen.of_albedo(),
         on_estimate=keep,
         on_progress=on_progress,
