@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.applications.shadow_lines import outlines, without_lines
+from scan2albedo.applications.light_removal import outlines, without_lines
 
 SIZE = 96
 TEXELS_PER_MM = 2.0

@@ -176,7 +176,7 @@ def test_draco_is_decoded(tmp_path):
 
 def test_draco_without_its_decoder_names_what_to_install(tmp_path, monkeypatch):
     draco_square(tmp_path / "a.glb")
-    monkeypatch.setattr("scan2albedo.io.gltf_file.find_spec", lambda name: None)
+    monkeypatch.setattr("scan2albedo.io.gltf.find_spec", lambda name: None)
     with pytest.raises(
         MissingDependencyError, match=r"a\.glb: .* pip install 'scan2albedo\[draco\]', or export"
     ):
