@@ -10,20 +10,10 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.blas import dtrsm
 
+from scan2albedo.albedo import node_field
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
 from scan2albedo.albedo.light_priors import light_prior
-from scan2albedo.albedo.node_field import (
-    FAINT,
-    TINY,
-    NodeField,
-    Scales,
-    cell_variances,
-    deviation_of_light,
-    inverse,
-    posterior_factor,
-    solved,
-)
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
@@ -82,7 +72,7 @@ class Posterior:
         places: FloatArray,
         lattice: ShadowLattice,
         soft: SoftTerms,
-        field: NodeField,
+        field: node_field.NodeField,
         meter: Meter,
         blur: float = 0.0,
     ) -> None:
@@ -91,7 +81,7 @@ class Posterior:
         self.nodes = field.weights(places)
         self.onto_nodes = self.nodes.T.tocsr()
         self.mean = self.prior.mean_at(self.places)[:, 0]
-        self.value = np.log(np.maximum(level.value, FAINT))
+        self.value = np.log(np.maximum(level.value, node_field.FAINT))
         self.variance = (self.prior.deviation_at(self.places)[:, 0] ** 2 + NOISE**2) / cell_trust(level)
         self.repeats = max(1.0, len(self.value) / _INDEPENDENT)
         color = np.average(level.color, axis=0, weights=level.weight)
@@ -100,11 +90,13 @@ class Posterior:
         level_here = offset + slope * math.log(max(green, NOISE) / max(red, NOISE))
         self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
 
-    def started(self, scales: Scales, weight: FloatArray | None = None) -> Start:
+    def started(self, scales: node_field.Scales, weight: FloatArray | None = None) -> Start:
         """Return `weight` (N,) of the cells, that of points far from an optimum when None, and its factor."""
         if weight is None:
             weight = 1 / (self.repeats * self.variance * scales.grain**2)
-        return Start(weight, scales, posterior_factor(self.nodes, weight, self.field.precision(scales)))
+        return Start(
+            weight, scales, node_field.posterior_factor(self.nodes, weight, self.field.precision(scales))
+        )
 
     def start(self, model: LightModel, x: FloatArray, known: Start) -> Point:
         """Return the point of a light x (P,), at the albedo's scale that fits best."""
@@ -115,7 +107,7 @@ class Start(NamedTuple):
     """Weights (N,) of the cells from a point near by, scales, and the nodes' factor for them."""
 
     weight: FloatArray
-    scales: Scales
+    scales: node_field.Scales
     factor: FloatArray
 
 
@@ -189,7 +181,7 @@ class Point:
         variance, free = p.variance * grain**2, FREEDOM
         for again in range(1 if fixed else 2):
             self.known = p.started(known.scales, self.robust) if again else known
-            self.u = solved(self.known.factor, p.onto_nodes @ (self.known.weight * self.left))
+            self.u = node_field.solved(self.known.factor, p.onto_nodes @ (self.known.weight * self.left))
             self.error = self.left - p.nodes @ self.u
             self.robust = known.weight if fixed else robust_weights(self.error, variance, p.repeats)
         misfit = (free + 1) / 2 * np.log1p(self.error**2 / (free * variance)).sum()
@@ -253,7 +245,7 @@ class Point:
         parts = list[float]()
         for scale, ratio, sd in (albedo, np.ones_like(own), _MISFIT_SD), (light, p.field.ratio, _LIGHT_SD):
             dof = scale**2 * float(ratio @ free)
-            parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, TINY), dof, sd))
+            parts.append(_shrunk(scale**4 * float(ratio @ shown) / max(dof, node_field.TINY), dof, sd))
         # The variances of the cells, weighed and summed, are what the cells know of the field.
         sure = len(own) - own @ left
         rough = float(self.robust @ self.error**2 + sure) * grain**2 * p.repeats / len(self.error)
@@ -264,7 +256,7 @@ class Point:
             soft = _shrunk(square, HARMONICS, _LIGHT_SD)
         other = copy.copy(self)
         grain = max(_shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
-        other._settle(p.started(Scales(parts[0], parts[1], grain, soft), self.robust), False)
+        other._settle(p.started(node_field.Scales(parts[0], parts[1], grain, soft), self.robust), False)
         return other
 
     def log_evidence(self) -> float:
@@ -287,13 +279,13 @@ class Point:
         p = self.problem
         light = self.known.scales.light**2 * p.field.light_covariance
         own = light @ p.field.precision(self.known.scales)
-        nodes = light - own @ light + own @ inverse(self.known.factor) @ own.T
+        nodes = light - own @ light + own @ node_field.inverse(self.known.factor) @ own.T
         slopes = self.rows[:, : self.model.size] - self.rows[:, : self.model.size].mean(0)
         # What x changes, the nodes' part of light partly takes back.
-        taken = solved(self.known.factor, p.onto_nodes @ (slopes * self.known.weight[:, None]))
+        taken = node_field.solved(self.known.factor, p.onto_nodes @ (slopes * self.known.weight[:, None]))
         slopes = slopes - p.nodes @ (own @ taken)
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
-        variance = cell_variances(p.nodes.indptr, p.nodes.indices, p.nodes.data, nodes)
+        variance = node_field.cell_variances(p.nodes.indptr, p.nodes.indices, p.nodes.data, nodes)
         variance += ((slopes @ covariance) * slopes).sum(1)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
@@ -306,18 +298,18 @@ class Point:
         if self.shared is not None:
             return float(self.x[-EXTRA]), self.shared
         p, scales = self.problem, self.known.scales
-        dark = scales.light * deviation_of_light(self.light, float(np.median(self.light)))
+        dark = scales.light * node_field.deviation_of_light(self.light, float(np.median(self.light)))
         albedo = scales.albedo**2 * p.field.albedo_covariance
         total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
         left = self.left + self.x[-EXTRA]
         weight, level = self.known.weight, 0.0
         for _ in range(3):
-            factor = posterior_factor(p.nodes, weight, precision)
+            factor = node_field.posterior_factor(p.nodes, weight, precision)
             rows = np.column_stack([np.ones(len(left)), left])
-            one, u = solved(factor, p.onto_nodes @ (rows * weight[:, None])).T
+            one, u = node_field.solved(factor, p.onto_nodes @ (rows * weight[:, None])).T
             rest = weight * (left - p.nodes @ u)
-            level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), TINY))
+            level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), node_field.TINY))
             u = u - level * one
             weight = robust_weights(left - level - p.nodes @ u, p.variance * scales.grain**2, p.repeats)
         return level, albedo @ (precision @ u)
@@ -329,7 +321,9 @@ class Point:
 
 def _shrunk(square: float, count: float, deviation: float) -> float:
     """Return a scale from its mean square over so many values and the normal prior of its logarithm."""
-    return math.exp(0.5 * math.log(max(square, TINY**2)) * count / (count + 1 / (2 * deviation**2)))
+    return math.exp(
+        0.5 * math.log(max(square, node_field.TINY**2)) * count / (count + 1 / (2 * deviation**2))
+    )
 
 
 def descend(start: _State, trials: int, meter: Meter | None) -> _State:

@@ -12,23 +12,8 @@ from scipy import sparse
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.linalg.blas import dtrsm
 
-from scan2albedo.albedo.node_field import (
-    Scales,
-    cell_variances,
-    deviation_of_light,
-    inverse,
-    posterior_factor,
-    solved,
-)
-from scan2albedo.albedo.posterior import (
-    EXTRA,
-    FREEDOM,
-    NOISE,
-    Point,
-    cell_trust,
-    descend,
-    robust_weights,
-)
+from scan2albedo.albedo import node_field
+from scan2albedo.albedo.posterior import EXTRA, FREEDOM, NOISE, Point, cell_trust, descend, robust_weights
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.optimization import NormalEquations
@@ -48,7 +33,7 @@ class SharedLight:
         self,
         points: Sequence[Point],
         cells: Sequence[IntArray],
-        prior: tuple[sparse.csr_matrix, FloatArray, Scales],
+        prior: tuple[sparse.csr_matrix, FloatArray, node_field.Scales],
         noise: float = 2 * NOISE,
         weights: Sequence[FloatArray] | None = None,
     ) -> None:
@@ -60,7 +45,8 @@ class SharedLight:
             deviation = first.prior.deviation_at(point.problem.places, slice(1))[:, 0]
             self.own[cell] = self.repeats * (scales.grain * deviation) ** 2
         dark = [
-            point.known.scales.light * deviation_of_light(point.light, float(np.median(point.light)))
+            point.known.scales.light
+            * node_field.deviation_of_light(point.light, float(np.median(point.light)))
             for point in points
         ]
         self.variance = [
@@ -78,8 +64,8 @@ class SharedLight:
                 known[cell] += weight
                 top[cell] += weight * point.left
             share = 1 / (1 + known * self.own)
-            self.factor = posterior_factor(self.nodes, known * share, self.precision)
-            self.u = solved(self.factor, onto @ (top * share))
+            self.factor = node_field.posterior_factor(self.nodes, known * share, self.precision)
+            self.u = node_field.solved(self.factor, onto @ (top * share))
             self.total, smooth = known + 1 / self.own, self.nodes @ self.u
             beside = (top - known * smooth) / self.total
             self.error = [p.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)]
@@ -149,7 +135,9 @@ class SharedLight:
         mean = np.asarray(self.nodes.sum(0)).ravel() / len(self.own)
         turned = np.eye(len(mean)) - mean
         covariance = turned @ left @ turned.T
-        variance = cell_variances(self.nodes.indptr, self.nodes.indices, self.nodes.data, covariance)
+        variance = node_field.cell_variances(
+            self.nodes.indptr, self.nodes.indices, self.nodes.data, covariance
+        )
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
@@ -169,9 +157,9 @@ def shared_lights(
     weights = prior.node_weights(places)
     used = np.flatnonzero(np.asarray(weights.sum(0)).ravel() > 0)
     logs = np.mean([np.log(point.known.scales) for point in points], 0)
-    scales, likeness = Scales(*np.exp(logs)), float(np.mean([point.x[-1] for point in points]))
+    scales, likeness = node_field.Scales(*np.exp(logs)), float(np.mean([point.x[-1] for point in points]))
     covariance = scales.albedo**2 * prior.covariance(0)[np.ix_(used, used)]
-    precision = inverse(np.asarray(np.linalg.cholesky(covariance), np.float64))
+    precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), np.float64))
     starts = [Point(p.problem, p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
     shared = SharedLight(starts, cells, (weights[:, used].tocsr(), precision, scales))
     for _ in range(3):

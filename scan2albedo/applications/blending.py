@@ -8,18 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.face_features import (
-    AROUND,
-    FEATURES,
-    UNLIKE,
-    displacement,
-    grown,
-    named_texels,
-    skin_gains,
-    taken_features,
-    unlike_features,
-    warped,
-)
+from scan2albedo.applications import face_features
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core.arrays import FloatArray
@@ -57,7 +46,7 @@ def blend_faces(
     if not 0 <= weight <= 1:
         raise ApplicationError(f"weight is {weight}, expected from 0 (all {a.name}) to 1 (all {b.name})")
     a, b = on_common_chart(a, b)
-    toward_b = skin_gains(a, b)
+    toward_b = face_features.skin_gains(a, b)
     gains = toward_b**weight, toward_b ** (weight - 1)
     nearer, mask = (a if weight < 0.5 else b), a.mask
     mesh = replace(nearer.mesh, vertices=_between(a.mesh.vertices, b.mesh.vertices, weight))
@@ -79,7 +68,11 @@ def blend_faces(
     else:
         # Features move toward one another, A's by `weight`, so that none is there twice.
         first, second = (gain * filled_from_nearest(s, mask) for s, gain in zip(skins, gains, strict=True))
-        albedo = _between(warped(first, -weight * beside), warped(second, (1 - weight) * beside), weight)
+        albedo = _between(
+            face_features.warped(first, -weight * beside),
+            face_features.warped(second, (1 - weight) * beside),
+            weight,
+        )
     # The reflectance is the nearer one's where the models do not blend.
     ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
     own, other = (float(np.exp(np.log(gain).mean())) for gain in gains)
@@ -100,7 +93,10 @@ def blend_faces(
         reflectance=replace(reflectance, specular_strength=strength),
         casts_shadows=a.casts_shadows or b.casts_shadows,
         expected_error=None,
-        notes=tuple(UNLIKE.format(name, nearer.name) for name in unlike_features(a, b, model)),
+        notes=tuple(
+            face_features.UNLIKE.format(name, nearer.name)
+            for name in face_features.unlike_features(a, b, model)
+        ),
     )
 
 
@@ -117,11 +113,15 @@ def matched_skins(
         if share > 0:
             skin = _between(skin, continued_skin(face, other, model, wins), share)
         skins.append(skin)
-        labels.append([named_texels(face, parts[:1]) for parts in FEATURES.values()])
-        same |= taken_features(face, other, model, wins)[0]
-    beside = displacement(skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True)))
+        labels.append(
+            [face_features.named_texels(face, parts[:1]) for parts in face_features.FEATURES.values()]
+        )
+        same |= face_features.taken_features(face, other, model, wins)[0]
+    beside = face_features.displacement(skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True)))
     # What one face gives to both lies where it is.
-    free = gaussian_filter(1.0 - grown(same, AROUND), AROUND * max(same.shape))
+    free = gaussian_filter(
+        1.0 - face_features.grown(same, face_features.AROUND), face_features.AROUND * max(same.shape)
+    )
     return skins, beside * free[..., None]
 
 

@@ -16,6 +16,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry import rasterization
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import (
     adjacency,
@@ -26,13 +27,6 @@ from scan2albedo.geometry.mesh import (
     without_unreferenced,
 )
 from scan2albedo.geometry.oriented_points import SurfaceNoise
-from scan2albedo.geometry.rasterization import (
-    fill_smoothly,
-    filled_from_nearest,
-    interpolate,
-    pixels_from_uv,
-    rasterize,
-)
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
 from scan2albedo.sampling.geometry_images import without_covers
@@ -121,19 +115,20 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         up, across = divmod(number - FIRST_TILE, 10)
         frames = tangent_mesh(vertices, faces[chosen], uv[chosen], template_normals)
         split = frames.split
-        points, pixels = vertices[split.vertex], pixels_from_uv(split.uv - [across, up], (size, size))
+        points = vertices[split.vertex]
+        pixels = rasterization.pixels_from_uv(split.uv - [across, up], (size, size))
         steps = texel_steps(points, split.uv, split.faces, (size, size))
         color, normal = np.zeros((2, size, size, 3), np.float32 if size <= 4096 else np.float16)
         normal[..., 2] = 1
         seen, stands, inside = np.zeros((3, size, size), bool)
         for band in bands:
             below = pixels - [0, band.start]
-            raster = rasterize(below, np.zeros(len(below)), split.faces, color[band].shape[:2])
+            raster = rasterization.rasterize(below, np.zeros(len(below)), split.faces, color[band].shape[:2])
             inside[band] = there = raster.covered
             if not there.any():
                 continue
             place, outward, tangents = (
-                interpolate(raster, split.faces, values)[there]
+                rasterization.interpolate(raster, split.faces, values)[there]
                 for values in (points, frames.normals, frames.tangents)
             )
             found = sample_colors(
@@ -147,13 +142,13 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
             normal[band][there], stands[band][there] = tangent_normals(fine, outward, tangents)
         # Beside the charts normals and colours go on, for viewers that filter and reduced pictures (mipmaps).
         for field, known in ((normal, stands), (color, seen)):
-            fill_smoothly(field, known)
+            rasterization.fill_smoothly(field, known)
             for band in bands:
                 wide = slice(max(band.start - 2 * GUTTER, 0), band.stop + 2 * GUTTER)
                 beside = maximum_filter(inside[wide], 2 * GUTTER + 1) & ~inside[wide]
                 beside[: band.start - wide.start] = beside[band.stop - wide.start :] = False
                 if beside.any():
-                    field[wide][beside] = filled_from_nearest(field[wide], inside[wide])[beside]
+                    field[wide][beside] = rasterization.filled_from_nearest(field[wide], inside[wide])[beside]
         for band in bands:
             normal[band] = normalized(normal[band].astype(np.float64))
         tiles.append(TemplateTile(number, chosen, color, seen, normal))

@@ -9,14 +9,8 @@ import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting.scan_smoothing import SurfaceAverages
+from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
-from scan2albedo.geometry.mesh import (
-    thinned,
-    usual_edge,
-    vertex_components,
-    vertex_normals,
-    without_unreferenced,
-)
 from scan2albedo.geometry.rigid import transform_points
 
 WELD_STEP_MM, CELL = 1e-3, 1.25
@@ -44,7 +38,7 @@ class ScanSurface:
     @cached_property
     def edge_mm(self) -> float:
         """Median length of the edges."""
-        return usual_edge(self.vertices, self.faces)
+        return mesh.usual_edge(self.vertices, self.faces)
 
     def normals_at(self, hits: ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
@@ -89,21 +83,21 @@ def scan_near_model(
     near = faces[inside[faces].any(1) & ~stray[faces].any(1)]
     if len(near) == 0:
         return None
-    kept, index = without_unreferenced(xyz, near)
-    thin = thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
+    kept, index = mesh.without_unreferenced(xyz, near)
+    thin = mesh.thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
     if len(thin.faces) == 0:
         return None
     torn = float(thin.boundary.mean()) > TORN
     faces = thin.faces
     if not torn:
-        part = vertex_components(len(thin.vertices), faces)[faces[:, 0]]
+        part = mesh.vertex_components(len(thin.vertices), faces)[faces[:, 0]]
         share = np.bincount(part) / len(part)
         faces = faces[share[part] >= min(MIN_COMPONENT, share.max())]
-    kept, index = without_unreferenced(thin.vertices, faces)
+    kept, index = mesh.without_unreferenced(thin.vertices, faces)
     points, count = thin.vertices[kept], thin.count[kept]
     boundary = thin.boundary[kept] & (not torn)
     averages = SurfaceAverages(points, index, boundary, count)
     # Normals are taken over a wider surface than positions: noise turns them more.
     fair = averages.smoothed(2 * smoothing_mm)
     points = averages.smoothed(smoothing_mm, keep_curvature=True)
-    return ScanSurface(points, index, vertex_normals(fair, index), boundary)
+    return ScanSurface(points, index, mesh.vertex_normals(fair, index), boundary)

@@ -12,14 +12,8 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, surface_query
-from scan2albedo.geometry.mesh import (
-    boundary_vertex_mask,
-    face_areas,
-    face_cross_products,
-    face_normals,
-    vertex_components,
-)
 from scan2albedo.geometry.pinhole import camera_centers, fit_camera
 from scan2albedo.geometry.rasterization import filled_smoothly
 from scan2albedo.geometry.rigid import transform_points
@@ -122,10 +116,10 @@ def sample_colors(scan: RawScan, points: FloatArray, normals: FloatArray, steps:
     hits = surface_query(scan.vertices, scan.faces[near]).query(points)
     face = near[hits.face]
     valid = hits.distance <= MAX_DISTANCE_MM
-    facing = face_normals(scan.vertices, scan.faces[near])[hits.face]
+    facing = mesh.face_normals(scan.vertices, scan.faces[near])[hits.face]
     # The raw surface must face the way the fitted one does, within 60 degrees.
     valid &= np.einsum("ij,ij->i", normals, facing) >= 0.5
-    on_edge = boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
+    on_edge = mesh.boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
     # In a hole the closest point is on the scan's edge, and the point 0.5 mm or more sideways of it.
     at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
     offset = points - hits.points
@@ -137,7 +131,7 @@ def sample_colors(scan: RawScan, points: FloatArray, normals: FloatArray, steps:
         # Faces need enough photograph pixels for their area.
         e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
         texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
-        density = texture_area / np.maximum(face_areas(scan.vertices, scan.faces), 1e-12)
+        density = texture_area / np.maximum(mesh.face_areas(scan.vertices, scan.faces), 1e-12)
         used = density[texture_area > 0]
         valid &= (density > (MIN_DENSITY * np.median(used) if len(used) else np.inf))[face] & inside
     else:
@@ -166,7 +160,7 @@ def _photograph(
     inside = ((center >= -1.5) & (center <= np.array([width, height]) + 0.5)).all(1)
     # Gradients (F, 2, 3) of u and v over each of the faces, per mm; zero on degenerate ones.
     faces, corners = scan.faces[near], scan.vertices[scan.faces[near]]
-    cross = face_cross_products(scan.vertices, faces)
+    cross = mesh.face_cross_products(scan.vertices, faces)
     squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
     gradient = np.zeros((len(faces), 2, 3))
     for k in range(3):
@@ -199,10 +193,10 @@ def texture_cameras(scan: RawScan) -> tuple[IntArray, FloatArray] | None:
         return None
     height, width = scan.texture_linear.shape[:2]
     corners, pixels = scan.vertices[scan.faces], scan.uv * np.array([width, height])
-    normals = face_normals(scan.vertices, scan.faces)
+    normals = mesh.face_normals(scan.vertices, scan.faces)
     # The connected piece of the texture that each face is part of.
     corner = split_at_seams(scan.faces, scan.uv).faces
-    pieces = vertex_components(int(corner.max()) + 1, corner)[corner[:, 0]]
+    pieces = mesh.vertex_components(int(corner.max()) + 1, corner)[corner[:, 0]]
     camera, positions = np.full(len(scan.faces), -1), list[FloatArray]()
     sizes = np.bincount(pieces)
     least = max(_LEAST_FACES, _LEAST_PART * len(scan.faces))

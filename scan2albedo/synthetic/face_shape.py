@@ -11,14 +11,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import ModelError
-from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.face_model.variation import (
-    ASYMMETRY_BUMPS,
-    EXPRESSION_BUMPS,
-    IDENTITY_BUMPS,
-    STRETCH_SD,
-    displacement,
-)
+from scan2albedo.face_model import AnnotatedSurface, variation
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -41,16 +34,18 @@ def person(
     stay closed. ModelError when the model has no landmarks, which place the bumps.
     """
     if expression not in get_args(Expression):
-        raise ValueError(f"expression is {expression!r}, expected one of {sorted(EXPRESSION_BUMPS)}")
+        raise ValueError(
+            f"expression is {expression!r}, expected one of {sorted(variation.EXPRESSION_BUMPS)}"
+        )
     rest, landmarks = model.control_vertices, model.landmarks
     if landmarks is None:
         raise ModelError(f"{model.name}: identity modes are placed by landmarks, but it has none")
-    stretch = 1 + strength * np.clip(rng.normal(size=3), -2, 2) * STRETCH_SD
+    stretch = 1 + strength * np.clip(rng.normal(size=3), -2, 2) * variation.STRETCH_SD
     offset = np.zeros_like(rest)
-    for bump in IDENTITY_BUMPS + ASYMMETRY_BUMPS:
-        offset += strength * np.clip(rng.normal(), -2, 2) * displacement(bump, rest, landmarks)
-    for bump in EXPRESSION_BUMPS[expression]:
-        offset += expression_strength * rng.uniform(0.8, 1.2) * displacement(bump, rest, landmarks)
+    for bump in variation.IDENTITY_BUMPS + variation.ASYMMETRY_BUMPS:
+        offset += strength * np.clip(rng.normal(), -2, 2) * variation.displacement(bump, rest, landmarks)
+    for bump in variation.EXPRESSION_BUMPS[expression]:
+        offset += expression_strength * rng.uniform(0.8, 1.2) * variation.displacement(bump, rest, landmarks)
     shaped = (rest + offset) * stretch
     return transform_points(procrustes(shaped, rest), shaped)
 

@@ -14,14 +14,8 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.geometry import rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
-from scan2albedo.geometry.rigid import (
-    compose,
-    invert_rigid,
-    random_rotation,
-    rotation_from_vector,
-    transform_points,
-)
 from scan2albedo.synthetic.camera import auto_exposure, photograph, toward
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumb_meshes, join, nose_tip
@@ -199,11 +193,11 @@ def random_pose(
     The rotation is uniform for 180 degrees or more, else about a random axis by at most that angle.
     """
     if rotation_max_deg >= 180:
-        rotation = random_rotation(rng)
+        rotation = rigid.random_rotation(rng)
     else:
         axis, angle = rng.normal(size=3), np.deg2rad(rotation_max_deg) * rng.uniform()
-        rotation = rotation_from_vector(axis / np.linalg.norm(axis) * angle)
-    return compose(rotation, rng.uniform(-1, 1, 3) * translation_max_mm)
+        rotation = rigid.rotation_from_vector(axis / np.linalg.norm(axis) * angle)
+    return rigid.compose(rotation, rng.uniform(-1, 1, 3) * translation_max_mm)
 
 
 def flash_pictures(
@@ -343,7 +337,7 @@ def scan_of(
     image = face_geometry_image(sitter.model, sitter.face, scanner.size)
     albedo = np.zeros((*image.shape, 3), np.float32)
     albedo[image.mask] = sitter.face_albedo(texel_coordinates(scanner.size)[image.mask.ravel()])
-    model_from_scan, landmarks = invert_rigid(scan_from_model), sitter.face.landmarks
+    model_from_scan, landmarks = rigid.invert_rigid(scan_from_model), sitter.face.landmarks
     truth = SyntheticTruth(
         model_from_scan, image, albedo, landmarks, sitter.control_points, flashes, material, exposure
     )
@@ -373,7 +367,7 @@ def assembled(
     faces, pod, plane = faces[pictured], pod[pictured], plane[pictured]
     uv = beside(plane, pod[:, None], len(pods))
     used, renumbered = np.unique(faces, return_inverse=True)
-    posed = transform_points(scan_from_model, vertices[used])
+    posed = rigid.transform_points(scan_from_model, vertices[used])
     return RawScan(posed, renumbered.reshape(-1, 3), uv=uv, texture_linear=texture, name=name)
 
 
