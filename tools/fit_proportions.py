@@ -26,13 +26,14 @@ from scipy import stats
 import scan2albedo as s2a
 from scan2albedo.core import Meter, RawScan
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.face_model.variation import EXPRESSION_BUMPS
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
 from scan2albedo.io.npz import write_npz
 from scan2albedo.registration.acceptance import NAMES
 from scan2albedo.registration.icp import FEW, loosely_shaped, shaped_icp
 from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
 from scan2albedo.registration.template import Template
-from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, person
+from scan2albedo.synthetic.face_shape import person
 
 SYNTHETIC, SYNTHETIC_SHARE = 164, 1 / 2
 OF_MODES = 0.1

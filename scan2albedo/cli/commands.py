@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -115,7 +115,7 @@ def _with_flags(*names: str) -> Callable[[Callable[..., None]], Callable[..., No
     return decorated
 
 
-def _process_options(context: typer.Context) -> ProcessOptions:
+def _process_options(context: typer.Context, scans: Sequence[Path] = ()) -> ProcessOptions:
     from dataclasses import fields
 
     from scan2albedo.pipeline.options import ProcessOptions
@@ -123,10 +123,16 @@ def _process_options(context: typer.Context) -> ProcessOptions:
     names = {option.name for option in fields(ProcessOptions)}
     given = {name: value for name, value in context.params.items() if name in names}
     given |= {name: tuple(given.get(name) or ()) for name in ("skip", "force")}
+    refuse_shared_folders(scans)
     try:
-        return ProcessOptions(**given)
+        options = ProcessOptions(**given)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
+    if len(scans) > 1 and options.landmarks not in (None, AUTO) and not Path(options.landmarks).is_dir():
+        raise typer.BadParameter(
+            f"--landmarks is {options.landmarks}: for several scans give a folder with files named after them"
+        )
+    return options
 
 
 @app.command()
@@ -140,12 +146,7 @@ def process(
     **flags: Any,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
-    refuse_shared_folders(scans)
-    options = _process_options(context)
-    if len(scans) > 1 and options.landmarks not in (None, AUTO) and not Path(options.landmarks).is_dir():
-        raise typer.BadParameter(
-            f"--landmarks is {options.landmarks}: for several scans give a folder with files named after them"
-        )
+    options = _process_options(context, scans)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import removed_if_empty
     from scan2albedo.pipeline.process import process as run
@@ -197,8 +198,7 @@ def person(
     **flags: Any,
 ) -> None:
     """Process several scans of one person into one neutral shape and one albedo."""
-    refuse_shared_folders(scans)
-    options = _process_options(context)
+    options = _process_options(context, scans)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import removed_if_empty
     from scan2albedo.pipeline.person import process_person

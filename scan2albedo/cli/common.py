@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated, Any
@@ -67,7 +67,7 @@ def checked_budget(budget: float | None, unit: str = "auto") -> Budget:
         raise typer.BadParameter(str(error)) from None
 
 
-def refuse_shared_folders(scans: list[Path]) -> None:
+def refuse_shared_folders(scans: Sequence[Path]) -> None:
     """Refuse scans whose results would overwrite each other: the folder of a result has the scan's name."""
     first: dict[str, Path] = {}
     for path in scans:

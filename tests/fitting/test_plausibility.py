@@ -7,10 +7,11 @@ import pytest
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model.annotation import Region
+from scan2albedo.face_model.variation import EXPRESSION_BUMPS, displacement
 from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.plausibility import PARTS, asymmetry, doubts, face_coverage, missing_parts
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
-from scan2albedo.synthetic.face_shape import EXPRESSION_BUMPS, displacement, person
+from scan2albedo.synthetic.face_shape import person
 from scan2albedo.synthetic.head import compact
 
 QUICK = FitOptions(levels=(0, 0), finest_level=0)

@@ -5,18 +5,11 @@ import pytest
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
+from scan2albedo.face_model.variation import EXPRESSION_BUMPS, IDENTITY_BUMPS, displacement
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import rasterize_uv
 from scan2albedo.synthetic import Material, face, light_at
-from scan2albedo.synthetic.face_shape import (
-    EXPRESSION_BUMPS,
-    IDENTITY_BUMPS,
-    displacement,
-    face_geometry_image,
-    face_surface,
-    person,
-    with_relief,
-)
+from scan2albedo.synthetic.face_shape import face_geometry_image, face_surface, person, with_relief
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.textures import PaintedFeatures, landmark_uv, paint_face
 

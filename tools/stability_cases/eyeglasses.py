@@ -606,7 +606,7 @@ for _dioptres in (math.nan, math.inf):
 
 
 @CASES.extreme(STAGE, "lens seen edge-on: the camera in its plane", "named error")
-@naming("camera lies in the plane")
+@naming("camera lies in the lens plane")
 def _edge_on() -> str:
     return str(refract(ThinLens([0, 0, 0], [0, 0, 1], 4.0), [600.0, 0, 0], [[20.0, 0, 0]]).directions)
 

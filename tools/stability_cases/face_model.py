@@ -153,7 +153,7 @@ def _() -> str:
         np.array([[0.0, 0, 0], [100, 0, 0], [0, 120, 0], [50, 50, 50]]),
         [[0, 1, 3], [1, 2, 3], [2, 0, 3]],
     )
-    with naming("the template has 4 vertices in faces, at least 100 needed"):
+    with naming("template: only 4 vertices in faces, at least 100 needed"):
         return modelled(corners, faces)[1]
 
 
@@ -172,7 +172,7 @@ def _() -> str:
 @CASES.extreme(STAGE, "a line of points", "named error")
 def _() -> str:
     points = np.column_stack([np.linspace(0, 200, 200), np.zeros((200, 2))])
-    with naming("every face of the template has zero area"):
+    with naming("template: every face has zero area"):
         return modelled(points, np.arange(198)[:, None] + np.arange(3))[1]
 
 

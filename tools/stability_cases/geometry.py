@@ -154,7 +154,7 @@ def _() -> str:
 def _() -> str:
     values = VALUES.copy()
     values[3] = np.nan
-    with naming("1 values are NaN or infinite, and would spread"):
+    with naming("1 values are not finite, and would spread"):
         surface_diffusion(VERTICES, FACES, 5.0)(values)
     return "spread"
 
