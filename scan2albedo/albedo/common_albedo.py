@@ -62,6 +62,7 @@ class CommonAlbedo:
 def estimate_common_albedo(
     images: Iterable[GeometryImage],
     *,
+    lights: str | int = "auto",
     brdf: str = "oren-nayar",
     budget: Budget | float | None = None,
     seed: int = 0,
@@ -83,8 +84,8 @@ def estimate_common_albedo(
     ----------
     images : iterable of GeometryImage
         Walked through twice, and not kept: it may read them from files.
-    brdf, seed, options
-        As in `estimate_albedo`, with a diffuse model of lamps.
+    lights, brdf, seed, options
+        As in `estimate_albedo`, with a diffuse model of lamps; their number is that of each image.
     budget : Budget or float, optional
         Of the whole search.
     on_estimate : callable, optional
@@ -116,7 +117,7 @@ def estimate_common_albedo(
         plan, searched, best, charts = Plan(), list[LightFound](), list[Point](), set[tuple[int, ...]]()
         for image in images:
             scene, steps = scene_of(image)
-            searched.append(LightSearch(scene).run(None))
+            searched.append(LightSearch(scene).run(None if lights == "auto" else int(lights)))
             told = searched[-1].explanation
             assert told is not None
             best.append(told.best)

@@ -200,6 +200,7 @@ def _common_albedo(
 
     return estimate_common_albedo(
         spool,
+        lights=chosen.lights,
         brdf=chosen.brdf,
         budget=chosen.budget,
         seed=chosen.seed,
