@@ -266,7 +266,7 @@ def _assembled(
             lit,
             albedo_linear=common.albedo_linear,
             lights=(),
-            parameters={"ambient": 1.0},
+            parameters=lit.parameters,
             shading=np.repeat(mask[..., None], 3, 2).astype(np.float32),
             specular=np.zeros(mask.shape, np.float32),
             shadow=mask.astype(np.float32),

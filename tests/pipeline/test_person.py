@@ -11,6 +11,7 @@ import pytest
 
 from scan2albedo import RawScan, process_person, read_geometry_image
 from scan2albedo.albedo import albedo_error
+from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import RegistrationError
 from scan2albedo.io.images import read_exr_channels
 from scan2albedo.recognition import read_labelled_templates
@@ -71,6 +72,8 @@ def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path: Path) -> No
         assert (tmp_path / "ann" / name / "albedo.exr").is_file()
     image = read_geometry_image(tmp_path / "ann" / "geometry_image.npz")
     assert image.texture_linear is not None
+    lit = relight(load_result(tmp_path / "ann"), [light_at(60, 10)])
+    assert np.isfinite(lit.texture_linear).all()
     gallery = tmp_path / "gallery.csv"
     gallery.write_text(f"person,result\nann,{tmp_path / 'ann'}\nann,{tmp_path / 'ann' / 'scan0'}\n")
     assert len(read_labelled_templates(gallery)) == 2
