@@ -24,6 +24,7 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.process import process, without_light
 from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
 from scan2albedo.recognition import Templates, albedo_templates, certainty, same_person_log_odds
+from scan2albedo.recognition.result_identification import CALIBRATION, log_odds_by_kind
 from scan2albedo.recognition.templates import Kind
 from scan2albedo.sampling import geometry_image
 from scan2albedo.templates import chosen_model
@@ -224,7 +225,14 @@ def _same_person(spool: _Spool) -> np.ndarray:
     templates: dict[Kind, Templates] = {"albedo": albedo_templates(albedos, spool.names, masks=masks)}
     odds = same_person_log_odds(templates, templates)
     np.fill_diagonal(odds, 0.0)
-    return np.asarray(odds.sum(1) / (len(odds) - 1))
+    count, sums = len(odds), odds.sum(1)
+    found = sums / (count - 1)
+    if count > 2:
+        # Albedos of one person are less alike by some scanners and lights: pairs of the other scans say so.
+        others = (sums.sum() - 2 * sums) / ((count - 1) * (count - 2))
+        usual = log_odds_by_kind({"albedo": np.full((1, 1), CALIBRATION.same[0])})["albedo"][0, 0]
+        found += np.maximum(usual - others, 0.0)
+    return np.asarray(found)
 
 
 def _assembled(
