@@ -114,7 +114,7 @@ def build_model(
         if len(np.unique(numbers)) < len(numbers):
             raise ReflectanceError(f"{what}: two landmarks have one vertex; give 68 different ones")
         if numbers.min() < 0 or numbers.max() >= len(first):
-            raise ReflectanceError(f"{what} are {numbers.min()} to {numbers.max()}, the mesh has {len(first)}")
+            raise ReflectanceError(f"{what} are {numbers.min()} to {numbers.max()}, it has {len(first)}")
         shape = MorphableShapeModel.from_samples(shapes, None, samples[0].faces, numbers)
     return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
