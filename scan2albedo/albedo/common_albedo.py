@@ -30,7 +30,7 @@ from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import LightingError
 
 _PASSES = 6
-"""Of robust weights and gains: they settle to .1 % in four."""
+"""Rounds of robust weights and gains."""
 
 
 @dataclass(frozen=True)

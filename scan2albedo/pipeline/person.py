@@ -194,10 +194,11 @@ def _common_albedo(
         lit = result.scan, result.fitted, estimate, chosen
         unlit, template, steps = without_light(*lit, 0.0, np.inf)
         plan = Plan((*(step for step in result.plan if step.stage != "albedo"), *estimate.plan, *steps))
-        spool.keep(
-            spool.names[k],
-            replace(result, albedo=estimate, unlit=unlit, template=template, plan=plan),
+        options = {**result.options, "skip": sorted(set(chosen.skip)), "unlit": chosen.unlit}
+        lit_scan = replace(
+            result, albedo=estimate, unlit=unlit, template=template, plan=plan, options=options
         )
+        spool.keep(spool.names[k], lit_scan)
 
     return estimate_common_albedo(
         spool,
