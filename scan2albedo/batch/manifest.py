@@ -17,18 +17,19 @@ from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
 from scan2albedo.pipeline.options import ProcessOptions
 
-SCAN = "scan"
+SCAN, PERSON = "scan", "person"
 OWN_OPTIONS = ("unit", "model", "lights", "seed", "landmarks")
 """Columns that stand for an option of `process` in their line; an empty cell means the batch's choice."""
 
 
 @dataclass(frozen=True)
 class ManifestScan:
-    """One scan of a manifest.
+    """One scan of a manifest, or all scans of one person, its `members`.
 
     `name` is of the folder of its result, `source` the path as the manifest has it, `path` absolute; `own`
     are options of `OWN_OPTIONS` that the line sets, `extra` the cells of all other columns, `where` is the
-    place in the manifest, for messages. `source` and `extra` are `printable`.
+    place in the manifest, for messages. `source` and `extra` are `printable`. A person has the `path` of the
+    first scan, and the sources and cells of all.
     """
 
     name: str
@@ -37,6 +38,7 @@ class ManifestScan:
     own: Mapping[str, str] = field(default_factory=dict)
     extra: Mapping[str, str] = field(default_factory=dict)
     where: str = ""
+    members: tuple[ManifestScan, ...] = ()
 
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
         """Return the batch's options with the line's, paths from `folder`; BatchError for a wrong cell."""
@@ -73,7 +75,8 @@ def read_manifest(
     """Return the scans of a manifest: of a table, a list of paths, or a folder; one need not exist.
 
     - ``.csv`` or ``.tsv``, UTF-8: the column `scan` (a path, relative to the file), and where wanted `name`
-      (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`, `landmarks`.
+      (of the result's folder; the scan's stem when empty), `unit`, `model`, `lights`, `seed`, `landmarks`,
+      and `person`: scans of one are processed together, into a folder of that name.
       Cells of other columns are kept as they are.
     - Any other text file: one path a line; empty lines, and lines that begin with #, are left aside.
     - A folder: every scan in it and its subfolders, except hidden ones and results of earlier runs.
@@ -86,7 +89,8 @@ def read_manifest(
     leave_out : path, optional
         Folder to skip: that of the results.
     name_columns : tuple of str
-        Columns of a table whose cells stand before the name of results that would have one name.
+        Columns of a table whose cells stand before the name of results that would have one name. With
+        `person` among them, scans stay apart.
     """
     source = Path(path)
     if source.is_dir():
@@ -115,16 +119,19 @@ def read_manifest(
     if not manifest.scans:
         kinds = f" ({', '.join(SUPPORTED_SCANS)})" if source.is_dir() else ""
         raise BatchError(f"{source} lists no scan{kinds}; nothing to do")
-    first: dict[str, ManifestScan] = {}
-    for scan in manifest.scans:
-        if not is_folder_name(scan.name):
-            raise BatchError(f"{scan.where}: {scan.name!r} cannot name a result folder; give another name")
-        other = first.setdefault(scan.name.casefold(), scan)
-        if other is not scan:
-            raise BatchError(
-                f"{other.where} and {scan.where}: both results would be named {scan.name}; give other names "
-                "(a CSV file with a column `name` can)"
-            )
+    for together in (manifest.scans, *(scan.members for scan in manifest.scans)):
+        first: dict[str, ManifestScan] = {}
+        for scan in together:
+            if not is_folder_name(scan.name):
+                raise BatchError(
+                    f"{scan.where}: {scan.name!r} cannot name a result folder; give another name"
+                )
+            other = first.setdefault(scan.name.casefold(), scan)
+            if other is not scan:
+                raise BatchError(
+                    f"{other.where} and {scan.where}: both results would be named {scan.name}; give other "
+                    "names (a CSV file with a column `name` can)"
+                )
     return manifest
 
 
@@ -165,4 +172,24 @@ def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchMani
         if count[scan.name.casefold()] > 1:
             before = [text.strip() for title, text in scan.extra.items() if title.casefold() in name_columns]
             scans[k] = replace(scan, name="-".join((*before, scan.name)))
+    column = next((name for name in extra if name.casefold() == PERSON), None)
+    if column is not None and PERSON not in name_columns:
+        together: dict[str | int, list[ManifestScan]] = {}
+        for k, scan in enumerate(scans):
+            together.setdefault(scan.extra[column].strip() or k, []).append(scan)
+        for k, (person, members) in enumerate(together.items()):
+            first = members[0]
+            if other := next((scan for scan in members if scan.own != first.own), None):
+                raise BatchError(
+                    f"{first.where} and {other.where}: scans of one person with other options; give all of "
+                    f"them the same {', '.join(other.own)}"
+                )
+            scans[k] = first
+            if isinstance(person, str):
+                sources = ", ".join(scan.source for scan in members)
+                cells = {
+                    name: "; ".join(dict.fromkeys(scan.extra[name] for scan in members)) for name in extra
+                }
+                scans[k] = replace(first, name=person, source=sources, extra=cells, members=tuple(members))
+        scans = scans[: len(together)]
     return BatchManifest(file, tuple(scans), extra)

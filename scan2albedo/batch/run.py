@@ -37,7 +37,7 @@ from scan2albedo.errors import BatchError, ModelError, Scan2AlbedoError, needs_e
 from scan2albedo.io.atomic import check_writable, signals_held
 from scan2albedo.io.landmark_files import landmarks_file
 from scan2albedo.io.leftovers import remove_leftovers
-from scan2albedo.io.load_scan import file_sha256, files_of_scan, input_sha256
+from scan2albedo.io.load_scan import file_sha256, files_of_scan
 from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector
 from scan2albedo.pipeline.options import ProcessOptions
@@ -70,7 +70,8 @@ def run_batch(
     out : path
         Folder that gets a subfolder for each scan, `catalogue.parquet` and `batch.json`.
     options : ProcessOptions, optional
-        For all scans; lines of the manifest may set their own unit, model, lights and seed.
+        For all scans; lines of the manifest may set their own unit, model, lights and seed. Scans with the
+        same `person` are one task: see `process_person`.
     jobs : int, optional
         Local processes; one a core when omitted, and never more than fit into the available memory.
     scheduler : str, optional
@@ -79,7 +80,7 @@ def run_batch(
     resume : bool
         Keep scans of earlier runs whose input, options and files still have the same hashes.
     timeout_s : float, optional
-        Seconds after which a scan is given up, with its worker.
+        Seconds after which a scan is given up, with its worker; of a person, for each of the scans.
     on_progress : callable, optional
         Called with a `BatchProgress` whenever a scan has ended.
     """
@@ -156,11 +157,18 @@ def _tasks(
         del hashed["textures"]  # those that a scan uses are part of the input
         del hashed["landmarks"]
         place = chosen.landmarks
-        file = landmarks_file(place, scan.path) if isinstance(place, str) and place != AUTO else None
+        members = scan.members or (scan,)
+        if scan.members and chosen.model == "none":
+            raise BatchError(f"{scan.where}: a person needs the model of a face: leave the model 'none' out")
         if place == AUTO:
             hashed["landmarks"] = AUTO
-        elif file is not None:
-            hashed["landmarks"] = file_sha256(file) if file.is_file() else "missing"
+        elif isinstance(place, str):
+            found = []
+            for member in members:
+                file = landmarks_file(place, member.path)
+                found.append("" if file is None else file_sha256(file) if file.is_file() else "missing")
+            if any(found):
+                hashed["landmarks"] = "/".join(found)
         tasks.append(
             ScanTask(
                 name=scan.name,
@@ -172,7 +180,8 @@ def _tasks(
                 model_sha256=models[model],
                 run=run,
                 version=VERSION,
-                timeout_s=timeout_s,
+                timeout_s=timeout_s and timeout_s * len(members),
+                members=tuple((member.name, str(member.path)) for member in scan.members),
             )
         )
     if any(task.options.landmarks_detected for task in tasks):
@@ -191,7 +200,7 @@ def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None
     if row.options_sha256 != task.options_sha256:
         return None, "with other options"
     try:
-        if row.input_sha256 != input_sha256(task.path, task.options.textures):
+        if row.input_sha256 != task.input_sha256():
             return None, "with a changed scan"
     except Scan2AlbedoError:
         return None, "without their scan"
@@ -199,7 +208,8 @@ def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None
         file = layout.out / task.name / name
         with suppress(OSError):
             # The record may have been edited: nothing outside the folder is read.
-            if Path(name).name == name and file.is_file() and file_sha256(file) == sha256:
+            inside = len(parts := Path(name).parts) < 3 and not {"..", "/"} & {*parts}
+            if inside and file.is_file() and file_sha256(file) == sha256:
                 continue
         return None, "with changed or missing files"
     return row, ""
@@ -271,7 +281,10 @@ class _Run:
         """Return how many processes to use for these tasks: as many as fit into memory now."""
         asked = min(self.asked, len(tasks))
         peaks = [row.peak_memory_mb or 0.0 for row in self.rows.values() if row.run == self.run]
-        paths, texels = [Path(task.path) for task in tasks], max(task.options.texels for task in tasks)
+        paths, texels = (
+            [Path(path) for task in tasks for path in task.paths],
+            max(task.options.texels for task in tasks),
+        )
         painted = (task.options for task in tasks if task.options.model not in ("default", "none"))
         template = max((options.texture_size for options in painted), default=0)
         worker = worker_mb(paths, texels, max(peaks, default=0.0), tasks[0].options.textures, template)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import signal
@@ -28,7 +29,7 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class ScanTask:
-    """One scan to process; paths are absolute, for workers may run elsewhere.
+    """One scan to process, or a person's `members`, names and paths; absolute, for workers may run elsewhere.
 
     `run` names the batch's run, `version` the package's; after `timeout_s` seconds the worker ends itself.
     """
@@ -43,6 +44,23 @@ class ScanTask:
     run: str
     version: str
     timeout_s: float | None = None
+    members: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        """Of all its scans."""
+        return tuple(path for _, path in self.members) or (self.path,)
+
+    def input_sha256(self) -> str:
+        """Return the hash of its scan, for a person that of the scans' names and hashes."""
+        if not self.members:
+            return input_sha256(self.path, self.options.textures)
+        text = ""
+        for name, path in self.members:
+            text += f"{name}:"
+            with suppress(Scan2AlbedoError):  # one that cannot be read is left out, as long as that is so
+                text += input_sha256(path, self.options.textures)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def record(self, status: BatchOutcome, reason: str = "", **figures: Any) -> BatchScanRecord:
         """Return a record of this scan, finished now."""
@@ -97,7 +115,7 @@ def process_task(task: ScanTask) -> BatchScanRecord:
                 status, known["reason"] = "failed", f"{name}{error}"
                 known["notes"] = tuple(getattr(error, "__notes__", ()))  # what the stages warned of before
                 with suppress(Scan2AlbedoError):
-                    known["input_sha256"] = input_sha256(task.path, task.options.textures)
+                    known["input_sha256"] = task.input_sha256()
                 if (layout.out / task.name / "result.json").exists():
                     known["notes"] += ("the result of an earlier run is still in its folder",)
             known["seconds"] = time.perf_counter() - start
@@ -122,27 +140,45 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
     from threadpoolctl import threadpool_limits
 
     # Loads the libraries that are to be limited to one thread: processes share the cores.
+    from scan2albedo.pipeline.person import process_person
     from scan2albedo.pipeline.process import process
-    from scan2albedo.pipeline.result import FILES, write_result
+    from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
 
     with threadpool_limits(limits=1):
         earlier = layout.row(task.name)
         recorded = () if earlier is None else tuple(earlier.files)
         RunFolder(layout.out / task.name, FILES, recorded).check()  # refused before any work
         chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
-        result = process(task.path, name=task.name, **chosen)
-        if not layout.is_running(task.run):
-            raise BatchError("the batch has ended; nothing is written")
-        begin = time.perf_counter()
-        files, pictures = task.options.files, task.options.pictures
-        folder = write_result(result, layout.out, files=files, pictures=pictures, recorded=recorded)
-        files_s = time.perf_counter() - begin
-        written = sorted(path for path in folder.iterdir() if path.is_file())
+
+        def go_on(row: object = None) -> None:
+            if not layout.is_running(task.run):
+                raise BatchError("the batch has ended; nothing is written")
+
+        folder, timings_s = layout.out / task.name, dict[str, float]()
+        sha256 = task.input_sha256() if task.members else None  # before, for the scans may change meanwhile
+        if task.members:
+            scans = dict(task.members)
+            result: ProcessResult = process_person(
+                scans, layout.out, name=task.name, on_progress=go_on, **chosen
+            )
+        else:
+            result = process(task.path, name=task.name, **chosen)
+            go_on()
+            begin = time.perf_counter()
+            files, pictures = task.options.files, task.options.pictures
+            write_result(result, layout.out, files=files, pictures=pictures, recorded=recorded)
+            timings_s = {"files": time.perf_counter() - begin}
+        folders = [folder, *(folder / name for name, _ in task.members)]
+        written = [path for place in folders if place.is_dir() for path in sorted(place.iterdir())]
         steps = result.plan.steps
     return {
-        "input_sha256": result.input_sha256,
-        "timings_s": {**result.timings_s, "files": files_s},
-        "files": {path.name: file_sha256(path) for path in written if FILES.holds(path.name)},
+        "input_sha256": sha256 or result.input_sha256,
+        "timings_s": {**result.timings_s, **timings_s},
+        "files": {
+            str(path.relative_to(folder)): file_sha256(path)
+            for path in written
+            if path.is_file() and FILES.holds(path.name)
+        },
         "model": str(result.options["model"]),
         "metrics": result.metrics(),
         "plan_ran": tuple(dict.fromkeys(step.stage for step in steps if step.level == "did")),

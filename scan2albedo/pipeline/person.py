@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -53,17 +53,15 @@ class PersonResult(ProcessResult):
         found = super().metrics()
         shape = self.shape
         assert shape is not None
-        scans: dict[str, dict[str, object]] = {name: {} for name in self.members}
-        for k, row in enumerate(scans.values()):
-            row["distance_mm"] = round(float(shape.distance_mm[k]), 3)
-            row["other_person_log_odds"] = round(float(shape.other_person[k]), 2)
-            if self.common is not None:
-                row["gains"] = np.round(self.common.gains[k], 4).tolist()
         found["person"] = {
-            "scans": scans,
+            "scans": list(self.members),
             "left_out": dict(self.left_out),
             "deviation_mm": round(float(np.median(shape.deviation_mm)), 3),
+            "distance_mm": np.round(shape.distance_mm, 3).tolist(),
+            "other_person_log_odds": np.round(shape.other_person, 2).tolist(),
         }
+        if self.common is not None:
+            found["person"]["gains"] = np.round(self.common.gains, 4).tolist()
         return found
 
 
@@ -85,7 +83,7 @@ class _Spool:
 
 
 def process_person(
-    scans: Sequence[str | Path | RawScan],
+    scans: Sequence[str | Path | RawScan] | Mapping[str, str | Path | RawScan],
     out: str | Path | None = None,
     *,
     name: str = "person",
@@ -104,7 +102,8 @@ def process_person(
 
     Parameters
     ----------
-    scans : sequence of path or RawScan
+    scans : sequence or mapping of path or RawScan
+        Of a mapping, the keys are the scans' names.
     out : path, optional
         Folder that gets a subfolder `name` with the files of a result, those of the neutral face with the
         common albedo, coverage.png and disagreement.png; and in it a folder for each scan.
@@ -119,7 +118,10 @@ def process_person(
         raise ValueError("no scan was given: give one or more scans of the person")
     if not is_folder_name(name):
         raise ValueError(f"name is {name!r}, expected a name that a folder can have")
-    names = [scan.name if isinstance(scan, RawScan) else scan_name(scan) for scan in scans]
+    if isinstance(scans, Mapping):
+        names, scans = list(scans), list(scans.values())
+    else:
+        names = [scan.name if isinstance(scan, RawScan) else scan_name(scan) for scan in scans]
     if twice := sorted({one for one in names if names.count(one) > 1}):
         raise ValueError(f"{len(scans)} scans, of which several are called {twice[0]!r}: rename the files")
     chosen, begin = ProcessOptions(**options), time.perf_counter()

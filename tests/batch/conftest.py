@@ -61,11 +61,11 @@ def stand_in(diary):
         import time
         from pathlib import Path
 
-        from scan2albedo.io.load_scan import file_sha256, input_sha256
+        from scan2albedo.io.load_scan import file_sha256
 
         tries = len(list(diary.glob(f"{task.name}@*")))
         (diary / f"{task.name}@{tries}").write_text(str(os.getpid()))
-        sha256 = input_sha256(task.path)
+        sha256 = task.input_sha256()
         if task.name.startswith("kills") and (tries == 0 or "always" in task.name):
             os.kill(os.getpid(), signal.SIGKILL)
         if task.name.startswith("raises"):

@@ -18,16 +18,16 @@ def write(path, text):
 def test_a_table_with_options_and_columns_of_its_own(tmp_path):
     file = write(
         tmp_path / "list.csv",
-        "\ufeffScan;name;unit;lights;seed;Model;landmarks;person; age of x \n"
+        "\ufeffScan;name;unit;lights;seed;Model;landmarks;group; age of x \n"
         "a/one.ply;Anna;cm;2;7;mine.obj;one.pp;p 1 ; 4\n\n/far/two.OBJ;;;;;;;p2\n",
     )
     manifest = read_manifest(file)
     first, second = manifest.scans
     assert (first.name, second.name) == ("Anna", "two")
     assert (first.path, second.path) == (tmp_path / "a" / "one.ply", Path("/far/two.OBJ"))
-    assert manifest.extra_columns == ("person", "age of x")
-    assert first.extra == {"person": "p 1 ", "age of x": " 4"}
-    assert second.extra == {"person": "p2", "age of x": ""}
+    assert manifest.extra_columns == ("group", "age of x")
+    assert first.extra == {"group": "p 1 ", "age of x": " 4"}
+    assert second.extra == {"group": "p2", "age of x": ""}
     batch = ProcessOptions(size=64, seed=1)
     own = first.options(batch, manifest.folder)
     assert (own.unit, own.lights, own.seed, own.size) == ("cm", 2, 7, 64)
@@ -41,8 +41,25 @@ def test_columns_tell_scans_of_one_name_apart(tmp_path):
     file = write(tmp_path / "list.csv", "\n".join(rows))
     names = [scan.name for scan in read_manifest(file, name_columns=("person",)).scans]
     assert names == ["ann-scan", "bob-scan", "own", "two"]
-    with pytest.raises(BatchError, match="both results would be named scan"):
-        read_manifest(file)
+    assert [scan.name for scan in read_manifest(file).scans] == ["ann", "bob", "cy", "dan"]
+
+
+def test_scans_of_one_person_are_one_entry(tmp_path):
+    rows = [
+        "scan,name,Person,light,seed",
+        "a/scan.obj,day,ann,sun,2",
+        "b.obj,,,lamp,",
+        "c/scan.obj,,ann,lamp,2",
+    ]
+    file = write(tmp_path / "list.csv", "\n".join(rows))
+    ann, alone = read_manifest(file).scans
+    assert (ann.name, alone.name, alone.members) == ("ann", "b", ())
+    assert [(scan.name, scan.path) for scan in ann.members] == [
+        ("day", tmp_path / "a" / "scan.obj"),
+        ("scan", tmp_path / "c" / "scan.obj"),
+    ]
+    assert (ann.source, ann.extra) == ("a/scan.obj, c/scan.obj", {"Person": "ann", "light": "sun; lamp"})
+    assert ann.options(ProcessOptions(), tmp_path).seed == 2
 
 
 def test_a_list_of_paths(tmp_path):
@@ -73,6 +90,10 @@ def test_a_folder_without_textures_results_and_hidden_files(tmp_path):
         ("scan\na.ply\nsub/A.obj\n", "both results would be named A"),
         ("scan,name\na.ply,../x\n", "cannot name a result folder"),
         ("scan,name\na.ply,.x\n", "cannot name a result folder"),
+        ("scan,person\na.ply,../x\n", "cannot name a result folder"),
+        ("scan,person\na.ply,ann\nsub/A.obj,ann\n", "both results would be named A"),
+        ("scan,person\na.ply,b\nb.ply,\n", "both results would be named b"),
+        ("scan,person,seed\na.ply,ann,1\nb.ply,ann,2\n", "line 3: scans of one person with other options"),
         ("scan,status\na.ply,x\n", "has a column status of its own"),
         ("scan,path_albedo\na.ply,x\n", "of its own"),
         ("scan,x,x\na.ply,1,2\n", "has the column x twice"),

@@ -82,6 +82,23 @@ def test_other_landmarks_do_their_scan_again(scans_in, tmp_path, no_workers):
         run_batch(scans_in("a", "b"), tmp_path / "new", options=one)
 
 
+def test_another_scan_of_a_person_does_all_of_them_again(scans_in, tmp_path, no_workers):
+    options = ProcessOptions(size=32)
+    for count in (2, 2, 3):
+        manifest = scans_in(*"abcd"[:count], person=["ann"] * 3)
+        report = run_batch(manifest, tmp_path / "out", options=options, resume=True)
+        assert (report.progress.total, report.progress.done) == (1, 1)
+    assert no_workers("ann") == 2
+    scan = manifest.parent / "c.ply"
+    scan.write_text(scan.read_text().replace("comment c", "comment other"))
+    run_batch(manifest, tmp_path / "out", options=options, resume=True)
+    assert no_workers("ann") == 3
+    (row,) = load_catalogue(tmp_path / "out").to_pylist()
+    assert (row["name"], row["person"], row["source"]) == ("ann", "ann", "a.ply, b.ply, c.ply")
+    with pytest.raises(BatchError, match="line 2: a person needs the model of a face"):
+        run_batch(manifest, tmp_path / "new", options=TINY)
+
+
 def test_a_batch_is_not_begun_over_another(scans_in, tmp_path, no_workers):
     run_batch(scans_in("a"), tmp_path / "out", options=TINY)
     with pytest.raises(BatchError, match="holds a batch already; give --resume"):
