@@ -1,10 +1,15 @@
 """A person from 1 to 32 scans: albedo beside that of each scan alone, run time and memory.
 
     python tools/bench_person.py [--people 3,4] [--counts 1,2,3,5,8,32] [--size 256] [--out FOLDER]
+    python tools/bench_person.py --traced FOLDER
 
 Synthetic scans, each with an expression, a lamp near by and a pose of its own. `scan2albedo person` runs as a
 user runs it, at draft; CPU and the greatest resident memory are those of its process. Errors are relative
 RMSE on the texels of skin that two scans or more show, in % of the true albedo, beside the stated one.
+
+--traced takes the pairs of scans that `tools/build_traced_scans.py FOLDER --heads` makes, and prints for each
+the errors (relative RMSE of V = max(R, G, B), 100 MSE) of both scans alone, and of the common albedo on the
+texels of either.
 """
 
 from __future__ import annotations
@@ -18,8 +23,9 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.scan_files import write_obj
+from benchmarks.traced_set import AlbedoScore, ScanTruth, judged_scan, score
 
-from scan2albedo import read_geometry_image
+from scan2albedo import process, process_person, read_geometry_image
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.io.images import read_exr_channels, read_image_linear
@@ -47,6 +53,30 @@ def error_percent(folder: Path, truth: FloatArray, counted: BoolArray) -> float:
     return 100 * albedo_error(found, truth[counted], np.ones(len(found), bool)).relative_rmse
 
 
+def print_pairs(folder: Path) -> None:
+    """Print a row a person of path-traced scans."""
+    print(
+        "| person | scan alone | other alone | common on its texels | on the other's | to the better alone |"
+    )
+    print("|---" * 6 + "|")
+    files = sorted(folder.glob("*_*.obj"))
+    for first in files[::2]:
+        person, both = first.stem.split("_")[0], [f for f in files if f.stem.startswith(first.stem[:3])]
+        common = process_person(both, quality="draft", size=256).common
+        assert common is not None
+        alone, together = list[AlbedoScore](), list[AlbedoScore]()
+        for file in both:
+            result = process(file, quality="draft", size=256)
+            assert result.albedo is not None
+            judged = judged_scan(result, ScanTruth.read(folder, file.stem))
+            on = judged.albedo_linear, judged.judged
+            alone.append(score(result.albedo.albedo_linear.astype(float), *on))
+            together.append(score(common.albedo_linear.astype(float), *on))
+        texts = [f"{one.rmse:.1f} %, {one.mse:.2f}" for one in (*alone, *together)]
+        ratio = np.mean([one.rmse for one in together]) / min(one.rmse for one in alone)
+        print(f"| {person} | {' | '.join(texts)} | {ratio:.2f} |", flush=True)
+
+
 def main() -> None:
     """Print a row a person and number of scans."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -54,7 +84,11 @@ def main() -> None:
     parser.add_argument("--counts", default="1,2,3,5,8,32")
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--traced", type=Path)
     args = parser.parse_args()
+    if args.traced is not None:
+        print_pairs(args.traced)
+        return
     counts = [int(count) for count in args.counts.split(",")]
     print("| person | scans | alone: best, mean | of all | stated | CPU s | peak MB |\n" + "|---" * 7 + "|")
     with tempfile.TemporaryDirectory() as temporary:

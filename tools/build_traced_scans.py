@@ -1,9 +1,12 @@
 """Path-trace geometry images and raw scans of synthetic people, with known albedo, under real-room light.
 
     python tools/build_traced_scans.py OUT [--set images|scans] [--small] [--only NAME ...] [--threads 1]
+    python tools/build_traced_scans.py OUT --heads FOLDER [...]
 
 `images` writes OUT/geometry_PERSON.npz and OUT/soft_LIGHT_PERSON.npz, `scans` OUT/pNNN_*.obj with .mtl, .png,
-_albedo.png and _truth.npz; both by default. Shapes and albedo are the package's; light, gloss, shadows and
+_albedo.png and _truth.npz; both by default. `--heads` makes two scans each of four people instead, in other
+light and expression, whose faces have the colours of every fourth scan in FOLDER: evenly lit heads, such as
+../shared/data/heads. Shapes and albedo are the package's otherwise; light, gloss, shadows and
 interreflection are Mitsuba's (variant `llvm_ad_rgb`; DRJIT_LIBLLVM_PATH names a libLLVM, 19 works). What
 exists is not made again. `--small` halves resolution and quarters the paths, to try the tool.
 """
@@ -19,7 +22,7 @@ from pathlib import Path
 from benchmarks.traced_images import ImageSet
 from benchmarks.traced_lights import rigs
 from benchmarks.traced_people import Person
-from benchmarks.traced_scans import build_scan, recipes
+from benchmarks.traced_scans import build_scan, pairs, recipes
 
 IMAGE_SIZE, IMAGE_PATHS = 256, 256
 PICTURE_SIZE, SCAN_PATHS = 640, 128
@@ -44,10 +47,12 @@ def build_images(folder: Path, only: list[str], *, small: bool, threads: int) ->
                 images.write(rig, folder)
 
 
-def build_scans(folder: Path, only: list[str], *, small: bool, threads: int) -> None:
+def build_scans(
+    folder: Path, only: list[str], *, small: bool, threads: int, heads: Path | None = None
+) -> None:
     """Write every raw scan that is not there yet."""
     size, paths = (PICTURE_SIZE // 2, SCAN_PATHS // 2) if small else (PICTURE_SIZE, SCAN_PATHS)
-    for recipe in recipes():
+    for recipe in pairs(heads) if heads else recipes():
         if is_wanted(folder / f"{recipe.name}.obj", only):
             with timed(recipe.name):
                 build_scan(recipe, folder, size=size, paths=paths, threads=threads)
@@ -70,11 +75,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("out", type=Path, help="a folder outside the repository")
     parser.add_argument("--set", choices=("images", "scans"), help="both when omitted")
+    parser.add_argument("--heads", type=Path, help="folder with scans of evenly lit heads")
     parser.add_argument("--small", action="store_true", help="half the resolution, a quarter of the paths")
     parser.add_argument("--only", nargs="*", default=[], help="names of scenes")
     parser.add_argument("--threads", type=int, default=1)
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
+    if arguments.heads is not None:
+        common = {"small": arguments.small, "threads": arguments.threads}
+        build_scans(arguments.out, arguments.only, heads=arguments.heads, **common)
+        return
     for name, build in (("images", build_images), ("scans", build_scans)):
         if arguments.set in (None, name):
             build(arguments.out, arguments.only, small=arguments.small, threads=arguments.threads)

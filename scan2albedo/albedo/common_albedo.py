@@ -137,7 +137,7 @@ def estimate_common_albedo(
         reason = "the lights of one albedo, found together"
         plan += [PlanStep("albedo.shared", len(best) > 1, reason, f"{len(best)} image(s)")]
         estimates = list[AlbedoEstimate]()
-        logs, weights = list[FloatArray](), list[FloatArray]()
+        logs, weights = list[NDArray[np.float32]](), list[FloatArray]()
         for k, (image, found, point) in enumerate(zip(images, searched, best, strict=True)):
             scene, _ = scene_of(image)
             mask, alone = image.mask, found
@@ -147,7 +147,7 @@ def estimate_common_albedo(
             assert estimate.expected_error is not None
             light = np.maximum(estimate.shading.mean(-1), TINY)
             dark = deviation_of_light(light[mask], float(np.median(light[scene.usable])))
-            logs.append(np.log(np.maximum(estimate.albedo_linear[mask], FAINT)))
+            logs.append(np.log(np.maximum(estimate.albedo_linear[mask], FAINT)).astype(np.float32))
             known = np.where(scene.usable[mask], 1.0, TINY)
             weights.append(known / (estimate.expected_error[mask] ** 2 + dark**2))
             if on_estimate is None:
@@ -189,7 +189,9 @@ def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> L
     return LightFound(point.solution(), steps, light_uncertainty(point), explained)
 
 
-def _averaged(logs: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _averaged(
+    logs: NDArray[np.float32], weights: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the mean (N, 3) of log albedos (K, N, 3), gains (K, 3), weights (K, N) and spread (N,).
 
     Gains and mean are the least squares of log a_k + log g_k = log a, weighed anew by Student's t.
@@ -199,10 +201,12 @@ def _averaged(logs: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatA
         total = robust.sum(0)
         mean = np.einsum("kn,knc->nc", robust, logs) / total[:, None]
         system = np.diag(robust.sum(1)) - robust @ (robust / total).T
-        right = -np.einsum("kn,knc->kc", robust, logs - mean)
+        right = robust @ mean - np.einsum("kn,knc->kc", robust, logs)
         gains = np.linalg.lstsq(system, right, rcond=1e-9)[0]
         mean += np.einsum("kn,kc->nc", robust / total, gains)
-        square = ((logs + gains[:, None] - mean) ** 2).mean(-1)
+        square = np.array(
+            [((log + gain - mean) ** 2).mean(-1) for log, gain in zip(logs, gains, strict=True)]
+        )
         robust = robust_weights(np.sqrt(square), 1 / weights, 1.0)
     spread = np.sqrt((weights * square).sum(0) / weights.sum(0))
     return mean, np.exp(gains), robust, spread

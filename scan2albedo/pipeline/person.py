@@ -78,6 +78,12 @@ class _Spool:
         # Written by this process, into a folder of its own.
         return pickle.loads((self.folder / name).read_bytes())
 
+    def fits(self) -> Iterator[FittedFace]:
+        for name in self.names:
+            fitted = self.read(name).fitted
+            assert fitted is not None
+            yield fitted
+
     def __iter__(self) -> Iterator[GeometryImage]:
         return (self.read(name).geometry_image for name in self.names)
 
@@ -135,21 +141,19 @@ def process_person(
     alone = {"model": model, "skip": (*chosen.skip, "albedo"), "unlit": None, "files": "standard"}
     arguments = chosen.arguments() | alone
     with tempfile.TemporaryDirectory(prefix="scan2albedo") as folder, compiled_beside():
-        spool, fits = _Spool(Path(folder)), list[FittedFace]()
+        spool = _Spool(Path(folder))
         for one, scan in zip(names, scans, strict=True):
             try:
                 result = process(scan, name=one, on_progress=on_progress, **arguments)
             except Scan2AlbedoError as error:
                 left_out.append((one, one_line(error)))
                 continue
-            assert result.fitted is not None
             spool.keep(one, result)
             spool.names.append(one)
-            fits.append(result.fitted)
-        if not fits:
+        if not spool.names:
             every = "; ".join(reason for _, reason in left_out)
             raise RegistrationError(f"{name}: no scan can be used: {every}")
-        shape, common = common_shape(fits), None
+        shape, common = common_shape(spool.fits()), None
         while True:
             colours = [k for k, image in enumerate(spool) if image.texture_linear is not None]
             if colours and "albedo" not in chosen.skip:
@@ -160,17 +164,16 @@ def process_person(
             if common is not None:
                 odds[colours] -= _same_person(coloured)
             worst = int(odds.argmax())
-            if len(fits) < 3 or odds[worst] <= 0:
+            if len(odds) < 3 or odds[worst] <= 0:
                 break
             reason = f"rather shows another person (log odds {odds[worst]:.1f})"
             left_out.append((spool.names.pop(worst), reason))
-            del fits[worst]
-            shape, common = common_shape(fits), None
-        if len(fits) == 2 and odds.max() > 0:
+            shape, common = common_shape(spool.fits()), None
+        if len(odds) == 2 and odds.max() > 0:
             reason = f"the two scans rather show two people (log odds {odds.max():.1f})"
             plan.append(PlanStep.doubt("person.people", reason))
         plan += [PlanStep.doubt("person.scan", f"{one} is left out: {why}") for one, why in left_out]
-        person = _assembled(name, spool, fits, shape, common, chosen, plan)
+        person = _assembled(name, spool, shape, common, chosen, plan)
         person = replace(
             person,
             left_out=tuple(left_out),
@@ -241,16 +244,17 @@ def _same_person(spool: _Spool) -> np.ndarray:
 def _assembled(
     name: str,
     spool: _Spool,
-    fits: Sequence[FittedFace],
     shape: PersonShape,
     common: CommonAlbedo | None,
     chosen: ProcessOptions,
     plan: Sequence[PlanStep],
 ) -> PersonResult:
     """Return the neutral face as a result like that of a scan."""
-    near = np.nanmin([np.where(np.isnan(fit.residual_mm), np.inf, fit.residual_mm) for fit in fits], axis=0)
+    near, first = np.full(len(shape.vertices), np.inf), next(spool.fits())
+    for fit in spool.fits():
+        near = np.fmin(near, fit.residual_mm)
     neutral = replace(
-        fits[0],
+        first,
         vertices=shape.vertices,
         faces=shape.faces,
         control_points=shape.control_points,
@@ -272,7 +276,7 @@ def _assembled(
             labels=source.labels,
         )
         rows += common.plan
-        maps = {"coverage.png": common.coverage / len(fits), "disagreement.png": common.disagreement}
+        maps = {"coverage.png": common.coverage / len(spool.names), "disagreement.png": common.disagreement}
         estimate = replace(
             lit,
             albedo_linear=common.albedo_linear,

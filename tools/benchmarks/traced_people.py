@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
@@ -34,7 +37,8 @@ class Person:
     """Who sits there.
 
     `tone` runs from 0, lightest skin, to 1; `mouth_deg` is how far the jaw opens; `stubble` and `fringe` are
-    densities, 0 for none; `gloss` names the skin's reflection.
+    densities, 0 for none; `gloss` names the skin's reflection. `skin` is the scan of an evenly lit head whose
+    photographed colours are the face's albedo instead.
     """
 
     name: str
@@ -45,6 +49,15 @@ class Person:
     stubble: float = 0.0
     fringe: float = 0.0
     gloss: Gloss = "skin"
+    skin: Path | None = None
+
+
+@lru_cache
+def photographed(head: Path) -> FloatArray:
+    """Return (512, 512, 3) the linear colours of a head on the face's chart."""
+    texture = s2a.process(head, skip=["albedo"], size=512).geometry_image.texture_linear
+    assert texture is not None
+    return texture.astype(np.float64)
 
 
 def seated(person: Person, model: s2a.AnnotatedFaceModel) -> Sitter:
@@ -55,6 +68,11 @@ def seated(person: Person, model: s2a.AnnotatedFaceModel) -> Sitter:
 
 def painted(person: Person, sitter: Sitter, uv: FloatArray) -> FloatArray:
     """Return (N, 3) linear albedo of the face at chart coordinates (N, 2)."""
+    if person.skin is not None:
+        picture = photographed(person.skin)
+        place = np.stack([(1 - uv[:, 1]) * len(picture), uv[:, 0] * len(picture)]) - 0.5
+        colours = [map_coordinates(picture[..., c], place, order=1, mode="nearest") for c in range(3)]
+        return np.clip(np.stack(colours, 1), 0.01, 0.95)
     landmarks = landmark_uv(sitter.model)
     albedo = sitter.face_albedo(uv)
     rng = np.random.default_rng([person.seed, 31])

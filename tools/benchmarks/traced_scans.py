@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -45,7 +45,7 @@ _LEAST_COSINE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class ScanRecipe:
-    """One raw scan; `unit_mm` is the file's unit."""
+    """One raw scan, `unit_mm` the file's unit; poses and noise differ by `take`."""
 
     name: str
     rig: str
@@ -53,6 +53,7 @@ class ScanRecipe:
     person: Person
     unit_mm: float = 1.0
     turned_deg: float = 180.0
+    take: int = 0
 
 
 def recipes() -> tuple[ScanRecipe, ...]:
@@ -96,6 +97,22 @@ def recipes() -> tuple[ScanRecipe, ...]:
             unit_mm=10.0,
         ),
     )
+
+
+def pairs(heads: Path) -> tuple[ScanRecipe, ...]:
+    """Return two scans each, in other light and expression, of people with the skin of every fourth head."""
+    first, second = (
+        ("window", "flash_near", "softboxes2", "sun"),
+        ("flash_near", "sun", "lamp_room", "window"),
+    )
+    made = []
+    for k, head in enumerate(sorted(heads.glob("*.obj"))[1::4]):
+        one = Person(name=f"q{k}", seed=301 + k, tone=0.4, skin=head)
+        other = replace(one, expression="smile" if k % 2 else "frown", mouth_deg=0.0 if k % 2 else 8.0)
+        for take, (person, rig) in enumerate(((one, first[k]), (other, second[k]))):
+            name = f"{one.name}_{rig}"
+            made.append(ScanRecipe(name=name, rig=rig, cameras=3 - take, person=person, take=10 * take))
+    return tuple(made)
 
 
 def pods_around(center: FloatArray, count: int) -> list[Pod]:
@@ -203,7 +220,7 @@ def photographs(
     picture = seen.albedo * filled(light, used, len(pods), size)
     picture[used] = gain * radiance
     picture[seen.face < 0] = _BACKDROP
-    rng = np.random.default_rng([person.seed, 33])
+    rng = np.random.default_rng([person.seed, 33 + recipe.take])
     texture = row_of(stored(picture, rng), len(pods), size)
     return Photographs(texture, row_of(seen.albedo, len(pods), size), gain)
 
@@ -243,7 +260,7 @@ def truth_uv(sitter: Sitter, pods: list[Pod]) -> FloatArray:
 def build_scan(recipe: ScanRecipe, folder: Path, *, size: int, paths: int, threads: int) -> None:
     """Write NAME.obj, .mtl, .png, NAME_albedo.png, NAME_truth.npz and a preview."""
     sitter = seated(recipe.person, s2a.AnnotatedFaceModel.default())
-    tip, rng = nose_tip(sitter.face.vertices), np.random.default_rng([recipe.person.seed, 34])
+    tip, rng = nose_tip(sitter.face.vertices), np.random.default_rng([recipe.person.seed, 34 + recipe.take])
     pods = pods_around(tip + CENTER_FROM_NOSE_MM, recipe.cameras)
     measured = capture(
         sitter.vertices,
@@ -295,4 +312,4 @@ def write_truth(
     )
 
 
-__all__ = ["ScanRecipe", "build_scan", "recipes"]
+__all__ = ["ScanRecipe", "build_scan", "pairs", "recipes"]
