@@ -23,15 +23,10 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry import rasterization
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import face_areas, thinned, vertex_normals
-from scan2albedo.geometry.rasterization import (
-    bilinear,
-    filled_from_nearest,
-    filled_smoothly,
-    pixels_from_uv,
-    rasterize,
-)
+from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.texture_atlas import in_first_period
@@ -243,7 +238,7 @@ def _unlit_texture(
         tile = texture[np.s_[low[1] : high[1], low[0] : high[0]]]
         places_px = (corners[inside] - low).reshape(-1, 2)
         index = np.arange(len(places_px)).reshape(-1, 3)
-        raster = rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
+        raster = rasterization.rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
         there = raster.covered
         vertex, barycentric = light.scan.faces[inside[raster.face[there]]], raster.barycentric[there]
         weight, place, beyond, near_outlines = (
@@ -329,7 +324,7 @@ def without_lines(
 
     inside = there[..., None].astype(np.float32)
     mean = blurred(log_albedo * inside) / np.maximum(blurred(inside), 1e-6)
-    base = blurred(filled_smoothly(log_albedo, known))
+    base = blurred(rasterization.filled_smoothly(log_albedo, known))
     detail = log_albedo - mean
     # Detail of more than four times the median is a remainder of an outline.
     usual = 4 * float(np.median(np.abs(detail[known])))

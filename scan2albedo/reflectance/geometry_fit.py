@@ -17,15 +17,9 @@ from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
 from scan2albedo.geometry.rigid import compose, is_rigid, procrustes, rotation_from_vector, transform_points
 from scan2albedo.optimization import Damping, Descent
+from scan2albedo.reflectance import geometry_terms as terms
 from scan2albedo.reflectance.environment_shading import checked_light
-from scan2albedo.reflectance.geometry_terms import (
-    GeometryObjective,
-    GeometryState,
-    LandmarkTerm,
-    PhotometricTerm,
-    SmoothImage,
-    photometric_term,
-)
+from scan2albedo.reflectance.geometry_terms import GeometryObjective, GeometryState, PhotometricTerm
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
 from scan2albedo.reflectance.linear_model import checked_coefficients
 from scan2albedo.reflectance.map_fit import MapPoint, most_probable
@@ -163,14 +157,14 @@ def refine_geometry(
         length = np.linalg.norm(state.vertices[edges[:, 0]] - state.vertices[edges[:, 1]], axis=1).mean()
         _, depth = project(matrix, state.vertices)
         edge_px = float(length / _pixel_mm(matrix, depth)) if np.median(depth) > 0 else 0.0
-        image = SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
+        image = terms.SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
         if len(reflectance.known) != len(shape_model.mean):
             raise ReflectanceError(
                 f"the reflectance has {len(reflectance.known)} vertices and the shape model "
                 f"{len(shape_model.mean)}; bring both to one topology"
             )
         term_over = partial(
-            photometric_term, image, matrix, shape_model.faces, reflectance, checked_light(light)
+            terms.photometric_term, image, matrix, shape_model.faces, reflectance, checked_light(light)
         )
     elif not len(seen):
         raise ReflectanceError(
@@ -188,7 +182,7 @@ def refine_geometry(
             raise ReflectanceError(
                 "landmarks lie behind the camera at the initial pose; check pose and camera"
             )
-        anchors = [LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))]
+        anchors = [terms.LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))]
         plan = [PlanStep(name, True, "landmarks are seen", f"{len(seen)} landmarks")]
         stage = meter.sub_meter(name, "objective")
         for rigid, most in ((True, 20), (False, 100)):

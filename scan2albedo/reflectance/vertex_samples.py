@@ -13,14 +13,10 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
+from scan2albedo.reflectance import vertex_visibility
 from scan2albedo.reflectance.olat import OlatImages
 from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, turn_lobes
-from scan2albedo.reflectance.vertex_visibility import (
-    VertexVisibility,
-    bilinear_samples,
-    checked_mesh,
-    checked_normals,
-)
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility, checked_mesh, checked_normals
 
 
 @dataclass(frozen=True)
@@ -265,7 +261,9 @@ def sample_vertices(
         usable = seen[view] & lit[light] & (lobes[j, :, 0] > 0)
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
         spread = _POSITION_SIGMA_PX**2
-        bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
+        vertex_visibility.bilinear_samples(
+            *picture, pixels, usable, spread, observed[j], variance[j], valid[j]
+        )
     # Root mean square angles between normals of vertices and of their triangles, by area.
     across, corners = face_cross_products(xyz, index), index.ravel()
     area = np.linalg.norm(across, axis=1)
