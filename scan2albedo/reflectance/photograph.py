@@ -146,20 +146,14 @@ class ImageObservation:
         object.__setattr__(self, "seen", seen)
         if not seen.any():
             raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")
-        brightness = float(np.asarray(self.observed_linear)[seen].mean())
-        if not brightness > 0:
-            raise ReflectanceError(
-                f"the image is black where the face is (mean {brightness:.3g}); check exposure and pose"
-            )
+        if not np.asarray(self.observed_linear)[seen].mean() > 0:
+            raise ReflectanceError("the image is black where the face is; check exposure and pose")
         if self.transfer is None:
             return
         diffuse, specular = self.transfer.diffuse, self.transfer.specular
         shapes = (len(seen), shading.HARMONICS), (len(seen), 3, shading.HARMONICS)
         if (diffuse.shape, specular.shape) != shapes:
-            raise ValueError(
-                f"transfer has shapes {diffuse.shape} and {specular.shape}, expected {shapes[0]} and "
-                f"{shapes[1]}"
-            )
+            raise ValueError(f"transfer has shapes {diffuse.shape}, {specular.shape}, expected {shapes}")
         rows = np.concatenate([diffuse[seen], specular[seen].reshape(seen.sum(), -1)], axis=1)
         require_finite("the transfer", rows)
         if not rows.any():

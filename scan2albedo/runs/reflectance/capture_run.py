@@ -119,10 +119,8 @@ def fit_capture(
     if misfit > _DOUBTFUL_MISFIT:
         signs.append(f"residuals are {misfit:.1f} times the noise")
     if signs and error is not None:
-        signs.append(
-            f"pictures left out are predicted to {100 * error.relative_rmse:.0f} %, noise alone would be "
-            f"{100 * error.noise_part:.0f} %"
-        )
+        off, noise = 100 * error.relative_rmse, 100 * error.noise_part
+        signs.append(f"pictures left out are predicted to {off:.0f} %, noise alone would be {noise:.0f} %")
     if signs:
         notes.append(
             f"{'; '.join(signs)}: mesh, poses or masks may be off; it may also come from a wrong gamma "

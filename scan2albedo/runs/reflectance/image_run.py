@@ -107,14 +107,14 @@ def shaped_vertices(
             f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
             "the model with --landmark-vertices"
         )
-    first = _geometry(photograph, models.shape, budget=budget, on_progress=on_progress)
+    within: dict[str, Any] = {"budget": budget, "on_progress": on_progress}
+    first = _geometry(photograph, models.shape, **within)
     seen = observe(photograph, first.vertices, models.mean.faces)
-    skin = reflectance.fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
+    skin = reflectance.fit_image(seen, models.model, lighting, **within)
     refined = _geometry(
         photograph,
         models.shape,
-        budget=budget,
-        on_progress=on_progress,
+        **within,
         reflectance=skin.face.reflectance,
         light=skin.light,
         initial_scene_from_model=first.scene_from_model,
@@ -202,9 +202,8 @@ def write_fitted_photograph(
         write_colored_mesh(results.folder / "face.ply", mesh)
         results.trace(done.trace)
         linear = _linear(done.photograph)
-        made, shown = draw_in_camera(
-            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, face.radiance_linear
-        )
+        camera, size = done.photograph.camera, linear.shape[:2]
+        made, shown = draw_in_camera(camera, size, done.vertices, done.faces, face.radiance_linear)
         panels = relit_panels("face", np.nan_to_num(linear), made, shown, np.isfinite(linear))
         title = f"relative RMSE {100 * face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices\n"
         title += "; ".join(step.reason for step in face.plan if step.ran) or "the mean face"
@@ -215,11 +214,9 @@ def write_fitted_photograph(
 def _geometry(
     photograph: PhotographFiles, shape: reflectance.MorphableShapeModel, **options: Any
 ) -> GeometryFit:
-    assert photograph.landmarks_px is not None
-    image, camera = _linear(photograph), photograph.camera
-    return reflectance.refine_geometry(
-        image, camera, photograph.landmarks_px, shape, mask=photograph.mask, **options
-    )
+    image, camera, pixels = _linear(photograph), photograph.camera, photograph.landmarks_px
+    assert pixels is not None
+    return reflectance.refine_geometry(image, camera, pixels, shape, mask=photograph.mask, **options)
 
 
 def _linear(photograph: PhotographFiles) -> FloatArray:
@@ -282,10 +279,7 @@ def tune_model(
     )
     if not tuning.converged:
         notes.append("budget or rounds ended while changes still helped")
-    figures: dict[str, Any] = {
-        "photographs": [str(path) for path in tuned_with],
-        "held_out": [str(path) for path in tested_on],
-    }
+    figures: dict[str, Any] = {"photographs": [*map(str, tuned_with)], "held_out": [*map(str, tested_on)]}
     names = ("accepted_steps", "held_out_before", "held_out_after", "converged")
     figures |= {name: getattr(tuning, name) for name in names}
     mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance

@@ -222,11 +222,8 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
     """Write reflectances drawn from the model in a folder, each a file, and a sheet; return the figures."""
     models = read_model_folder(folder)
     drawn = [models.model.sample(np.random.default_rng([seed, k]), scale=scale) for k in range(count)]
-    figures = {
-        "samples": count,
-        "coefficients": [one.coefficients for one in drawn],
-        "clipped_share": [one.clipped_share for one in drawn],
-    }
+    names, figures = ("coefficients", "clipped_share"), dict[str, Any](samples=count)
+    figures |= {name: [getattr(one, name) for one in drawn] for name in names}
     options = {"count": count, "seed": seed, "scale": scale}
     with publishing(out, "sample", (folder,), options, figures) as results:
         white, panels = albedo_white(models.mean.reflectance.diffuse_linear), []
