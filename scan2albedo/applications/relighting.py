@@ -84,9 +84,7 @@ class RelitFace:
             On each side of a pixel.
         """
         if min(shape) < 2 or samples < 1:
-            raise ValueError(
-                f"shape is {shape} and samples {samples}, expected 2 pixels and 1 sample or more"
-            )
+            raise ValueError(f"shape is {shape}, samples {samples}, expected 2 pixels and 1 sample or more")
         face, mesh, mask = self.face, self.face.mesh, self.face.mask
         given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
         projection = normalized_cameras(given[None])[0]
@@ -176,9 +174,7 @@ def relight(
     if distant is not None and not isinstance(distant, DistantLights):
         require_linear("relight: environment_linear", distant)
         if np.min(distant, initial=0.0) < 0:
-            raise ApplicationError(
-                f"environment_linear goes down to {np.min(distant):.3g}; radiance is 0 or more"
-            )
+            raise ApplicationError(f"environment_linear holds {np.min(distant):.3g}; radiance is 0 or more")
         distant = DistantLights.from_environment(distant, 128, "important")
     light = SceneLight.from_lamps(lights, distant, ambient=base, soft=environment)
     face, notes = as_lit(face, options)
@@ -191,9 +187,7 @@ def relight(
     lit = []
     for values in (face.albedo_linear[mask].astype(np.float64) * diffuse + specular, diffuse, specular):
         if np.abs(values).max() > np.finfo(np.float32).max:
-            raise ApplicationError(
-                f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
-            )
+            raise ApplicationError(f"{face.name} is lit brighter than 3e38: lower the intensities")
         lit.append(on_grid(mask, values).astype(np.float32))
     return RelitFace(face, light, lit[0], lit[1], lit[2], notes)
 

@@ -71,13 +71,8 @@ def swap_texture(
     albedo = gains * continued_skin(skin, shape, model)
     unlike = face_features.unlike_features(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
-    image = replace(
-        shape.image,
-        texture_linear=None,
-        texture_valid=shape.mask,
-        specular_scale=skin.image.specular_scale,
-        labels=None,
-    )
+    valid, scale = shape.mask, skin.image.specular_scale
+    image = replace(shape.image, texture_linear=None, texture_valid=valid, specular_scale=scale, labels=None)
     return replace(
         shape,
         name=f"{shape.name}+{skin.name}",
