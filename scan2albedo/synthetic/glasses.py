@@ -220,10 +220,8 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         t = np.linspace(0, 1, 14)
         path = line[44] + np.stack([-2.5 * t, np.zeros_like(t), -11 * t], 1)
         pad = np.sqrt(np.clip(1 - ((t - 0.72) / 0.29) ** 2, 0, None))
-        local = (
-            _ellipse(8, 1.0, 1.0, 0.0)
-            * np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)[:, None]
-        )
+        scale = np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)
+        local = _ellipse(8, 1.0, 1.0, 0.0) * scale[:, None]
         rings = path[:, None] + local @ _path_frames(path)
         numbers = half.add(rings)
         half.faces.append(_ring_faces(numbers))

@@ -87,10 +87,8 @@ def scan_section(
             "options": [(label_of(key), _option_text(value)) for key, value in record.options.items()],
         }
     except (TypeError, ValueError, ArithmeticError, AttributeError, LookupError) as error:
-        raise Scan2AlbedoError(
-            f"{folder / 'result.json'}: holds figures that no run wrote ({one_line(error)}); process the "
-            "scan again"
-        ) from error
+        text = f"{folder / 'result.json'}: holds figures that no run wrote ({one_line(error)})"
+        raise Scan2AlbedoError(f"{text}; process the scan again") from error
 
 
 def _figures(record: ResultRecord) -> dict[str, Any]:

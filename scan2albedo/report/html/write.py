@@ -87,10 +87,10 @@ def write_report(
             title = next((line for line in opened if b"</title>" in line), b"")
             own = not target.is_symlink() and title.rstrip().endswith("· scan2albedo</title>".encode())
         if not own:
-            raise OutputError(
-                f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or "
-                "give -o with another name"
+            text = (
+                f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or"
             )
+            raise OutputError(f"{text} give -o with another name")
     single = (folder / RESULT_FILE).is_file() and not (folder / batch.CATALOGUE_FILE).is_file()
     chosen: tuple[int, ...] = (0,)
     if single:
