@@ -89,9 +89,7 @@ def usable_texels(image: GeometryImage) -> BoolArray:
     normals of another length than 1, or 0 where none is known.
     """
     if image.texture_linear is None:
-        raise LightingError(
-            "the geometry image has no texture: light cannot be estimated; give a textured scan"
-        )
+        raise LightingError("the geometry image has no texture: no light can be found; give a textured scan")
     if not image.mask.any():
         raise LightingError("the mask of the geometry image is empty: there is no surface to light")
     image.check_normals()

@@ -72,7 +72,14 @@ class LightSearch:
         best, size = wanted[0][1], PlanStep("albedo.lamp_size", False, "the budget ended before it")
         if not meter.exhausted:
             best, size = self._sized(best)
-        lamps = self._lamps_step(best_of, best.model.lights, lights)
+        least, count = best_of[min(best_of)], best.model.lights
+        odds = ", ".join(f"{n}: {value - least:.1f}" for n, value in best_of.items())
+        what = f"{count} lamp(s) beside soft light" if count else "soft light explains the image"
+        if lights is not None:
+            what = f"{lights} asked for"
+            what += "" if count == lights else f", {count} found before the budget ended"
+        evidence = f"log odds against no lamp by number of lamps {odds}"
+        lamps = PlanStep("albedo.lights", lights is not None or count > 0, what, evidence)
         return self._explained(best, wanted, [self.scene.shadows[1], lamps, size])
 
     def _explained(self, best: Point, wanted: list[tuple[float, Point]], steps: list[PlanStep]) -> LightFound:
@@ -116,16 +123,6 @@ class LightSearch:
         shift = weights @ beside_first
         colour = np.average(np.array(tints) - tints[0], axis=0, weights=first_few)
         return shift[:, None] + colour, np.sqrt(weights @ (beside_first - shift) ** 2)
-
-    def _lamps_step(self, best_of: dict[int, float], count: int, asked: int | None) -> PlanStep:
-        least = best_of[min(best_of)]
-        odds = ", ".join(f"{n}: {value - least:.1f}" for n, value in best_of.items())
-        evidence = f"log odds against no lamp by number of lamps {odds}"
-        if asked is not None:
-            short = "" if count == asked else f", {count} found before the budget ended"
-            return PlanStep("albedo.lights", True, f"{asked} asked for{short}", evidence)
-        what = f"{count} lamp(s) beside soft light" if count else "soft light explains the image"
-        return PlanStep("albedo.lights", count > 0, what, evidence)
 
     def _sized(self, point: Point) -> tuple[Point, PlanStep]:
         """Return the best point over the angular radii of its lamps, and the plan's row."""

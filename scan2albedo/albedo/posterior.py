@@ -94,9 +94,8 @@ class Posterior:
         """Return `weight` (N,) of the cells, that of points far from an optimum when None, and its factor."""
         if weight is None:
             weight = 1 / (self.repeats * self.variance * scales.grain**2)
-        return Start(
-            weight, scales, node_field.posterior_factor(self.nodes, weight, self.field.precision(scales))
-        )
+        factor = node_field.posterior_factor(self.nodes, weight, self.field.precision(scales))
+        return Start(weight, scales, factor)
 
     def start(self, model: LightModel, x: FloatArray, known: Start) -> Point:
         """Return the point of a light x (P,), at the albedo's scale that fits best."""
@@ -156,9 +155,7 @@ class Point:
             found.reflectance.specular_strength,
             found.reflectance.exponent,
             level.scale,
-            model.near and model.lights > 0,
-            model.rough and model.lights > 0,
-            model.specular and model.lights > 0,
+            *map(model.has, ("near", "rough", "specular")),
             light,
             specular,
             *slopes,

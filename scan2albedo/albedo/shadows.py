@@ -54,10 +54,8 @@ def shadow_caster(
     # A coarse mesh is good enough to see whether there are shadows, which a dense chart would delay.
     coarse, step = None, -(-max(image.shape) // _COARSE)
     if choice is None and image.occluder is None and step > 1:
-        part = slice(None, None, step)
-        mesh = GeometryImage(
-            image.position[part, part], image.normal[part, part], image.mask[part, part]
-        ).triangulated()
+        part = np.s_[::step, ::step]
+        mesh = GeometryImage(image.position[part], image.normal[part], image.mask[part]).triangulated()
         coarse = mesh if len(mesh[1]) else None
     vertices, faces = image.occluder_mesh() if coarse is None else coarse
     if not len(faces):

@@ -21,7 +21,7 @@ from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
-from scan2albedo.lighting.harmonics import harmonics as harmonics_of
+from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -166,10 +166,7 @@ def _seen_shadows(
         return np.asarray(gaussian_filter(field, known.point.problem.blur * max(mask.shape))[mask])
 
     whole, seen = blurred(np.ones(len(soft))), visible.astype(np.float64)
-    priors = [
-        np.clip(blurred(np.where(hid, 1.0, v)) / whole, _LEAST, 1 - _LEAST)
-        for v, hid in zip(visible, away, strict=True)
-    ]
+    priors = [np.clip(blurred(v) / whole, _LEAST, 1 - _LEAST) for v in np.where(away, 1.0, visible)]
     known.settle(soft + np.einsum("ln,lnc->nc", seen, lamps))
     for _ in range(2):
         for k, lit in enumerate(priors):
@@ -214,11 +211,12 @@ def _soft_light(
     """
     model, mask, caster = solution.model, scene.image.mask, scene.shadows[0]
     state = model.soft(solution.x)
-    harmonics = np.vstack([colours.ambient, state.harmonics[:, None] + colours.harmonics])
-    environment = EnvironmentLight(
-        harmonics, occluded=caster is not None, fill=state.fill, bounce=state.bounce
+    occluded, waves = (
+        caster is not None,
+        np.vstack([colours.ambient, state.harmonics[:, None] + colours.harmonics]),
     )
-    light = harmonics_of(scene.image.normal[mask], 2) @ open_shading(environment)
+    environment = EnvironmentLight(waves, occluded=occluded, fill=state.fill, bounce=state.bounce)
+    light = harmonics(scene.image.normal[mask], 2) @ open_shading(environment)
     if caster is None:
         return environment, light
     # What the surface hides and what it throws back changes slowly along it, and comes from cells.
@@ -226,7 +224,7 @@ def _soft_light(
     level, terms = finest.level, finest.soft
     hidden = open_transfer(level.normal) - terms.transfer
     hidden[:, 0] *= 1 - state.fill
-    change = -hidden @ harmonics
+    change = -hidden @ waves
     if terms.bounce is not None and state.bounce:
         direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ state.harmonics
         change += state.bounce * terms.bounce(direct)[:, None] * colours.bounce

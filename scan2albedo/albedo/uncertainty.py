@@ -52,20 +52,16 @@ class LightUncertainty:
 
     def figures(self) -> dict[str, object]:
         """Return the figures for result.json."""
+        others = []
+        for other in self.alternatives:
+            angles = ((light.azimuth_rad, light.elevation_rad) for light in other.lights)
+            lights_deg = [[round(math.degrees(angle), 2) for angle in pair] for pair in angles]
+            others.append({"lights_deg": lights_deg, "excess": round(other.excess, 5)})
         return {
             "direction_deviation_deg": [round(math.degrees(d), 4) for d in self.direction_rad],
             "intensity_deviation": [round(d, 5) for d in self.intensity],
             "albedo_deviation": round(self.albedo, 6),
-            "alternatives": [
-                {
-                    "lights_deg": [
-                        [round(math.degrees(angle), 2) for angle in (light.azimuth_rad, light.elevation_rad)]
-                        for light in other.lights
-                    ],
-                    "excess": round(other.excess, 5),
-                }
-                for other in self.alternatives
-            ],
+            "alternatives": others,
         }
 
 

@@ -68,11 +68,8 @@ def blend_faces(
     else:
         # Features move toward one another, A's by `weight`, so that none is there twice.
         first, second = (gain * filled_from_nearest(s, mask) for s, gain in zip(skins, gains, strict=True))
-        albedo = _between(
-            face_features.warped(first, -weight * beside),
-            face_features.warped(second, (1 - weight) * beside),
-            weight,
-        )
+        first = face_features.warped(first, -weight * beside)
+        albedo = _between(first, face_features.warped(second, (1 - weight) * beside), weight)
     # The reflectance is the nearer one's where the models do not blend.
     ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
     own, other = (float(np.exp(np.log(gain).mean())) for gain in gains)
@@ -119,9 +116,8 @@ def matched_skins(
         same |= face_features.taken_features(face, other, model, wins)[0]
     beside = face_features.displacement(skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True)))
     # What one face gives to both lies where it is.
-    free = gaussian_filter(
-        1.0 - face_features.grown(same, face_features.AROUND), face_features.AROUND * max(same.shape)
-    )
+    reach = face_features.AROUND
+    free = gaussian_filter(1.0 - face_features.grown(same, reach), reach * max(same.shape))
     return skins, beside * free[..., None]
 
 

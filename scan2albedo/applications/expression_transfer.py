@@ -182,10 +182,8 @@ def personal_model(
         return replace(face.model, control_vertices=face.control_points)
     template = default_model() if model is None else model
     if face.model_name != template.name:
-        raise ApplicationError(
-            f"{face.name}: was processed with the model {face.model_name!r}, not {template.name!r}; give "
-            "that model"
-        )
+        names = f"{face.model_name!r}, not {template.name!r}"
+        raise ApplicationError(f"{face.name}: was processed with the model {names}; give that model")
     level = refinement_level(face.mesh, template)
     if level is not None:
         subdivision = template.subdivision(level)

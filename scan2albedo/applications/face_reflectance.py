@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 from scan2albedo.applications.files import ProcessedScan, load_result
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
@@ -66,10 +67,7 @@ def reflectance_of_processed(
         raise ValueError(f"level must be above 0, got {level}")
     face = source if isinstance(source, ProcessedFace) else load_result(source)
     if face.model_name == NO_MODEL:
-        raise ApplicationError(
-            f"{face.name}: processed without a model, so its vertices correspond to no other scan's; process "
-            "it with a model"
-        )
+        raise ApplicationError(f"{face.name}: processed without a model; process it with one")
     albedo, known = sampled_at_vertices(face.albedo_linear.astype(np.float64), face)
     if not known.any():
         raise ApplicationError(f"{face.name}: no vertex of its surface was seen; scan it from other sides")
@@ -99,19 +97,11 @@ def reflectance_of_processed(
 
 def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatArray, BoolArray]:
     """Return an image (H, W, C) bilinearly at the vertices, as (V, C), and which of these are known (V,)."""
-    columns, rows = pixels_from_uv(face.mesh.uv, face.image.shape).T
-    height, width = face.image.shape
-    total = np.zeros((len(columns), image.shape[2]))
-    trusted, surface = np.zeros(len(columns)), np.zeros(len(columns))
-    for down in (0, 1):
-        for right in (0, 1):
-            row, column = np.floor(rows).astype(int) + down, np.floor(columns).astype(int) + right
-            weight = (1 - np.abs(rows - row)) * (1 - np.abs(columns - column))
-            inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-            row, column = np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)
-            on_surface = weight * (inside & face.mask[row, column])
-            seen = on_surface * face.image.seen[row, column]
-            total += seen[:, None] * image[row, column]
-            trusted, surface = trusted + seen, surface + on_surface
+    at, seen = pixels_from_uv(face.mesh.uv, face.image.shape).T[::-1], face.image.seen
+    fields = [face.mask, seen, *np.moveaxis(image * seen[..., None], -1, 0)]
+    surface, trusted, *total = (
+        map_coordinates(field.astype(np.float64), at, order=1, mode="grid-constant") for field in fields
+    )
     known = (trusted > 0) & (2 * trusted >= surface)
-    return np.where(known[:, None], total / np.where(known, trusted, 1.0)[:, None], np.nan), known
+    means = np.stack(total, 1) / np.where(known, trusted, 1.0)[:, None]
+    return np.where(known[:, None], means, np.nan), known

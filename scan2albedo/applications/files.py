@@ -15,12 +15,9 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import LAMP_RADIUS_DEG, PointLight
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest
+from scan2albedo.io import geometry_image_files
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.geometry_image_files import (
-    read_geometry_image,
-    read_image_and_albedo,
-    write_geometry_image,
-)
+from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
 from scan2albedo.io.glb import METRES_PER_MM, write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.limits import DAMAGE
@@ -77,10 +74,7 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
             text = str(error) if str(folder) in str(error) else f"{folder}: {error}"
             raise ApplicationError(text) from error
     if not hasattr(source, "albedo"):
-        raise TypeError(
-            f"load_result: source is {described(source)}, expected str or Path of a result's folder or a "
-            "ProcessResult"
-        )
+        raise TypeError(f"load_result: source is {described(source)}, expected str or Path or ProcessResult")
     estimate, fitted, image, name = source.albedo, source.fitted, source.geometry_image, source.scan.name
     mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
     model_name = NO_MODEL if fitted is None else fitted.model.name
@@ -120,7 +114,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         found = {name: getattr(made, name) for name in _AS_STORED} | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
     if parameters:
-        image, albedo = read_image_and_albedo(folder)
+        image, albedo = geometry_image_files.read_image_and_albedo(folder)
         brdf, skin = parameters.get("brdf"), Reflectance("lambert")
         rough = parameters.get("minnaert_exponent" if brdf == "minnaert" else "sigma_rad")
         numbers = rough, parameters.get("specular_strength"), parameters.get("specular_exponent")
@@ -128,9 +122,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
             if brdf != "spherical-harmonics":
                 skin = Reflectance(str(brdf), *map(float, numbers))  # type: ignore[arg-type]
         except (TypeError, ValueError) as error:
-            raise ApplicationError(
-                f"{file}: its parameters describe no reflectance ({error}); process the scan again"
-            ) from error
+            raise ApplicationError(f"{file}: is no reflectance ({error}); process the scan again") from error
         found |= {"albedo_linear": albedo, "reflectance": skin}
         if (stored := folder / "expected_error.exr").is_file():
             found["expected_error"] = read_image_linear(stored)[..., 0]
@@ -152,8 +144,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     exact = vertices if image.occluder is None else image.occluder[0]
     if exact.shape != vertices.shape or np.abs(exact - vertices).max(initial=0.0) > SAME_PLACE_MM:
         raise ApplicationError(
-            f"{file}: is not the surface of geometry_image.npz beside it; they come from different runs: "
-            "process the scan again"
+            f"{file}: it and geometry_image.npz are of different runs; process the scan again"
         )
     return ProcessedFace(image=image, mesh=FaceMesh(exact, faces, uv), **found)
 

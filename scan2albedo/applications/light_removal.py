@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,15 +24,10 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry import rasterization
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import face_areas, thinned, vertex_normals
-from scan2albedo.geometry.rasterization import (
-    bilinear,
-    filled_from_nearest,
-    filled_smoothly,
-    pixels_from_uv,
-    rasterize,
-)
+from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.texture_atlas import in_first_period
@@ -131,26 +127,28 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         log_beyond = np.einsum("nk,nkc->nc", hits.barycentric, log_lit[thin.faces[hits.face]])
         steps = outlines(thin.vertices, thin.faces, log_lit, vertices)
     # How fine the scan's texture is on the face.
-    density, finest, areas = 0.0, max(mask.shape), image.texel_areas_mm2()
-    own = (weight[scan.faces] > 0).all(1)
+    density, own = 0.0, (weight[scan.faces] > 0).all(1)
     if scan.texture_linear is not None and scan.uv is not None and own.any():
         pixels = pixels_from_uv(scan.uv[own].reshape(-1, 2), scan.texture_linear.shape[:2])
         a, b, c = np.moveaxis(pixels.reshape(-1, 3, 2), 1, 0)
         texels = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
         density = float(np.sqrt(texels / max(face_areas(scan.vertices, scan.faces[own]).sum(), 1e-12)))
-    if density > 0:
-        texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 1.0
-        # Noise is averaged twice as far as on a chart of such texels, each a mean over its footprint.
-        finest = max(1, round(2 * finest * texel_mm * density))
     outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
-    found = _Light(scan, uv, weight, log_light, usual, log_beyond, steps, outside, finest, density)
+
+    def light_at(place: FloatArray, share: FloatArray, beyond: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the light (N, 3), by `share` (N,) the chart's, and how surely it is known (N,)."""
+        on_chart = bilinear(log_light, pixels_from_uv(place, mask.shape))
+        log_there = share[:, None] * on_chart + (1 - share[:, None]) * beyond
+        return np.exp(log_there), share + (1 - share) * outside
+
     shown = np.float32(1) if scan.color_seen is None else scan.color_seen
     notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
     if scan.uv is not None and scan.texture_linear is not None:
-        texture, confidence = _unlit_texture(found, scan.texture_linear, scan.uv)
+        of_vertices = weight, uv, log_beyond, steps
+        texture, confidence = _unlit_texture(scan, light_at, usual, of_vertices, density)
         return UnlitScan(replace(scan, texture_linear=texture, notes=notes), confidence * shown)
     assert scan.vertex_color_linear is not None
-    divisor, sure = found.at(uv, weight, found.log_beyond)
+    divisor, sure = light_at(uv, weight, log_beyond)
     colors = (scan.vertex_color_linear * (usual / divisor)).astype(np.float32)
     return UnlitScan(replace(scan, vertex_color_linear=colors, notes=notes), sure.astype(np.float32) * shown)
 
@@ -193,43 +191,28 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
     return uv, weight
 
 
-@dataclass(frozen=True)
-class _Light:
-    """What every texel of a scan is divided by: light on the chart, and beyond it (V, 3), about `usual`.
-
-    Vertices lie at `uv` (V, 2) of the chart, and belong to it by `weight` (V,). `outlines` (V, 2) are those
-    of the light beyond, which is known by `outside`. `side` is that of a chart as fine as the scan's texture.
-    """
-
-    scan: RawScan
-    uv: FloatArray
-    weight: FloatArray
-    log_light: FloatArray
-    usual: float
-    log_beyond: FloatArray
-    outlines: FloatArray
-    outside: float
-    side: int
-    texels_per_mm: float
-
-    def at(self, uv: FloatArray, weight: FloatArray, log_beyond: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the light (N, 3), by `weight` (N,) the chart's, and how surely it is known (N,)."""
-        pixels, share = pixels_from_uv(uv, self.log_light.shape[:2]), weight[:, None]
-        log_light = share * bilinear(self.log_light, pixels) + (1 - share) * log_beyond
-        return np.exp(log_light), weight + (1 - weight) * self.outside
-
-
 def _unlit_texture(
-    light: _Light, texture: NDArray[np.float32], uv: FloatArray
+    scan: RawScan,
+    light_at: Callable[..., tuple[FloatArray, FloatArray]],
+    brightness: float,
+    vertices: tuple[FloatArray, ...],
+    texels_per_mm: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the texture (H, W, 3) without its light, and the confidence (H, W); where no face is, as is."""
+    """Return a scan's texture (H, W, 3) without its light, or as it is where no face is, and the confidence.
+
+    `vertices` belong to the chart by weight (V,), lie at its uv (V, 2), and have beyond it log light (V, 3),
+    about `brightness`, with outlines (V, 2).
+    """
+    texture, uv = scan.texture_linear, scan.uv
+    assert texture is not None
+    assert uv is not None
     shape = texture.shape[:2]
     corners = pixels_from_uv(in_first_period(uv, texture.shape).reshape(-1, 2), shape).reshape(-1, 3, 2)
     first, last = np.floor(corners.min(1)), np.ceil(corners.max(1))
     result, confidence, margin = np.array(texture), np.zeros(shape, np.float32), 8 * GUTTER
     # The tile with most of the face comes first: what is usual there serves for all, so that they join
     # without a seam.
-    face = corners.mean(1)[(light.weight[light.scan.faces] > 0).any(1)]
+    face = corners.mean(1)[(vertices[0][scan.faces] > 0).any(1)]
     places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
     count = Counter(map(tuple, places.tolist()))
     tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
@@ -243,15 +226,14 @@ def _unlit_texture(
         tile = texture[np.s_[low[1] : high[1], low[0] : high[0]]]
         places_px = (corners[inside] - low).reshape(-1, 2)
         index = np.arange(len(places_px)).reshape(-1, 3)
-        raster = rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
+        raster = rasterization.rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
         there = raster.covered
-        vertex, barycentric = light.scan.faces[inside[raster.face[there]]], raster.barycentric[there]
+        vertex, barycentric = scan.faces[inside[raster.face[there]]], raster.barycentric[there]
         weight, place, beyond, near_outlines = (
-            np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertex]))
-            for values in (light.weight, light.uv, light.log_beyond, light.outlines)
+            np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertex])) for values in vertices
         )
-        divisor, known = np.full(tile.shape, light.usual), np.zeros(tile.shape[:2])
-        divisor[there], known[there] = light.at(place, weight, beyond)
+        divisor, known = np.full(tile.shape, brightness), np.zeros(tile.shape[:2])
+        divisor[there], known[there] = light_at(place, weight, beyond)
         usable, albedo = known > 0, tile / divisor
         if usable.any():
             rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
@@ -262,11 +244,11 @@ def _unlit_texture(
             near = np.zeros((*tile.shape[:2], 2))
             near[there] = near_outlines * np.stack([1 - weight, np.ones_like(weight)], axis=1)
             if near[..., 0].any():
-                albedo[box] = without_lines(albedo[box], near[box], there[box], light.texels_per_mm)
+                albedo[box] = without_lines(albedo[box], near[box], there[box], texels_per_mm)
             usual = filtered.noise
         # Beside the scan's charts, where viewers interpolate across the rim, its colours go on.
         beside = maximum_filter(there, 2 * GUTTER + 1)[..., None]
-        unlit = np.where(beside, filled_from_nearest(albedo, there), tile / light.usual) * light.usual
+        unlit = np.where(beside, filled_from_nearest(albedo, there), tile / brightness) * brightness
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
         result[top : top + _TILE, left : left + _TILE] = unlit[own]
         confidence[top : top + _TILE, left : left + _TILE] = known[own]
@@ -329,7 +311,7 @@ def without_lines(
 
     inside = there[..., None].astype(np.float32)
     mean = blurred(log_albedo * inside) / np.maximum(blurred(inside), 1e-6)
-    base = blurred(filled_smoothly(log_albedo, known))
+    base = blurred(rasterization.filled_smoothly(log_albedo, known))
     detail = log_albedo - mean
     # Detail of more than four times the median is a remainder of an outline.
     usual = 4 * float(np.median(np.abs(detail[known])))

@@ -133,12 +133,11 @@ def write_gif(
     """
     from PIL import Image
 
-    if not frames:
-        raise ValueError("an animation needs a frame at least")
-    if len({np.shape(frame) for frame in frames}) > 1 or not 0 < seconds_per_frame < math.inf:
+    shapes = {np.shape(frame) for frame in frames}
+    if len(shapes) != 1 or not 0 < seconds_per_frame < math.inf:
         raise ValueError(
-            f"frames have shapes {sorted({np.shape(frame) for frame in frames})} and {seconds_per_frame} "
-            "seconds each, expected one shape and a time above 0"
+            f"{len(frames)} frames have shapes {sorted(shapes)} and {seconds_per_frame} seconds each: an "
+            "animation needs a frame at least, one shape and a time above 0"
         )
     first, *others = (Image.fromarray(frame).quantize(256) for frame in (*frames, *frames[-2:0:-1]))
     data, duration = BytesIO(), round(1000 * seconds_per_frame)

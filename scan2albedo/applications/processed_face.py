@@ -96,28 +96,21 @@ class ProcessedFace:
     """What was decided in making it, one sentence each."""
 
     def __post_init__(self) -> None:
-        albedo = np.asarray(self.albedo_linear, np.float32)
-        if albedo.shape != (*self.image.shape, 3):
-            raise ApplicationError(
-                f"{self.name}: the albedo is {albedo.shape}, expected {(*self.image.shape, 3)} like the "
-                "geometry image; process the scan again"
-            )
-        error = self.expected_error
-        if error is not None and (error.shape != self.image.shape or not np.isfinite(error).all()):
-            raise ApplicationError(
-                f"{self.name}: expected_error is {error.shape} or not finite, expected finite numbers "
-                f"{self.image.shape} like the geometry image; process the scan again"
-            )
-        if not np.isfinite(albedo[self.image.mask]).all():
-            raise ApplicationError(f"{self.name}: the albedo holds NaN or infinite values inside the mask")
+        albedo, shape = np.asarray(self.albedo_linear, np.float32), self.image.shape
+        everywhere = np.ones(shape, bool)
+        for what, field, expected, where in (
+            ("the albedo", albedo, (*shape, 3), self.mask),
+            ("expected_error", self.expected_error, shape, everywhere),
+        ):
+            if field is not None and (field.shape != expected or not np.isfinite(field[where]).all()):
+                raise ApplicationError(
+                    f"{self.name}: {what} is {field.shape} or holds NaN, expected finite numbers {expected} "
+                    "like the geometry image; process the scan again"
+                )
         if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
-            raise ApplicationError(
-                f"{self.name}: the albedo goes down to {lowest:.3g} inside the mask; albedo is 0 or more"
-            )
+            raise ApplicationError(f"{self.name}: the albedo goes down to {lowest:.3g}; albedo is 0 or more")
         if not (np.isfinite(self.view_direction).all() and np.any(self.view_direction)):
-            raise ApplicationError(
-                f"{self.name}: view_direction is {self.view_direction}, expected finite numbers, not all zero"
-            )
+            raise ApplicationError(f"{self.name}: view_direction {self.view_direction} is not finite or zero")
         self.image.check_normals()
         if not len(self.mesh.faces):
             raise ApplicationError(f"{self.name}: the geometry image holds no surface")

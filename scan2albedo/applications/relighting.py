@@ -25,13 +25,8 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import write_glb
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.rendering.pictures import (
-    Picture,
-    auto_exposure,
-    checked_exposure,
-    portrait_camera,
-    seen_samples,
-)
+from scan2albedo.rendering import pictures
+from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure, portrait_camera
 from scan2albedo.rendering.scene_light import SceneLight, shade
 
 Gloss = Literal["auto", "found", "none"]
@@ -89,13 +84,11 @@ class RelitFace:
             On each side of a pixel.
         """
         if min(shape) < 2 or samples < 1:
-            raise ValueError(
-                f"shape is {shape} and samples {samples}, expected 2 pixels and 1 sample or more"
-            )
+            raise ValueError(f"shape is {shape}, samples {samples}, expected 2 pixels and 1 sample or more")
         face, mesh, mask = self.face, self.face.mesh, self.face.mask
         given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
         projection = normalized_cameras(given[None])[0]
-        seen = seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
+        seen = pictures.seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
         normal = seen.interpolated(mesh.normals)
         toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
         outside = np.einsum("nc,nc->n", normal, toward) > 0
@@ -181,9 +174,7 @@ def relight(
     if distant is not None and not isinstance(distant, DistantLights):
         require_linear("relight: environment_linear", distant)
         if np.min(distant, initial=0.0) < 0:
-            raise ApplicationError(
-                f"environment_linear goes down to {np.min(distant):.3g}; radiance is 0 or more"
-            )
+            raise ApplicationError(f"environment_linear holds {np.min(distant):.3g}; radiance is 0 or more")
         distant = DistantLights.from_environment(distant, 128, "important")
     light = SceneLight.from_lamps(lights, distant, ambient=base, soft=environment)
     face, notes = as_lit(face, options)
@@ -193,14 +184,12 @@ def relight(
     shadows = ShadowMap(caster, image.position[mask], image.normal[mask], face.shadow_offset_mm)
     scale = None if image.specular_scale is None else image.specular_scale[mask].astype(np.float64)
     diffuse, specular = shade(shadows, light, face.reflectance, view / np.linalg.norm(view), scale)
-    pictures = []
+    lit = []
     for values in (face.albedo_linear[mask].astype(np.float64) * diffuse + specular, diffuse, specular):
         if np.abs(values).max() > np.finfo(np.float32).max:
-            raise ApplicationError(
-                f"{face.name} is lit brighter than 3e38, which no picture holds; lower the intensities"
-            )
-        pictures.append(on_grid(mask, values).astype(np.float32))
-    return RelitFace(face, light, pictures[0], pictures[1], pictures[2], notes)
+            raise ApplicationError(f"{face.name} is lit brighter than 3e38: lower the intensities")
+        lit.append(on_grid(mask, values).astype(np.float32))
+    return RelitFace(face, light, lit[0], lit[1], lit[2], notes)
 
 
 def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, tuple[str, ...]]:

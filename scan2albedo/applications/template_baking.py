@@ -16,16 +16,9 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
-from scan2albedo.geometry import rasterization
+from scan2albedo.geometry import mesh, rasterization
 from scan2albedo.geometry.closest_points import surface_query
-from scan2albedo.geometry.mesh import (
-    adjacency,
-    boundary_vertex_mask,
-    normalized,
-    usual_edge,
-    vertex_normals,
-    without_unreferenced,
-)
+from scan2albedo.geometry.mesh import normalized, vertex_normals, without_unreferenced
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
@@ -192,13 +185,13 @@ class FineShape:
         used, faces = without_unreferenced(vertices, kept)
         vertices, base, differs = vertices[used], base[used], (own - base)[used]
         noise_rad = SurfaceNoise.of(vertices, faces).among(np.ones(len(vertices), bool))[0]
-        noise_rad /= max(usual_edge(vertices, faces), 1e-9)
+        noise_rad /= max(mesh.usual_edge(vertices, faces), 1e-9)
         passes = int(np.clip(round((noise_rad / NOISE_RAD) ** 2), 2, 40))
-        around = adjacency(len(vertices), faces) + sparse.identity(len(vertices), format="csr")
+        around = mesh.adjacency(len(vertices), faces) + sparse.identity(len(vertices), format="csr")
         mean = sparse.diags(1 / np.asarray(around.sum(1)).ravel()) @ around
         for _ in range(passes):
             differs = mean @ differs
-        inner = (~boundary_vertex_mask(len(vertices), faces)).astype(np.float64)
+        inner = (~mesh.boundary_vertex_mask(len(vertices), faces)).astype(np.float64)
         share = inner
         for _ in range(8):  # the scan's own shape fades at its edges, about three edges of its faces wide
             share = inner * (mean @ share)
@@ -219,7 +212,7 @@ class _Surface:
     def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray) -> None:
         self.vertices, self._faces, self._normals = vertices, faces, normals
         self._query = surface_query(vertices, faces)
-        self._inner = ~boundary_vertex_mask(len(vertices), faces)
+        self._inner = ~mesh.boundary_vertex_mask(len(vertices), faces)
 
     def normals_at(self, points: FloatArray, *, beyond_edges: bool = True) -> tuple[FloatArray, BoolArray]:
         """Return unit normals (N, 3) at closest points, and whether these are within reach."""

@@ -7,22 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 
-from scan2albedo.applications.face_features import (
-    AROUND,
-    FLOOR,
-    LOCAL,
-    UNLIKE,
-    blurred_inside,
-    dark_sides,
-    feature_texels,
-    grown,
-    mirrored,
-    skin_gains,
-    taken_features,
-    unlike_features,
-    without_catchlights,
-    without_light_left,
-)
+from scan2albedo.applications import face_features
+from scan2albedo.applications.face_features import AROUND, blurred_inside, feature_texels, grown
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -79,18 +65,14 @@ def swap_texture(
     shape, skin = on_common_chart(a, b)
     levels, gains = (skin.level(), shape.level()), np.ones(3)
     if options.match_level and options.match_color:
-        gains = skin_gains(skin, shape)
+        gains = face_features.skin_gains(skin, shape)
     elif options.match_level and min(levels) > 0:
         gains *= levels[1] / levels[0]
-    albedo, unlike = gains * continued_skin(skin, shape, model), unlike_features(skin, shape, model)
+    albedo = gains * continued_skin(skin, shape, model)
+    unlike = face_features.unlike_features(skin, shape, model)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
-    image = replace(
-        shape.image,
-        texture_linear=None,
-        texture_valid=shape.mask,
-        specular_scale=skin.image.specular_scale,
-        labels=None,
-    )
+    valid, scale = shape.mask, skin.image.specular_scale
+    image = replace(shape.image, texture_linear=None, texture_valid=valid, specular_scale=scale, labels=None)
     return replace(
         shape,
         name=f"{shape.name}+{skin.name}",
@@ -98,7 +80,7 @@ def swap_texture(
         albedo_linear=albedo.astype(np.float32),
         reflectance=replace(skin.reflectance, specular_strength=strength),
         expected_error=skin.expected_error,
-        notes=tuple(UNLIKE.format(name, shape.name) for name in unlike),
+        notes=tuple(face_features.UNLIKE.format(name, shape.name) for name in unlike),
     )
 
 
@@ -108,16 +90,16 @@ def continued_skin(
     """Return (H, W, 3) the albedo of a face without catchlights and `without_light_left`; `continued` where
     it was not seen, features from its own other side, or as a whole the other face's, see `taken_features`.
     """
-    taken, kept = taken_features(face, other, model, wins)
-    own, detail = (without_catchlights(f, model) for f in (face, other))
+    taken, kept = face_features.taken_features(face, other, model, wins)
+    own, detail = (face_features.without_catchlights(f, model) for f in (face, other))
     if np.allclose(own, detail, rtol=1e-6, atol=0):
         return own
-    own = without_light_left(own, face, other)
+    own = face_features.without_light_left(own, face, other)
     sure, theirs = trusted(face, model), trusted(other, model)
     # Where either has a feature, the other one's gradients are of another place.
     both = [texels for f in (face, other) for texels in feature_texels(f, model).values()]
     featured = grown(np.logical_or.reduce([*both, np.zeros_like(kept)]), AROUND) & ~taken
-    beside = featured & sure[:, ::-1] & mirrored(face)
+    beside = featured & sure[:, ::-1] & face_features.mirrored(face)
     source = np.where(taken | (theirs & ~featured), 1, 0) + 2 * beside
     detail = np.where(beside[..., None], own[:, ::-1], detail)
     known = (sure | (kept & ~(beside & ~face.image.seen))) & ~taken
@@ -127,7 +109,7 @@ def continued_skin(
 def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) texels that were seen, but for those close to others and for hair at the sides."""
     near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")
-    return np.asarray(face.mask & ~near & ~dark_sides(face, model))
+    return np.asarray(face.mask & ~near & ~face_features.dark_sides(face, model))
 
 
 def continued(
@@ -143,7 +125,7 @@ def continued(
     missing = other.mask & ~known
     if not missing.any() or not known.any():
         return albedo
-    floor = FLOOR * max(other.level(), 1e-12)
+    floor = face_features.FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))
     log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
     distance, (row, column) = distance_transform_edt(~known, return_indices=True)
@@ -159,7 +141,8 @@ def continued(
     down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0
     # The faces' difference less its local mean, that of a box taken twice, reweighted by Geman and McClure's
     # 1 / (1 + (r / s)^2)^2.
-    both, side = known & (source == 1) & ~grown(whole, AROUND), 2 * round(LOCAL * max(known.shape)) + 1
+    both = known & (source == 1) & ~grown(whole, AROUND)
+    side = 2 * round(face_features.LOCAL * max(known.shape)) + 1
     values = np.where(both[..., None], field - log_other, 0.0)
     weight, feature = both.astype(np.float64), np.zeros_like(values)
     for _ in range(5):

@@ -97,9 +97,7 @@ def shade_points(
     shapes = (count, 3), (count, 3), (len(lights), count), (count,)
     for (name, array), shape in zip(given.items(), shapes, strict=True):
         if array.shape != shape:
-            raise ValueError(
-                f"{name} has shape {array.shape}, expected {shape} for {count} points, {len(lights)} lights"
-            )
+            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
     for name in ("position", "normal", "specular_scale"):
         bad = np.argwhere(~np.isfinite(given[name]))
         if len(bad):

@@ -15,6 +15,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
+from scan2albedo.reflectance.linear_model import checked_coefficients
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
 Lobe = Literal["tilted", "full"]
@@ -186,21 +187,11 @@ def shade_environment(
         `full` is the formula of Han, Wang and Xu, the one above; `tilted` replaces r by the lobe's mean
         direction, which is nearest to the truth at oblique views.
     """
-    coefficients = checked_light(light)
+    coefficients = checked_coefficients(light, (HARMONICS, 3), "light")
     response = light_response(normals, toward_camera, lobe=lobe)
     if len(reflectance.known) != len(response.diffuse):
         raise ValueError(f"{len(reflectance.known)} vertices reflect, {len(response.diffuse)} have normals")
     return response.shade(reflectance, coefficients)
-
-
-def checked_light(light: ArrayLike) -> FloatArray:
-    """Return (81, 3) coefficients, or raise `ValueError` for the shape, `ReflectanceError` for NaN."""
-    coefficients = np.asarray(light, np.float64)
-    if coefficients.shape != (HARMONICS, 3):
-        raise ValueError(f"light must have shape ({HARMONICS}, 3), got {coefficients.shape}")
-    if not np.isfinite(coefficients).all():
-        raise ReflectanceError("the light's coefficients hold NaN or infinite values; project the map again")
-    return coefficients
 
 
 def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
@@ -244,12 +235,10 @@ def shading_gradient(
     e, f = (np.where(ahead[:, None], 0.0, normalized(u)) for u in (along, n - cosine[:, None] * v))
     for k, exponent in enumerate(EXPONENTS):
         response, tilt = tilted_lobe(angle, exponent)
-        response_slope, tilt_slope = tilted_lobe(angle, exponent, derivative=1)
+        slope, tilt_slope = tilted_lobe(angle, exponent, derivative=1)
         cos_tilt, sin_tilt = np.cos(tilt)[:, None], np.sin(tilt)[:, None]
         m = cos_tilt * n + sin_tilt * e
-        by_angle = np.einsum(
-            "vh,vh,hj->vj", response_slope[:, _DEGREES], harmonics(m, ORDER), light, optimize=True
-        )
+        by_angle = np.einsum("vh,vh,hj->vj", slope[:, _DEGREES], harmonics(m, ORDER), light, optimize=True)
         by_m = np.einsum(
             "vh,vhi,hj->vji", response[:, _DEGREES], harmonics_gradient(m, ORDER), light, optimize=True
         )
@@ -258,10 +247,8 @@ def shading_gradient(
         ratio = np.where(ahead, tilt_slope, sin_tilt[:, 0] / np.where(ahead, 1.0, sine))[:, None, None]
         across = ratio * (by_m - np.einsum("vji,vi,vk->vjk", by_m, e, e))
         across_n = np.einsum("vji,vi->vj", across, n)[:, :, None]
-        lobe_by_normal = (
-            cos_tilt[:, :, None] * by_m + cosine[:, None, None] * across + across_n * v[:, None, :]
-        )
+        by_lobe = cos_tilt[:, :, None] * by_m + cosine[:, None, None] * across + across_n * v[:, None, :]
         weight = reflectance.weights[:, k, None, None]
-        by_normal += weight * (lobe_by_normal + by_angle[:, :, None] * e[:, None, :])
+        by_normal += weight * (by_lobe + by_angle[:, :, None] * e[:, None, :])
         by_view += weight * (across_n * n[:, None, :] - across - by_angle[:, :, None] * f[:, None, :])
     return by_normal, by_view

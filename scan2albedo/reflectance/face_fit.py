@@ -20,6 +20,7 @@ from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.environment_shading import diffuse_response, shading_gradient
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
+from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import PEOPLE_DIFFER, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance, among_all
@@ -168,10 +169,7 @@ def fit_face(
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces)
-    if len(xyz) != len(model.known):
-        raise ReflectanceError(
-            f"the mesh has {len(xyz)} vertices and the model {len(model.known)}; bring both to one topology"
-        )
+    require_one_topology("the mesh", len(xyz), "the model", len(model.known))
     if not np.isfinite(xyz).all():
         bad = int((~np.isfinite(xyz)).any(1).sum())
         raise ReflectanceError(f"{bad} vertices of the mesh are NaN or infinite; give a whole mesh")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -89,18 +90,15 @@ def finetune(
     count = len(model.known)
     triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
     if triangles.ndim != 2 or triangles.shape[1] != 3 or positions.shape != (count, 3):
-        raise ValueError(
-            f"faces is {triangles.shape} and vertices {positions.shape}, expected (F, 3) and ({count}, 3)"
-        )
+        raise ValueError(f"faces {triangles.shape}, vertices {positions.shape}, not (F, 3), ({count}, 3)")
     if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
         raise ValueError(f"faces point outside 0 ... {count - 1}")
     triangles = triangles[model.known[triangles].all(1)]
     if not np.isfinite(positions[triangles]).all():
         raise ReflectanceError("vertices hold NaN or infinite values; give positions in mm")
     if not observations or not held_out:
-        raise ReflectanceError(
-            f"{len(observations)} images to tune with and {len(held_out)} held out; give one or more of each"
-        )
+        counts = f"{len(observations)} images to tune with, {len(held_out)} held out"
+        raise ReflectanceError(f"{counts}; give one or more of each")
     smooth = surface_diffusion(np.nan_to_num(positions), triangles, SMOOTHING_MM)
     lighting = LightingModel.default() if lighting is None else lighting
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
@@ -132,11 +130,8 @@ def finetune(
     try:
         while len(steps) < ROUNDS and not meter.exhausted and not converged:
             fits = [fit(observation, current) for observation in observations]
-            changes = [
-                best_change(model, observations, fits, mean_change=MEAN_CHANGE, basis_change=basis)
-                for basis in BASIS_CHANGES
-            ]
-            changes = [smoothed(one, smooth) for one in changes]
+            best = partial(best_change, model, observations, fits, mean_change=MEAN_CHANGE)
+            changes = [smoothed(best(basis_change=share), smooth) for share in BASIS_CHANGES]
             for step in (1.0, 0.5, 0.5**2):  # a change that does not help is halved, then given up
                 if meter.exhausted:
                     break

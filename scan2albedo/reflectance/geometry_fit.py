@@ -17,17 +17,11 @@ from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
 from scan2albedo.geometry.rigid import compose, is_rigid, procrustes, rotation_from_vector, transform_points
 from scan2albedo.optimization import Damping, Descent
-from scan2albedo.reflectance.environment_shading import checked_light
-from scan2albedo.reflectance.geometry_terms import (
-    GeometryObjective,
-    GeometryState,
-    LandmarkTerm,
-    PhotometricTerm,
-    SmoothImage,
-    photometric_term,
-)
+from scan2albedo.reflectance import geometry_terms as terms
+from scan2albedo.reflectance.environment_shading import HARMONICS
+from scan2albedo.reflectance.geometry_terms import GeometryObjective, GeometryState, PhotometricTerm
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
-from scan2albedo.reflectance.linear_model import checked_coefficients
+from scan2albedo.reflectance.linear_model import checked_coefficients, require_one_topology
 from scan2albedo.reflectance.map_fit import MapPoint, most_probable
 from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
@@ -130,15 +124,11 @@ def refine_geometry(
     if landmarks.shape != (LANDMARKS, 2):
         raise ValueError(f"landmarks_px must have shape ({LANDMARKS}, 2), got {landmarks.shape}")
     landmarks[~np.isfinite(landmarks).all(1)] = np.nan
-    coefficients = np.concatenate(
-        [
-            np.zeros(count) if given is None else checked_coefficients(given, count, name)
-            for given, count, name in (
-                (initial_identity, shape_model.identity_components, "initial_identity"),
-                (initial_expression, shape_model.expression_components, "initial_expression"),
-            )
-        ]
-    )
+    count = shape_model.identity_components
+    identity = checked_coefficients(initial_identity, (count,), "initial_identity")
+    count = shape_model.expression_components
+    expression = checked_coefficients(initial_expression, (count,), "initial_expression")
+    coefficients = np.concatenate([identity, expression])
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
     if initial_scene_from_model is not None:
         pose = np.array(initial_scene_from_model, np.float64)
@@ -147,9 +137,7 @@ def refine_geometry(
         if not is_rigid(pose):
             raise ReflectanceError("initial_scene_from_model is not rigid; give rotation and translation")
     elif len(seen) < 6:
-        raise ReflectanceError(
-            f"{len(seen)} landmarks are seen, and a pose takes 6; give initial_scene_from_model"
-        )
+        raise ReflectanceError(f"{len(seen)} landmarks seen, a pose takes 6; give initial_scene_from_model")
     else:
         points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
         pose = pose_from_landmarks(matrix, points, landmarks[seen])
@@ -163,19 +151,13 @@ def refine_geometry(
         length = np.linalg.norm(state.vertices[edges[:, 0]] - state.vertices[edges[:, 1]], axis=1).mean()
         _, depth = project(matrix, state.vertices)
         edge_px = float(length / _pixel_mm(matrix, depth)) if np.median(depth) > 0 else 0.0
-        image = SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
-        if len(reflectance.known) != len(shape_model.mean):
-            raise ReflectanceError(
-                f"the reflectance has {len(reflectance.known)} vertices and the shape model "
-                f"{len(shape_model.mean)}; bring both to one topology"
-            )
-        term_over = partial(
-            photometric_term, image, matrix, shape_model.faces, reflectance, checked_light(light)
-        )
+        image = terms.SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
+        vertices = len(shape_model.mean)
+        require_one_topology("the reflectance", len(reflectance.known), "the shape model", vertices)
+        lit = reflectance, checked_coefficients(light, (HARMONICS, 3), "light")
+        term_over = partial(terms.photometric_term, image, matrix, shape_model.faces, *lit)
     elif not len(seen):
-        raise ReflectanceError(
-            "no landmark is seen and no reflectance given, so the geometry is undetermined; give one of both"
-        )
+        raise ReflectanceError("no landmark is seen, no reflectance given: undetermined; give one of both")
     meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
     converged, iterations = True, 0
     rmse: tuple[float | None, float | None] = (None, None)
@@ -185,10 +167,8 @@ def refine_geometry(
         vertex = shape_model.landmark_vertices[seen]
         _, depth = project(matrix, state.vertices[vertex])
         if not (depth > 0).all():
-            raise ReflectanceError(
-                "landmarks lie behind the camera at the initial pose; check pose and camera"
-            )
-        anchors = [LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))]
+            raise ReflectanceError("landmarks lie behind the camera at first; check pose and camera")
+        anchors = [terms.LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))]
         plan = [PlanStep(name, True, "landmarks are seen", f"{len(seen)} landmarks")]
         stage = meter.sub_meter(name, "objective")
         for rigid, most in ((True, 20), (False, 100)):
@@ -228,11 +208,8 @@ def refine_geometry(
         elif meter.exhausted:
             converged = False
     if not converged:
-        warnings.warn(
-            f"the geometry fit stopped after {iterations} steps without having converged",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        text = f"the geometry fit stopped after {iterations} steps without having converged"
+        warnings.warn(text, RuntimeWarning, stacklevel=2)
     identity, expression = np.split(state.coefficients, [shape_model.identity_components])
     pixels, _ = project(matrix, state.vertices[shape_model.landmark_vertices])
     return GeometryFit(

@@ -14,6 +14,7 @@ from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.lighting_model import LightingModel
+from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.map_fit import LocalTerm, MapPoint, most_probable
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
@@ -100,11 +101,7 @@ def fit_image(
     is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
     """
     seen = np.asarray(observation.seen)
-    if len(seen) != len(model.known):
-        raise ReflectanceError(
-            f"the observation has {len(seen)} vertices and the model {len(model.known)}; bring both to one "
-            "topology"
-        )
+    require_one_topology("the observation", len(seen), "the model", len(model.known))
     if not (seen & model.known).any():
         raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
     lighting = LightingModel.default() if lighting is None else lighting
@@ -119,12 +116,8 @@ def fit_image(
     first = MapPoint.evaluate(terms, terms.predict(start), meter)
     found = most_probable(first, steps=200, tolerance=1e-5)
     if not found.converged:
-        warnings.warn(
-            f"the image fit stopped after {found.steps} steps without having converged; the "
-            f"objective is {found.best.cost:.4g}",
-            RuntimeWarning,
-            stacklevel=2,
-        )
+        text = f"the image fit stopped after {found.steps} steps without having converged; the objective is "
+        warnings.warn(f"{text}{found.best.cost:.4g}", RuntimeWarning, stacklevel=2)
     best, used = found.best.state, terms.used
     b, g, t = terms.split(best.parameters)
     face = model.reconstruct(b)
@@ -234,25 +227,19 @@ class ImageTerms:
         answer = self.perceptual(predicted, observed)
         try:
             distance, whole = float(answer[0]), np.asarray(answer[1], np.float64)
+            if whole.shape != (self.count, 3):
+                raise ValueError(f"a gradient {whole.shape}")
         except (TypeError, ValueError, IndexError) as error:
             raise ReflectanceError(
                 f"the perceptual function returned {type(answer).__name__}, expected a number and its "
-                f"gradient ({self.count}, 3) by the predicted colours"
+                f"gradient ({self.count}, 3) by the predicted colours ({error})"
             ) from error
-        if whole.shape != (self.count, 3):
-            raise ReflectanceError(
-                f"the perceptual function returned a gradient {whole.shape}, expected ({self.count}, 3), "
-                "one row for each vertex"
-            )
         gradient = whole[self.used]
         bad = ~np.isfinite(gradient).all(1)
         if not np.isfinite(distance) or bad.any():
-            what = (
-                f"no gradient at {bad.sum()} vertices" if np.isfinite(distance) else f"the value {distance}"
-            )
             raise ReflectanceError(
-                f"the perceptual function returned {what}; it must leave out vertices that are NaN in the "
-                "predicted colours"
+                f"the perceptual function returned the value {distance} and no gradient at {bad.sum()} "
+                "vertices; it must leave out vertices that are NaN in the predicted colours"
             )
         if before is not None and before.gradient is not None:
             step = color - before.color

@@ -74,7 +74,7 @@ class LightingModel(LinearModel):
 
         Raises `ValueError` for another shape, `ReflectanceError` for numbers that are not finite.
         """
-        return checked_coefficients(scale_rgb, 3, "scale_rgb") * self.at(coefficients)
+        return checked_coefficients(scale_rgb, (3,), "scale_rgb") * self.at(coefficients)
 
 
 def generated_environment(seed: int | np.random.Generator) -> FloatArray:
@@ -86,8 +86,23 @@ def generated_environment(seed: int | np.random.Generator) -> FloatArray:
     rng = np.random.default_rng(seed)
     toward, kind = texel_directions(SHAPE), int(rng.choice(4, p=[0.3, 0.3, 0.25, 0.15]))
     if kind == 0:
-        return _sky(rng, toward)
-    if kind == 1:
+        # Gradient from zenith to horizon, a sun that clouds may cover, ground, and things on the horizon.
+        up = toward[..., 1]
+        horizon, zenith = _color(rng.uniform(4500, 7500)), _color(rng.uniform(7000, 14000))
+        blend = np.clip(up, 0, 1)[..., None] ** rng.uniform(0.3, 0.9)
+        sky = (1 - blend) * horizon * rng.uniform(0.8, 1.8) + blend * zenith * rng.uniform(0.4, 1.0)
+        cover = rng.uniform()
+        elevation = np.arcsin(rng.uniform(0.05, 0.98))
+        sun = map_directions(np.pi / 2 - elevation, rng.uniform(-np.pi, np.pi))
+        warmth = _color(2500 + 3300 * np.sin(elevation) ** 0.5)
+        glow = _blob(toward, sun, rng.uniform(0.1, 0.25))[..., None] * rng.uniform(5, 60) * (1 - cover) ** 2
+        halo = _blob(toward, sun, rng.uniform(0.4, 0.8))[..., None] * rng.uniform(0.2, 2.0)
+        ground = _surface(rng) * rng.uniform(0.2, 1.0)
+        image = np.where(up[..., None] > 0, sky + (glow + halo) * warmth, ground)
+        for _ in range(rng.integers(0, 5)):
+            block = _panel(toward, rng, low=-0.1, high=rng.uniform(0.1, 0.7), widest=1.2)
+            image = np.where(block[..., None], _surface(rng) * rng.uniform(0.05, 0.8), image)
+    elif kind == 1:
         # Walls that are lit through one to four windows.
         image = _room(rng, toward, rng.uniform(0.05, 0.5))
         day = _color(rng.uniform(5000, 10000))
@@ -110,26 +125,6 @@ def generated_environment(seed: int | np.random.Generator) -> FloatArray:
             light = map_directions(rng.uniform(0.2, 2.4), rng.uniform(-np.pi, np.pi))
             color = _color(rng.uniform(2500, 9000)) * rng.uniform(0.6, 1.4, 3)
             image = image + strength * _blob(toward, light, rng.uniform(0.15, 0.6))[..., None] * color
-    return image
-
-
-def _sky(rng: np.random.Generator, toward: FloatArray) -> FloatArray:
-    """Gradient from zenith to horizon, a sun that clouds may cover, ground, and things on the horizon."""
-    up = toward[..., 1]
-    horizon, zenith = _color(rng.uniform(4500, 7500)), _color(rng.uniform(7000, 14000))
-    blend = np.clip(up, 0, 1)[..., None] ** rng.uniform(0.3, 0.9)
-    sky = (1 - blend) * horizon * rng.uniform(0.8, 1.8) + blend * zenith * rng.uniform(0.4, 1.0)
-    cover = rng.uniform()
-    elevation = np.arcsin(rng.uniform(0.05, 0.98))
-    sun = map_directions(np.pi / 2 - elevation, rng.uniform(-np.pi, np.pi))
-    warmth = _color(2500 + 3300 * np.sin(elevation) ** 0.5)
-    glow = _blob(toward, sun, rng.uniform(0.1, 0.25))[..., None] * rng.uniform(5, 60) * (1 - cover) ** 2
-    halo = _blob(toward, sun, rng.uniform(0.4, 0.8))[..., None] * rng.uniform(0.2, 2.0)
-    ground = _surface(rng) * rng.uniform(0.2, 1.0)
-    image = np.where(up[..., None] > 0, sky + (glow + halo) * warmth, ground)
-    for _ in range(rng.integers(0, 5)):
-        block = _panel(toward, rng, low=-0.1, high=rng.uniform(0.1, 0.7), widest=1.2)
-        image = np.where(block[..., None], _surface(rng) * rng.uniform(0.05, 0.8), image)
     return image
 
 

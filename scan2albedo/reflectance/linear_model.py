@@ -37,7 +37,7 @@ class LinearModel:
 
     def at(self, coefficients: ArrayLike, name: str = "coefficients") -> FloatArray:
         """Return the values (...) of coefficients (N,); `checked_coefficients` says what it raises."""
-        b = checked_coefficients(coefficients, self.components, name)
+        b = checked_coefficients(coefficients, (self.components,), name)
         return np.asarray(self.mean + np.tensordot(b, self.basis, 1))
 
     def check(self, what: str, shape: tuple[int, ...]) -> None:
@@ -71,11 +71,17 @@ def principal_directions(
     return (vectors * sign)[:, :kept].T / np.sqrt(spread), float(values.sum() / spread)
 
 
-def checked_coefficients(values: ArrayLike, count: int, name: str) -> FloatArray:
-    """Return coefficients as (count,), or raise `ValueError` for the shape, `ReflectanceError` for NaN."""
-    coefficients = np.array(values, np.float64)
-    if coefficients.shape != (count,):
-        raise ValueError(f"{name} must have shape ({count},), got {coefficients.shape}")
+def require_one_topology(one: str, count: int, other: str, expected: int) -> None:
+    """Raise ReflectanceError, naming both in words, for numbers of vertices that differ."""
+    if count != expected:
+        raise ReflectanceError(f"{one} has {count} vertices, {other} {expected}; bring all to one topology")
+
+
+def checked_coefficients(values: ArrayLike | None, shape: tuple[int, ...], name: str) -> FloatArray:
+    """Return coefficients, 0 for None; `ValueError` for another shape, `ReflectanceError` for NaN."""
+    coefficients = np.zeros(shape) if values is None else np.array(values, np.float64)
+    if coefficients.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}, got {coefficients.shape}")
     if not np.isfinite(coefficients).all():
         raise ReflectanceError(f"{name} must be finite, got NaN or infinite values")
     return coefficients

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.linear_model import LinearModel, principal_directions
+from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
 PEOPLE_DIFFER = 0.2
@@ -125,13 +125,8 @@ class MorphableReflectanceModel:
             raise ValueError(f"least_support must be above 0 and at most 1, got {least_support}")
         if not samples:
             raise ReflectanceError("there is no sample to learn from; give one or more")
-        sizes = [len(sample.known) for sample in samples]
-        if len(set(sizes)) > 1:
-            odd = next(k for k, size in enumerate(sizes) if size != sizes[0])
-            raise ReflectanceError(
-                f"sample {odd} has {sizes[odd]} vertices and sample 0 has {sizes[0]}; bring all to one "
-                "topology"
-            )
+        for k, sample in enumerate(samples):
+            require_one_topology(f"sample {k}", len(sample.known), "sample 0", len(samples[0].known))
         there = np.stack([sample.known for sample in samples])
         support = there.sum(0)
         known = support >= np.ceil(least_support * len(samples) - 1e-9)
@@ -260,10 +255,7 @@ class MorphableReflectanceModel:
         """
         if not prior >= 0:
             raise ValueError(f"prior must be 0 or more, got {prior}")
-        if reflectance.known.shape != self.known.shape:
-            raise ReflectanceError(
-                f"the reflectance has {len(reflectance.known)} vertices and the model {len(self.known)}"
-            )
+        require_one_topology("the reflectance", len(reflectance.known), "the model", len(self.known))
         common = self.known & reflectance.known
         if not common.any():
             raise ReflectanceError("no vertex is known to both the model and the reflectance")

@@ -122,11 +122,9 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
         finite = np.isfinite(lit) & np.isfinite(ambient)
         lit, ambient = np.where(finite, lit, 0.0), np.where(finite, ambient, 0.0)
         difference = linear_values(lit, options.gamma) - linear_values(ambient, options.gamma)
-        slopes = (
-            options.gamma * np.maximum(np.abs(one), options.noise) ** (options.gamma - 1)
-            for one in (lit, ambient)
-        )
-        noise, noise_of_room = ((options.noise * slope) ** 2 for slope in slopes)
+        gamma, sigma_values = options.gamma, options.noise
+        slopes = (gamma * np.maximum(np.abs(one), sigma_values) ** (gamma - 1) for one in (lit, ambient))
+        noise, noise_of_room = ((sigma_values * slope) ** 2 for slope in slopes)
         saturated[j] = finite & ((lit >= options.saturation) | (ambient >= options.saturation))
         usable = (finite & ~saturated[j]).all(-1)
         # Four standard deviations in every channel are a change.
@@ -145,9 +143,8 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
             if swapped:
                 advice = "left out, were the pictures exchanged?"
             text = f"{100 * part:.3g} % of the pixels are brighter in the room's light than with the flash"
-            found.append(
-                CaptureDiagnostic("room_brighter_than_flash", j, part, swapped, f"pair {j}: {text}: {advice}")
-            )
+            why = f"pair {j}: {text}: {advice}"
+            found.append(CaptureDiagnostic("room_brighter_than_flash", j, part, swapped, why))
         diagnostics += found
         valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
         linear[j], sigma[j] = np.where(valid[j], difference, 0.0), np.sqrt(noise + sharing[j] * noise_of_room)

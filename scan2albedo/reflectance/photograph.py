@@ -17,24 +17,13 @@ from scan2albedo.geometry.rays import RayCaster, blocks, each_block
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.reflectance.environment_shading import (
-    HARMONICS,
-    ORDER,
-    LightResponse,
-    diffuse_response,
-    light_response,
-    unit_vectors,
-)
+from scan2albedo.reflectance import environment_shading as shading
+from scan2albedo.reflectance import vertex_visibility
+from scan2albedo.reflectance.environment_shading import LightResponse, light_response, unit_vectors
 from scan2albedo.reflectance.olat import OlatOptions, linear_values, picture_values
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS
 from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
-from scan2albedo.reflectance.vertex_visibility import (
-    RAY_OFFSET_MM,
-    VertexVisibility,
-    bilinear_samples,
-    checked_mesh,
-    checked_normals,
-)
+from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM, checked_mesh, checked_normals
 
 
 def light_transfer(
@@ -85,9 +74,9 @@ def light_transfer(
     n[bare] = (0.0, 0.0, 1.0)  # placeholders
     v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
     toward = distant_directions(directions)
-    weighted = harmonics(toward, ORDER) * (4 * np.pi / directions)
+    weighted = harmonics(toward, shading.ORDER) * (4 * np.pi / directions)
     visible = ShadowMap(RayCaster(xyz, index), xyz, n, RAY_OFFSET_MM).table(toward).visibility
-    diffuse = diffuse_response(n)
+    diffuse = shading.diffuse_response(n)
     specular = np.zeros((len(xyz), len(EXPONENTS), weighted.shape[1]))
 
     def sum_up(block: slice) -> None:
@@ -157,20 +146,14 @@ class ImageObservation:
         object.__setattr__(self, "seen", seen)
         if not seen.any():
             raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")
-        brightness = float(np.asarray(self.observed_linear)[seen].mean())
-        if not brightness > 0:
-            raise ReflectanceError(
-                f"the image is black where the face is (mean {brightness:.3g}); check exposure and pose"
-            )
+        if not np.asarray(self.observed_linear)[seen].mean() > 0:
+            raise ReflectanceError("the image is black where the face is; check exposure and pose")
         if self.transfer is None:
             return
         diffuse, specular = self.transfer.diffuse, self.transfer.specular
-        shapes = (len(seen), HARMONICS), (len(seen), 3, HARMONICS)
+        shapes = (len(seen), shading.HARMONICS), (len(seen), 3, shading.HARMONICS)
         if (diffuse.shape, specular.shape) != shapes:
-            raise ValueError(
-                f"transfer has shapes {diffuse.shape} and {specular.shape}, expected {shapes[0]} and "
-                f"{shapes[1]}"
-            )
+            raise ValueError(f"transfer has shapes {diffuse.shape}, {specular.shape}, expected {shapes}")
         rows = np.concatenate([diffuse[seen], specular[seen].reshape(seen.sum(), -1)], axis=1)
         require_finite("the transfer", rows)
         if not rows.any():
@@ -242,7 +225,7 @@ def observe_photograph(
         raise ValueError(f"mask is {skin.dtype} {skin.shape}, expected bool {finite.shape} as the image")
     linear = linear_values(values, gamma).astype(np.float32)
     toward = normalized(camera_centers(matrix[None])[0] - xyz)
-    seen = VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
+    seen = vertex_visibility.VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
     pixels, _ = project(matrix, xyz)
     steps = {
         "inside the picture": np.ones_like(skin),
@@ -270,5 +253,5 @@ def _samples(
     value, variance, found = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
     channels = np.ascontiguousarray(np.broadcast_to(valid[..., None], linear.shape))
     noiseless = np.zeros_like(linear)
-    bilinear_samples(linear, noiseless, channels, pixels, seen, 0.0, value, variance, found)
+    vertex_visibility.bilinear_samples(linear, noiseless, channels, pixels, seen, 0.0, value, variance, found)
     return value, np.asarray(found.all(1))

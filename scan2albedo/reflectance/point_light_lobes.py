@@ -42,10 +42,9 @@ def point_light_lobes(
     """
     given = vertices, normals, camera_positions, light_positions
     arrays = [np.ascontiguousarray(values, np.float64) for values in given]
-    if any(a.ndim != 2 or a.shape[1] != 3 for a in arrays) or len(arrays[0]) != len(arrays[1]):
+    counts = [len(a) for a in arrays]
+    if any(a.ndim != 2 or a.shape[1] != 3 for a in arrays) or counts[::2] != counts[1::2]:
         raise ValueError(f"shapes are {[a.shape for a in arrays]}, expected (V, 3) twice and (J, 3) twice")
-    if len(arrays[2]) != len(arrays[3]):
-        raise ValueError(f"{len(arrays[2])} camera positions but {len(arrays[3])} light positions")
     lobes = np.empty((len(arrays[2]), len(arrays[0]), 4))
     reference = 0.0 if reference_distance_mm is None else float(reference_distance_mm)
     _fill_lobes(*arrays, reference, lobes)
@@ -135,11 +134,9 @@ def _fill_slopes(vertices, normals, cameras, lights, slopes):  # type: ignore[no
         for i in range(len(vertices)):
             slopes[j, i, :] = 0.0
             x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
-            l0, l1, l2 = (
-                lights[j, 0] - vertices[i, 0],
-                lights[j, 1] - vertices[i, 1],
-                lights[j, 2] - vertices[i, 2],
-            )
+            l0 = lights[j, 0] - vertices[i, 0]
+            l1 = lights[j, 1] - vertices[i, 1]
+            l2 = lights[j, 2] - vertices[i, 2]
             along = x * l0 + y * l1 + z * l2
             if along <= 0.0:
                 continue
@@ -150,11 +147,9 @@ def _fill_slopes(vertices, normals, cameras, lights, slopes):  # type: ignore[no
             f0, f1, f2 = b, sign + y * y * a, -y
             slopes[j, i, 0] = (e0 * l0 + e1 * l1 + e2 * l2) / along
             slopes[j, i, 1] = (f0 * l0 + f1 * l1 + f2 * l2) / along
-            v0, v1, v2 = (
-                cameras[j, 0] - vertices[i, 0],
-                cameras[j, 1] - vertices[i, 1],
-                cameras[j, 2] - vertices[i, 2],
-            )
+            v0 = cameras[j, 0] - vertices[i, 0]
+            v1 = cameras[j, 1] - vertices[i, 1]
+            v2 = cameras[j, 2] - vertices[i, 2]
             ratio = np.sqrt((l0 * l0 + l1 * l1 + l2 * l2) / max(v0 * v0 + v1 * v1 + v2 * v2, 1e-300))
             h0, h1, h2 = l0 + ratio * v0, l1 + ratio * v1, l2 + ratio * v2
             along = x * h0 + y * h1 + z * h2

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.reflectance.linear_model import LinearModel, principal_directions
+from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
 
 LANDMARKS = 68
 """In iBUG-68 order."""
@@ -103,11 +103,7 @@ class MorphableShapeModel(LinearModel):
         identity, _ = principal_directions(off, 80, size=float(np.sum(neutral**2)))
         if expression_offsets is not None:
             offsets = _checked_stack(expression_offsets, "expression_offsets")
-            if offsets.shape[1] != count:
-                raise ReflectanceError(
-                    f"expression_offsets have {offsets.shape[1]} vertices and neutral_vertices {count}; "
-                    "bring all to one topology"
-                )
+            require_one_topology("expression_offsets", offsets.shape[1], "neutral_vertices", count)
             both = np.concatenate([offsets, -offsets])
             if len(both):
                 weights, _ = principal_directions(both, 64, size=float(np.sum(both**2)))

@@ -334,15 +334,15 @@ def relighting_error(
     options : ReflectanceFitOptions
         With light gains, a flash that lit none of the others has gain 1.
     """
-    left_out = np.asarray(held_out)
-    if left_out.dtype != np.bool_ or left_out.shape != samples.light.shape:
+    hidden = np.asarray(held_out)
+    if hidden.dtype != np.bool_ or hidden.shape != samples.light.shape:
         raise ReflectanceError(
-            f"held_out is {left_out.dtype} {left_out.shape}, expected bool {samples.light.shape}"
+            f"held_out is {hidden.dtype} {hidden.shape}, expected bool {samples.light.shape}"
         )
-    if not 0 < left_out.sum() < len(left_out):
-        raise ReflectanceError(f"{left_out.sum()} of {len(left_out)} pictures are held out, expected a part")
-    fit = fit_reflectance(samples.of_pairs(~left_out), options=options)
-    unseen = samples.of_pairs(left_out)
+    if not 0 < hidden.sum() < len(hidden):
+        raise ReflectanceError(f"{hidden.sum()} of {len(hidden)} pictures are held out, expected a part")
+    fit = fit_reflectance(samples.of_pairs(~hidden), options=options)
+    unseen = samples.of_pairs(hidden)
     gains = np.ones((int(unseen.light.max()) + 1, 3))
     both = min(len(gains), len(fit.light_gain))
     gains[:both] = np.where(np.isfinite(fit.light_gain[:both]), fit.light_gain[:both], 1.0)

@@ -229,11 +229,8 @@ def reweigh(  # type: ignore[no-untyped-def]
         for i in range(len(rows)):
             v = rows[i]
             direct, total, channels = lobes[j, v, 0], 0.0, 0
-            gloss = (
-                lobes[j, v, 1] * estimate[v, 3]
-                + lobes[j, v, 2] * estimate[v, 4]
-                + lobes[j, v, 3] * estimate[v, 5]
-            )
+            gloss = lobes[j, v, 1] * estimate[v, 3] + lobes[j, v, 2] * estimate[v, 4]
+            gloss += lobes[j, v, 3] * estimate[v, 5]
             for k in range(3):
                 p = precision[j, v, k]
                 if p > 0.0:

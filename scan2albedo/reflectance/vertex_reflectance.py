@@ -40,19 +40,14 @@ class VertexReflectance:
         diffuse, weights = np.asarray(self.diffuse_linear, float), np.asarray(self.weights, float)
         known = np.asarray(self.known)
         if diffuse.ndim != 2 or diffuse.shape[1] != 3 or weights.shape != diffuse.shape:
-            raise ReflectanceError(
-                f"diffuse_linear is {diffuse.shape} and weights {weights.shape}, expected (V, 3) both"
-            )
+            raise ReflectanceError(f"diffuse_linear {diffuse.shape}, weights {weights.shape}, not (V, 3)")
         if known.dtype != np.bool_ or known.shape != diffuse.shape[:1]:
             raise ReflectanceError(f"known is {known.dtype} {known.shape}, expected bool ({len(diffuse)},)")
         numbers = np.concatenate([diffuse, weights], axis=1)
         good = (np.isfinite(numbers) & (numbers >= 0)).all(axis=1)
         if (known & ~good).any():
             first = int(np.flatnonzero(known & ~good)[0])
-            raise ReflectanceError(
-                f"vertex {first} is said to be known, but its numbers are {numbers[first]}: expected finite "
-                "and not negative"
-            )
+            raise ReflectanceError(f"vertex {first} is known, but not finite or negative: {numbers[first]}")
         object.__setattr__(self, "diffuse_linear", np.where(known[:, None], diffuse, np.nan))
         object.__setattr__(self, "weights", np.where(known[:, None], weights, np.nan))
         object.__setattr__(self, "known", known)

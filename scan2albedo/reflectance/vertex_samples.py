@@ -13,14 +13,10 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
+from scan2albedo.reflectance import vertex_visibility
 from scan2albedo.reflectance.olat import OlatImages
 from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, turn_lobes
-from scan2albedo.reflectance.vertex_visibility import (
-    VertexVisibility,
-    bilinear_samples,
-    checked_mesh,
-    checked_normals,
-)
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility, checked_mesh, checked_normals
 
 
 @dataclass(frozen=True)
@@ -41,14 +37,13 @@ class CaptureRig:
         except ValueError as error:
             raise ReflectanceError(f"the cameras of the rig cannot be used: {error}") from error
         positions, light = np.asarray(self.light_positions, np.float64), np.asarray(self.light)
-        if positions.shape != (len(cameras), 3) or not np.isfinite(positions).all():
+        count = len(cameras)
+        if positions.shape != (count, 3) or not np.isfinite(positions).all():
             raise ReflectanceError(
-                f"light_positions is {positions.shape}, expected finite numbers ({len(cameras)}, 3)"
+                f"light_positions is {positions.shape}, expected finite numbers ({count}, 3)"
             )
-        if light.shape != (len(cameras),) or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
-            raise ReflectanceError(
-                f"light is {light.dtype} {light.shape}, expected ({len(cameras)},) integers >= 0"
-            )
+        if light.shape != (count,) or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
+            raise ReflectanceError(f"light is {light.dtype} {light.shape}, expected ({count},) integers >= 0")
         object.__setattr__(self, "cameras", cameras)
         object.__setattr__(self, "light_positions", positions)
         object.__setattr__(self, "light", light.astype(np.int64))
@@ -83,9 +78,7 @@ def rig_of_head_poses(
     """
     turn, shift = np.asarray(rotations, np.float64), np.asarray(translations, np.float64)
     if turn.ndim != 3 or turn.shape[1:] != (3, 3) or shift.shape != turn.shape[:2]:
-        raise ReflectanceError(
-            f"rotations is {turn.shape} and translations {shift.shape}, expected (C, 3, 3) and (C, 3)"
-        )
+        raise ReflectanceError(f"rotations {turn.shape}, translations {shift.shape}, not (C, 3, 3), (C, 3)")
     finite = np.where(np.isfinite(turn).all((1, 2), keepdims=True), turn, 0.0)
     off = np.abs(finite @ finite.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
     bad = (off > 1e-4) | (np.linalg.det(finite) <= 0)
@@ -98,9 +91,7 @@ def rig_of_head_poses(
     numbers = [np.asarray(index) for index in (view, flash)]
     for name, index in zip(("view", "flash"), numbers, strict=True):
         if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer) or len(index) != len(numbers[0]):
-            raise ReflectanceError(
-                f"{name} is {index.dtype} {index.shape}, expected (J,) integers, one a picture"
-            )
+            raise ReflectanceError(f"{name} is {index.dtype} {index.shape}, expected integers (J,)")
         if len(index) and not (index.min() >= 0 and index.max() < len(turn)):
             raise ReflectanceError(f"{name} reaches {index.min()} to {index.max()} of {len(turn)} poses")
     inner = np.broadcast_to(np.asarray(intrinsics, np.float64), turn.shape)
@@ -264,8 +255,8 @@ def sample_vertices(
         pixels, _ = project(cameras[view], xyz)
         usable = seen[view] & lit[light] & (lobes[j, :, 0] > 0)
         picture = olat.linear[j], olat.sigma[j], olat.valid[j]
-        spread = _POSITION_SIGMA_PX**2
-        bilinear_samples(*picture, pixels, usable, spread, observed[j], variance[j], valid[j])
+        filled = observed[j], variance[j], valid[j]
+        vertex_visibility.bilinear_samples(*picture, pixels, usable, _POSITION_SIGMA_PX**2, *filled)
     # Root mean square angles between normals of vertices and of their triangles, by area.
     across, corners = face_cross_products(xyz, index), index.ravel()
     area = np.linalg.norm(across, axis=1)

@@ -144,12 +144,8 @@ def bilinear_samples(picture, sigma, valid, pixels, usable, spread, value, varia
         right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
         fx, fy = x - left, y - top
         for k in range(3):
-            if not (
-                valid[top, left, k]
-                and valid[top, right, k]
-                and valid[bottom, left, k]
-                and valid[bottom, right, k]
-            ):
+            known = valid[top, left, k] and valid[top, right, k]
+            if not (known and valid[bottom, left, k] and valid[bottom, right, k]):
                 continue
             a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
             p, q = picture[top, left, k], picture[top, right, k]
@@ -157,17 +153,9 @@ def bilinear_samples(picture, sigma, valid, pixels, usable, spread, value, varia
             value[i, k] = a * p + b * q + c * r + d * s
             across, down = (q - p + s - r) / 2, (r - p + s - q) / 2
             # Each slope's own noise has this variance.
-            noise = (
-                sigma[top, left, k] ** 2
-                + sigma[top, right, k] ** 2
-                + sigma[bottom, left, k] ** 2
-                + sigma[bottom, right, k] ** 2
-            ) / 4
-            variance[i, k] = (
-                (a * sigma[top, left, k]) ** 2
-                + (b * sigma[top, right, k]) ** 2
-                + (c * sigma[bottom, left, k]) ** 2
-                + (d * sigma[bottom, right, k]) ** 2
-                + spread * max(across * across + down * down - 2 * noise, 0.0)
-            )
+            e, f = sigma[top, left, k], sigma[top, right, k]
+            g, h = sigma[bottom, left, k], sigma[bottom, right, k]
+            noise = (e**2 + f**2 + g**2 + h**2) / 4
+            variance[i, k] = (a * e) ** 2 + (b * f) ** 2 + (c * g) ** 2 + (d * h) ** 2
+            variance[i, k] += spread * max(across * across + down * down - 2 * noise, 0.0)
             found[i, k] = True

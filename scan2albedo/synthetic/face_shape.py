@@ -34,9 +34,7 @@ def person(
     stay closed. ModelError when the model has no landmarks, which place the bumps.
     """
     if expression not in get_args(Expression):
-        raise ValueError(
-            f"expression is {expression!r}, expected one of {sorted(variation.EXPRESSION_BUMPS)}"
-        )
+        raise ValueError(f"expression is {expression!r}, expected one of {get_args(Expression)}")
     rest, landmarks = model.control_vertices, model.landmarks
     if landmarks is None:
         raise ModelError(f"{model.name}: identity modes are placed by landmarks, but it has none")

@@ -9,17 +9,8 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
-from scan2albedo.synthetic.glasses_shape import (
-    BEND_RINGS,
-    CORNER_RINGS,
-    RIM_POINTS,
-    STRAIGHT_RINGS,
-    GlassesBend,
-    GlassesShape,
-    bend_points,
-    rim_curve,
-    temple_path,
-)
+from scan2albedo.synthetic import glasses_shape
+from scan2albedo.synthetic.glasses_shape import RIM_POINTS, GlassesBend, GlassesShape, bend_points
 
 
 @dataclass(frozen=True)
@@ -169,7 +160,7 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     half, section = _Half(), 12  # points around a rim
     hinge, bridge = 5, 31  # rim points in the middle of the patches that temple and bridge grow from
     bridge_frame = np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-    line, normal = rim_curve(shape)
+    line, normal = glasses_shape.rim_curve(shape)
     angle = -2 * np.pi * np.arange(section) / section
     sections = (
         line[:, None]
@@ -209,7 +200,7 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     # The temple; over 8 mm its section turns from the patch's outline into an ellipse.
     loop, points = loops[hinge]
     start = points.mean(0) + (0.0 if welded else np.array([1.0 + 0.25 * shape.rim_width, 0, 0]))
-    path = temple_path(shape, start)
+    path = glasses_shape.temple_path(shape, start)
     frames = _path_frames(path)
     frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
     ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
@@ -217,11 +208,11 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     blend = np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
     rings = _blended(path, frames, points, ellipse, blend)
     numbers = half.add_tube(rings, loop if welded else None)
-    outside, middle = 2, CORNER_RINGS + STRAIGHT_RINGS // 2
+    corner, straight, outside = glasses_shape.CORNER_RINGS, glasses_shape.STRAIGHT_RINGS, 2
     half.marks |= {
-        "hinge": int(numbers[CORNER_RINGS // 2, outside]),
-        "temple_middle": int(numbers[middle, outside]),
-        "ear_bend": int(numbers[CORNER_RINGS + STRAIGHT_RINGS + BEND_RINGS // 2, outside]),
+        "hinge": int(numbers[corner // 2, outside]),
+        "temple_middle": int(numbers[corner + straight // 2, outside]),
+        "ear_bend": int(numbers[corner + straight + glasses_shape.BEND_RINGS // 2, outside]),
         "temple_tip": half.add_cap(numbers[-1], rings[-1], end=True),
     }
     if nose_pads:
@@ -229,10 +220,8 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         t = np.linspace(0, 1, 14)
         path = line[44] + np.stack([-2.5 * t, np.zeros_like(t), -11 * t], 1)
         pad = np.sqrt(np.clip(1 - ((t - 0.72) / 0.29) ** 2, 0, None))
-        local = (
-            _ellipse(8, 1.0, 1.0, 0.0)
-            * np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)[:, None]
-        )
+        scale = np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)
+        local = _ellipse(8, 1.0, 1.0, 0.0) * scale[:, None]
         rings = path[:, None] + local @ _path_frames(path)
         numbers = half.add(rings)
         half.faces.append(_ring_faces(numbers))

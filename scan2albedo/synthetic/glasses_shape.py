@@ -154,11 +154,10 @@ def bend_points(
     turn = _rise(x, bridge_width) * np.deg2rad(bend.twist_deg) / 2
     y, z = np.cos(turn) * y - np.sin(turn) * z, np.sin(turn) * y + np.cos(turn) * z
     reach = np.linspace(0, max(float(np.abs(x).max(initial=1.0)), 1.0), _LINE_POINTS)
-    forward, back = (
-        np.interp(np.abs(x), reach, line)
-        for line in _line(np.deg2rad(bend.bridge_deg) * _rise(reach, bridge_width), reach[1])
-    )
-    phi = np.deg2rad(bend.bridge_deg) * _rise(np.abs(x), bridge_width)
+    wrap = np.deg2rad(bend.bridge_deg)
+    lines = _line(wrap * _rise(reach, bridge_width), reach[1])
+    forward, back = (np.interp(np.abs(x), reach, line) for line in lines)
+    phi = wrap * _rise(np.abs(x), bridge_width)
     return np.stack([np.sign(x) * (forward + z * np.sin(phi)), y, z * np.cos(phi) - back], -1)
 
 

@@ -118,10 +118,8 @@ def flash_capture(
         camera = intrinsics @ np.column_stack([rotations[c], translations[c]])
         seen = person.seen(camera, centers[c], portrait.picture_size)
         # The room: three lamps 3 m away and light from everywhere, half each.
-        lamps = [
-            person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3
-            for lamp in ((-35.0, 50.0), (40.0, 35.0), (5.0, 70.0))
-        ]
+        places_of_lamps = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
+        lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3 for lamp in places_of_lamps]
         ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
         rooms.append(seen.picture(ambient.astype(np.float32)))
         skin.append(seen.picture(seen.on_face))

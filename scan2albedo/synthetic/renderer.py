@@ -26,10 +26,8 @@ class RayScene:
         self._center = (xyz.min(0) + xyz.max(0)) / 2
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(
-            self._tensor((xyz - self._center).astype(np.float32)),
-            self._tensor(np.ascontiguousarray(faces, np.uint32)),
-        )
+        points = self._tensor((xyz - self._center).astype(np.float32))
+        self._scene.add_triangles(points, self._tensor(np.ascontiguousarray(faces, np.uint32)))
 
     def _rays(self, origins: ArrayLike, directions: ArrayLike):  # type: ignore[no-untyped-def]
         start = np.asarray(origins, np.float64) - self._center

@@ -77,10 +77,7 @@ def rows_of_folders(out: Path) -> list[ScanRow]:
         raise Scan2AlbedoError(f"{out}: cannot be read: {error.strerror or error}") from error
     folders = [path for path in inside if (path / RESULT_FILE).is_file()]
     if not folders:
-        raise Scan2AlbedoError(
-            f"{out}: holds no {RESULT_FILE}, no folder with one and no {CATALOGUE_FILE}; "
-            "process scans into it first"
-        )
+        raise Scan2AlbedoError(f"{out}: holds no {RESULT_FILE} and no {CATALOGUE_FILE}; process scans first")
     rows = []
     for folder in folders:
         try:
@@ -138,19 +135,18 @@ def rows_of_catalogue(file: Path) -> list[ScanRow]:
         if status == FAILED:
             reason = reason or "no reason was recorded"
         own = ("name", "status", "reason", "folder")
-        values = {key: _plain(value) for key, value in entry.items() if key not in own}
+        values = {key: value for key, value in entry.items() if key not in own}
+        for key, value in values.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                values[key] = None
+            elif isinstance(value, datetime):
+                values[key] = value.isoformat(" ", "seconds")
+            elif isinstance(value, list | tuple):
+                values[key] = ", ".join(map(str, value))
+            elif not isinstance(value, bool | int | float | str | None):
+                values[key] = str(value)
         rows.append(ScanRow(str(entry["name"]), status, reason, folder, values))
     return rows
-
-
-def _plain(value: Any) -> bool | int | float | str | None:
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, datetime):
-        return value.isoformat(" ", "seconds")
-    if isinstance(value, list | tuple):
-        return ", ".join(str(part) for part in value)
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 
 
 def selected_rows(rows: Sequence[ScanRow], count: int) -> tuple[tuple[int, ...], str]:
@@ -239,31 +235,16 @@ def batch_section(
         if first:
             extremes.append({"title": title, "rows": first})
     charts = [histogram(column, [row.number(column) for row in done]) for column in FIGURES]
-    return {
-        "counts": {state: counts[state] for state in states if counts[state] or state == DONE},
-        "total": len(rows),
-        "facts": _facts(rows),
-        "reasons": reasons[:_LONGEST_LIST],
-        "more_reasons": max(len(reasons) - _LONGEST_LIST, 0),
-        "columns": columns,
-        "rows": table,
-        "rows_left_out": len(rows) - len(shown),
-        "histograms": [chart for chart in charts if chart is not None],
-        "extremes": extremes,
-    }
-
-
-def _facts(rows: Sequence[ScanRow]) -> list[tuple[str, str]]:
-    """Return (label, value) of the figures of the whole batch."""
-
-    def numbers(column: str) -> list[float]:
-        return [number for row in rows if (number := row.number(column)) is not None]
-
-    done, facts = sum(row.status == DONE for row in rows), []
-    if seconds := numbers("seconds"):
+    # (label, value) of the figures of the whole batch.
+    seconds, cpu, memory = (
+        [number for row in rows if (number := row.number(column)) is not None]
+        for column in ("seconds", "cpu_seconds", "peak_memory_mb")
+    )
+    facts = []
+    if seconds:
         facts.append(("time of all scans", seconds_text(sum(seconds))))
         facts.append(("a scan, mean", seconds_text(sum(seconds) / len(seconds))))
-    if cpu := numbers("cpu_seconds"):
+    if cpu:
         facts.append(("CPU time", seconds_text(sum(cpu))))
     # From the first start to the last end, where the catalogue holds both.
     spans = []
@@ -276,10 +257,21 @@ def _facts(rows: Sequence[ScanRow]) -> list[tuple[str, str]]:
             spans.append((end - took, end))
     if spans and done and (span := max(end for _, end in spans) - min(start for start, _ in spans)):
         facts.append(("from first start to last end", seconds_text(span)))
-        facts.append(("throughput", f"{number_text(3600 * done / span)} scans/h"))
+        facts.append(("throughput", f"{number_text(3600 * len(done) / span)} scans/h"))
     workers = {row.values["worker"] for row in rows if row.values.get("worker") is not None}
     if workers:
         facts.append(("workers", str(len(workers))))
-    if memory := numbers("peak_memory_mb"):
+    if memory:
         facts.append(("greatest memory", f"{number_text(max(memory))} MB"))
-    return facts
+    return {
+        "counts": {state: counts[state] for state in states if counts[state] or state == DONE},
+        "total": len(rows),
+        "facts": facts,
+        "reasons": reasons[:_LONGEST_LIST],
+        "more_reasons": max(len(reasons) - _LONGEST_LIST, 0),
+        "columns": columns,
+        "rows": table,
+        "rows_left_out": len(rows) - len(shown),
+        "histograms": [chart for chart in charts if chart is not None],
+        "extremes": extremes,
+    }

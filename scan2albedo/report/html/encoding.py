@@ -84,9 +84,8 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
     rows, columns = (np.arange(0, size - step, step) for size in image.shape)
     blocks = sliding_window_view(image.mask, (step + 1, step + 1))[::step, ::step]
     whole = np.asarray(blocks.all(axis=(2, 3)))
-    a, b, c, d = (
-        index[np.ix_(rows + down, columns + right)][whole] for down in (0, step) for right in (0, step)
-    )
+    both = (0, step)
+    a, b, c, d = (index[np.ix_(rows + down, columns + right)][whole] for down in both for right in both)
     coarse = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
     # Triangles of the texel grid that no whole block covers stay.
     row, column = (texels[full.faces].min(1) // step for texels in np.nonzero(image.mask))

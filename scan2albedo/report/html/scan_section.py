@@ -15,17 +15,10 @@ from scan2albedo.applications.files import load_result
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures
+from scan2albedo.report.html import texts
 from scan2albedo.report.html.charts import read_trace, stage_charts
 from scan2albedo.report.html.encoding import picture_url, residual_of_result, viewer_entry
-from scan2albedo.report.html.texts import (
-    angle_text,
-    label_of,
-    number_text,
-    seconds_text,
-    size_text,
-    unit_of,
-    value_text,
-)
+from scan2albedo.report.html.texts import angle_text, label_of, number_text, seconds_text, value_text
 
 
 def scan_section(
@@ -67,7 +60,7 @@ def scan_section(
         files = []
         for file in record.files:
             try:
-                there = size_text((folder / file).stat().st_size)
+                there = texts.size_text((folder / file).stat().st_size)
                 files.append((file, relative_link(folder / file, page), there))
             except OSError:
                 files.append((file, "", "missing"))
@@ -94,10 +87,8 @@ def scan_section(
             "options": [(label_of(key), _option_text(value)) for key, value in record.options.items()],
         }
     except (TypeError, ValueError, ArithmeticError, AttributeError, LookupError) as error:
-        raise Scan2AlbedoError(
-            f"{folder / 'result.json'}: holds figures that no run wrote ({one_line(error)}); process the "
-            "scan again"
-        ) from error
+        text = f"{folder / 'result.json'}: holds figures that no run wrote ({one_line(error)})"
+        raise Scan2AlbedoError(f"{text}; process the scan again") from error
 
 
 def _figures(record: ResultRecord) -> dict[str, Any]:
@@ -129,7 +120,7 @@ def _figures(record: ResultRecord) -> dict[str, Any]:
     if plain:
         groups["reflectance"] = plain
     rows = {
-        title: [(label_of(key), value_text(key, value), unit_of(key)) for key, value in figures.items()]
+        title: [(label_of(key), value_text(key, value), texts.unit_of(key)) for key, value in figures.items()]
         for title, figures in groups.items()
     }
     albedo = record.metrics.get("albedo")

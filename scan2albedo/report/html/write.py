@@ -20,17 +20,8 @@ from scan2albedo.errors import OutputError, Scan2AlbedoError, needs_extra, one_l
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord
-from scan2albedo.report.html.batch_section import (
-    CATALOGUE_FILE,
-    DONE,
-    FAILED,
-    RESULT_FILE,
-    ScanRow,
-    batch_section,
-    rows_of_catalogue,
-    rows_of_folders,
-    selected_rows,
-)
+from scan2albedo.report.html import batch_section as batch
+from scan2albedo.report.html.batch_section import DONE, RESULT_FILE
 from scan2albedo.report.html.scan_section import scan_section
 
 if TYPE_CHECKING:
@@ -96,20 +87,20 @@ def write_report(
             title = next((line for line in opened if b"</title>" in line), b"")
             own = not target.is_symlink() and title.rstrip().endswith("· scan2albedo</title>".encode())
         if not own:
-            raise OutputError(
-                f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or "
-                "give -o with another name"
+            text = (
+                f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or"
             )
-    single = (folder / RESULT_FILE).is_file() and not (folder / CATALOGUE_FILE).is_file()
+            raise OutputError(f"{text} give -o with another name")
+    single = (folder / RESULT_FILE).is_file() and not (folder / batch.CATALOGUE_FILE).is_file()
     chosen: tuple[int, ...] = (0,)
     if single:
         name = read_record(folder / RESULT_FILE, ResultRecord).name
-        rows, reason = [ScanRow(name, DONE, folder=folder)], ""
+        rows, reason = [batch.ScanRow(name, DONE, folder=folder)], ""
     else:
-        catalogue = folder / CATALOGUE_FILE
-        rows = rows_of_catalogue(catalogue) if catalogue.is_file() else rows_of_folders(folder)
+        catalogue = folder / batch.CATALOGUE_FILE
+        rows = batch.rows_of_catalogue(catalogue) if catalogue.is_file() else batch.rows_of_folders(folder)
         name = folder.resolve().name or str(folder)
-        chosen, reason = selected_rows(rows, scans)
+        chosen, reason = batch.selected_rows(rows, scans)
     topologies: dict[str, dict[str, Any]] = {}
     anchors, sections, not_shown = dict[int, str](), list[dict[str, Any]](), list[tuple[str, str]]()
     for k in chosen:
@@ -140,14 +131,14 @@ def write_report(
         "written": datetime.now().astimezone().isoformat(" ", "minutes"),
         "scans": sections,
         "topologies": topologies,
-        "batch": None if single else batch_section(rows, anchors, target),
+        "batch": None if single else batch.batch_section(rows, anchors, target),
         "selection": reason,
         "not_shown": not_shown,
     }
     template = _environment().get_template("page.html")
     text = template.render(page=page, style=style, script=script, policy=policy, version=VERSION)
     write_text(target, text)
-    done, failed = (sum(row.status == status for row in rows) for status in (DONE, FAILED))
+    done, failed = (sum(row.status == status for row in rows) for status in (DONE, batch.FAILED))
     return WrittenReport(target, len(rows), done, failed, len(sections), len(text.encode()))
 
 

@@ -55,13 +55,8 @@ def publishing(
         raise ReflectanceError(f"{out} is where the command reads from; write to another folder")
     with RunFolder(out, FILES).publishing() as results:
         yield results
-        results.write_record(
-            command=command,
-            inputs=tuple(map(str, inputs)),
-            options=options,
-            metrics=figures,
-            notes=tuple(notes),
-        )
+        given, said = tuple(map(str, inputs)), tuple(notes)
+        results.write_record(command=command, inputs=given, options=options, metrics=figures, notes=said)
 
 
 @contextmanager

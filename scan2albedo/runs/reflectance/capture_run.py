@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from scan2albedo import reflectance
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError
@@ -15,30 +16,11 @@ from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_EXTENT_MM, largest_extent
-from scan2albedo.reflectance import (
-    PARAMETERS,
-    CaptureFiles,
-    MeshReflectance,
-    OlatImages,
-    PhotographFiles,
-    ReflectanceFit,
-    ReflectanceFitOptions,
-    RelightingError,
-    VertexSamples,
-    fit_reflectance,
-    relighting_error,
-    sample_vertices,
-    write_reflectance,
-)
+from scan2albedo.reflectance import CaptureFiles, MeshReflectance, OlatImages, ReflectanceFitOptions
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
+from scan2albedo.report import reflectance_views as views
 from scan2albedo.report.overview import overview_figure
-from scan2albedo.report.reflectance_views import (
-    albedo_colors,
-    filled_albedo,
-    reflectance_panels,
-    relit_panels,
-    relit_picture,
-)
+from scan2albedo.report.reflectance_views import relit_panels, relit_picture
 from scan2albedo.runs.reflectance import naming, publishing
 
 _DOUBTFUL_MISFIT = 1.25
@@ -51,10 +33,10 @@ class FittedCapture:
 
     capture: CaptureFiles
     olat: OlatImages
-    samples: VertexSamples
-    fit: ReflectanceFit
+    samples: reflectance.VertexSamples
+    fit: reflectance.ReflectanceFit
     held_out: BoolArray
-    error: RelightingError | None
+    error: reflectance.RelightingError | None
     notes: tuple[str, ...] = ()
 
 
@@ -107,9 +89,9 @@ def fit_capture(
     with naming(f"capture {capture.path}"):
         olat = capture.extract_olat()
         mesh, distance_mm = (capture.vertices, capture.faces), capture.reference_distance_mm
-        samples = sample_vertices(olat, capture.rig, *mesh, reference_distance_mm=distance_mm)
+        samples = reflectance.sample_vertices(olat, capture.rig, *mesh, reference_distance_mm=distance_mm)
         samples = replace(samples, lobes=capture.content.flash_strength * samples.lobes)
-        fit = fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
+        fit = reflectance.fit_reflectance(samples, options=options, budget=budget, on_progress=on_progress)
     notes, error = [], None
     if not fit.converged:
         notes.append("the fit stopped before it had converged")
@@ -120,7 +102,7 @@ def fit_capture(
         held_out[usable[step // 2 :: step]] = True
     if held_out.any():
         try:
-            error = relighting_error(samples, held_out, options=options)
+            error = reflectance.relighting_error(samples, held_out, options=options)
         except ReflectanceError as cause:
             notes.append(f"the fit was not tested on pictures left out: {cause}")
     if fit.impossible.any():
@@ -137,10 +119,8 @@ def fit_capture(
     if misfit > _DOUBTFUL_MISFIT:
         signs.append(f"residuals are {misfit:.1f} times the noise")
     if signs and error is not None:
-        signs.append(
-            f"pictures left out are predicted to {100 * error.relative_rmse:.0f} %, noise alone would be "
-            f"{100 * error.noise_part:.0f} %"
-        )
+        off, noise = 100 * error.relative_rmse, 100 * error.noise_part
+        signs.append(f"pictures left out are predicted to {off:.0f} %, noise alone would be {noise:.0f} %")
     if signs:
         notes.append(
             f"{'; '.join(signs)}: mesh, poses or masks may be off; it may also come from a wrong gamma "
@@ -162,7 +142,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         "vertices": len(known),
         "known_vertices": int(known.sum()),
         "pictures_per_vertex_median": float(np.median(fit.pair_count)),
-        "identified_share": dict(zip(PARAMETERS, identified, strict=True)),
+        "identified_share": dict(zip(reflectance.PARAMETERS, identified, strict=True)),
         "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
         "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
         "impossible_vertices": int(fit.impossible.sum()),
@@ -176,9 +156,9 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
         figures["held_out"] = {"pairs": int(done.held_out.sum()), **error}
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:
-        write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
+        reflectance.write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
         results.trace(fit.trace)
-        results.figure("overview.png", overview_figure(title, reflectance_panels(mesh, fit), 5))
+        results.figure("overview.png", overview_figure(title, views.reflectance_panels(mesh, fit), 5))
         if done.error is not None:
             relit = (
                 f"photographs left out of the fit: relative RMSE {100 * done.error.relative_rmse:.1f} % at "
@@ -197,7 +177,7 @@ def write_colored_mesh(path: Path, mesh: MeshReflectance, drawn: BoolArray | Non
     """Write the mesh with its albedo as sRGB of the vertices, filled where not `drawn` (V,), as PLY."""
     import trimesh
 
-    colors = np.round(255 * albedo_colors(filled_albedo(mesh, drawn))).astype(np.uint8)
+    colors = np.round(255 * views.albedo_colors(views.filled_albedo(mesh, drawn))).astype(np.uint8)
     trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colors, process=False).export(path)
 
 
@@ -240,7 +220,7 @@ def _notes_of_capture(capture: CaptureFiles, olat: OlatImages) -> list[str]:
     return notes + [f"{names[one.pair]}: {one.message}" for one in faults]
 
 
-def gamma_notes(files: CaptureFiles | PhotographFiles) -> tuple[str, ...]:
+def gamma_notes(files: CaptureFiles | reflectance.PhotographFiles) -> tuple[str, ...]:
     """Return the caveat of a file that gives no gamma, which is a guess then."""
     if "gamma" in files.content.model_fields_set:
         return ()

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import ProgressCallback
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -18,24 +19,11 @@ from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Record, write_record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.reflectance import (
-    OlatOptions,
-    ReflectanceFitOptions,
-    VertexReflectance,
-    generated_environment,
-    read_capture,
-    read_photograph,
-    write_capture,
-)
+from scan2albedo.reflectance import OlatOptions, VertexReflectance
 from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile, PairEntry, PoseEntry
+from scan2albedo.runs.reflectance import model_run
 from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit, write_olat
 from scan2albedo.runs.reflectance.image_run import fit_photograph, tune_model, write_fitted_photograph
-from scan2albedo.runs.reflectance.model_run import (
-    build_model,
-    read_model_folder,
-    write_model_folder,
-    write_samples,
-)
 from scan2albedo.synthetic import FacePhotograph, FlashCapture, Portrait, face_photograph, flash_capture
 
 _PORTRAIT = Portrait(picture_size=192)
@@ -86,9 +74,9 @@ def run_reflectance_demo(
         capture = flash_capture(seed + number, views=5, flashes=7, hair=False, levels=1, portrait=_PORTRAIT)
         file = write_synthetic_capture(capture, out / "captures" / f"person_{number:02d}")
         if number == 0:
-            write_olat(read_capture(file), out / "olat")
-        options = ReflectanceFitOptions(least_pairs=3)
-        done = fit_capture(read_capture(file), options=options, on_progress=on_progress)
+            write_olat(reflectance.read_capture(file), out / "olat")
+        options = reflectance.ReflectanceFitOptions(least_pairs=3)
+        done = fit_capture(reflectance.read_capture(file), options=options, on_progress=on_progress)
         fits.append(out / "fits" / f"person_{number:02d}")
         write_fit(done, fits[-1], {"least_pairs": options.least_pairs})
         assert done.error is not None
@@ -98,15 +86,15 @@ def run_reflectance_demo(
         rmse, median = np.sqrt(np.mean(off**2) / np.mean(albedo**2)), np.median(np.abs(off / albedo))
         errors.append((float(rmse), float(median), done.error.relative_rmse))
     landmarks = out / "captures" / "person_00" / LANDMARKS_FILE
-    write_model_folder(build_model(fits, landmark_vertices=landmarks), out / "model", {})
-    write_samples(out / "model", out / "samples", count=6, seed=seed)
-    models = read_model_folder(out / "model")
+    model_run.write_model_folder(model_run.build_model(fits, landmark_vertices=landmarks), out / "model", {})
+    model_run.write_samples(out / "model", out / "samples", count=6, seed=seed)
+    models = model_run.read_model_folder(out / "model")
     say("fitting a photograph of another person")
     others = seed + 1000  # seeds of people that the model was not learned from
     taken, fitted = _photograph(others, 0), []
     for name in ("mesh", "landmarks"):
         file = write_synthetic_photograph(taken, out / "photographs" / name, mesh=name == "mesh")
-        fitted.append(fit_photograph(read_photograph(file), models, on_progress=on_progress))
+        fitted.append(fit_photograph(reflectance.read_photograph(file), models, on_progress=on_progress))
         write_fitted_photograph(fitted[-1], models, out / "fit_image" / name, {})
     with_mesh, marked = fitted
     say("fine-tuning")
@@ -151,7 +139,7 @@ def run_reflectance_demo(
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
-    azimuth, environment = (0.0, 20.0, -20.0)[number % 3], generated_environment(seed)
+    azimuth, environment = (0.0, 20.0, -20.0)[number % 3], reflectance.generated_environment(seed)
     return face_photograph(seed, environment, azimuth_deg=azimuth, lights=128, hair=False, portrait=_PORTRAIT)
 
 
@@ -211,7 +199,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
             poses=tuple(poses),
             pictures=tuple(pairs),
         )
-        write_capture(staging.folder / CAPTURE_FILE, content)
+        reflectance.write_capture(staging.folder / CAPTURE_FILE, content)
         staging.write_record()
     return folder / CAPTURE_FILE
 

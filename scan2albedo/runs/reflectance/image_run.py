@@ -12,28 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from scan2albedo import reflectance
 from scan2albedo.core import Budget, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.reflectance import (
-    FaceFit,
-    GeometryFit,
-    ImageObservation,
-    LightingModel,
-    MeshReflectance,
-    MorphableShapeModel,
-    PhotographFiles,
-    finetune,
-    fit_face,
-    fit_image,
-    observe_photograph,
-    read_photograph,
-    refine_geometry,
-    write_reflectance,
-)
+from scan2albedo.reflectance import GeometryFit, ImageObservation, LightingModel, PhotographFiles
 from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.registration import register
 from scan2albedo.report.overview import overview_figure
@@ -56,7 +42,7 @@ class FittedPhotograph:
     vertices: FloatArray
     faces: IntArray
     observation: ImageObservation
-    face: FaceFit
+    face: reflectance.FaceFit
     geometry: GeometryFit | None
     """Where landmarks gave the shape."""
     trace: Trace
@@ -102,7 +88,7 @@ def fit_photograph(
         observation = observe(photograph, vertices, faces)
         angle = 0.0 if geometry is None else LANDMARK_NORMALS
         more: dict[str, Any] = {"normal_error": angle, "budget": budget, "on_progress": on_progress}
-        face = fit_face(observation, models.model, vertices, faces, lighting, **more)
+        face = reflectance.fit_face(observation, models.model, vertices, faces, lighting, **more)
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
 
@@ -121,14 +107,14 @@ def shaped_vertices(
             f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
             "the model with --landmark-vertices"
         )
-    first = _geometry(photograph, models.shape, budget=budget, on_progress=on_progress)
+    within: dict[str, Any] = {"budget": budget, "on_progress": on_progress}
+    first = _geometry(photograph, models.shape, **within)
     seen = observe(photograph, first.vertices, models.mean.faces)
-    skin = fit_image(seen, models.model, lighting, budget=budget, on_progress=on_progress)
+    skin = reflectance.fit_image(seen, models.model, lighting, **within)
     refined = _geometry(
         photograph,
         models.shape,
-        budget=budget,
-        on_progress=on_progress,
+        **within,
         reflectance=skin.face.reflectance,
         light=skin.light,
         initial_scene_from_model=first.scene_from_model,
@@ -174,7 +160,7 @@ def _named(photograph: PhotographFiles) -> Iterator[None]:
 def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) -> ImageObservation:
     """Look up vertices (V, 3) in a photograph."""
     content = photograph.content
-    return observe_photograph(
+    return reflectance.observe_photograph(
         photograph.image,
         photograph.camera,
         vertices,
@@ -208,17 +194,16 @@ def write_fitted_photograph(
         shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
         colors = ("photometric_rmse_before", "photometric_rmse_after")
         figures["geometry"] = {name: getattr(geometry, name) for name in (*shape, *colors)}
-    mesh = MeshReflectance(done.vertices, done.faces, face.reflectance, seen=seen)
-    upright = MeshReflectance(models.mean.vertices, done.faces, face.reflectance)
+    mesh = reflectance.MeshReflectance(done.vertices, done.faces, face.reflectance, seen=seen)
+    upright = reflectance.MeshReflectance(models.mean.vertices, done.faces, face.reflectance)
     inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
     with publishing(out, "fit-image", inputs, options, figures, done.notes()) as results:
-        write_reflectance(results.folder / "reflectance.npz", mesh)
+        reflectance.write_reflectance(results.folder / "reflectance.npz", mesh)
         write_colored_mesh(results.folder / "face.ply", mesh)
         results.trace(done.trace)
         linear = _linear(done.photograph)
-        made, shown = draw_in_camera(
-            done.photograph.camera, linear.shape[:2], done.vertices, done.faces, face.radiance_linear
-        )
+        camera, size = done.photograph.camera, linear.shape[:2]
+        made, shown = draw_in_camera(camera, size, done.vertices, done.faces, face.radiance_linear)
         panels = relit_panels("face", np.nan_to_num(linear), made, shown, np.isfinite(linear))
         title = f"relative RMSE {100 * face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices\n"
         title += "; ".join(step.reason for step in face.plan if step.ran) or "the mean face"
@@ -226,10 +211,12 @@ def write_fitted_photograph(
     return figures
 
 
-def _geometry(photograph: PhotographFiles, shape: MorphableShapeModel, **options: Any) -> GeometryFit:
-    assert photograph.landmarks_px is not None
-    image, camera = _linear(photograph), photograph.camera
-    return refine_geometry(image, camera, photograph.landmarks_px, shape, mask=photograph.mask, **options)
+def _geometry(
+    photograph: PhotographFiles, shape: reflectance.MorphableShapeModel, **options: Any
+) -> GeometryFit:
+    image, camera, pixels = _linear(photograph), photograph.camera, photograph.landmarks_px
+    assert pixels is not None
+    return reflectance.refine_geometry(image, camera, pixels, shape, mask=photograph.mask, **options)
 
 
 def _linear(photograph: PhotographFiles) -> FloatArray:
@@ -274,13 +261,13 @@ def tune_model(
 
     def observed(path: Path) -> ImageObservation:
         say(f"reading {path}")
-        photograph = read_photograph(path)
+        photograph = reflectance.read_photograph(path)
         notes.extend(gamma_notes(photograph))
         with _named(photograph):
             vertices, _, _ = shaped_vertices(photograph, models, lighting)
             return observe(photograph, vertices, models.mean.faces)
 
-    tuning = finetune(
+    tuning = reflectance.finetune(
         models.model,
         [observed(path) for path in tuned_with],
         [observed(path) for path in tested_on],
@@ -292,17 +279,14 @@ def tune_model(
     )
     if not tuning.converged:
         notes.append("budget or rounds ended while changes still helped")
-    figures: dict[str, Any] = {
-        "photographs": [str(path) for path in tuned_with],
-        "held_out": [str(path) for path in tested_on],
-    }
+    figures: dict[str, Any] = {"photographs": [*map(str, tuned_with)], "held_out": [*map(str, tested_on)]}
     names = ("accepted_steps", "held_out_before", "held_out_after", "converged")
     figures |= {name: getattr(tuning, name) for name in names}
     mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
     inputs = (models.folder, *tuned_with, *tested_on)
     with publishing(out, "finetune", inputs, options, figures, notes) as results:
         tuning.model.save(results.folder / MODEL_FILE)
-        write_reflectance(results.folder / MEAN_FILE, replace(models.mean, reflectance=mean))
+        reflectance.write_reflectance(results.folder / MEAN_FILE, replace(models.mean, reflectance=mean))
         if models.shape is not None:
             shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
         results.trace(tuning.trace)

@@ -11,20 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from scan2albedo import reflectance
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
-from scan2albedo.reflectance import (
-    LinearModel,
-    MeshReflectance,
-    MorphableReflectanceModel,
-    MorphableShapeModel,
-    VertexReflectance,
-    read_reflectance,
-    reflectance_files,
-    write_reflectance,
-)
+from scan2albedo.reflectance import MeshReflectance, VertexReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.morphable_model import held_out_components, reliability
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
 from scan2albedo.reflectance.shape_model import LANDMARKS
@@ -33,7 +25,7 @@ from scan2albedo.report.reflectance_views import albedo_colors, albedo_white, fa
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, publishing
 from scan2albedo.templates import AnnotatedFaceModel
 
-DEFAULT_MODEL_FILE = Path(reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
+DEFAULT_MODEL_FILE = Path(reflectance.reflectance_files.__file__).parent / "data" / "synthetic_people.npz"
 SURFACE_LEVELS = 1
 """Refinements of the default face model's surface for synthetic people."""
 
@@ -42,9 +34,9 @@ SURFACE_LEVELS = 1
 class FaceModels:
     """A model, its mean on the mean mesh, and the shapes' model if there is one."""
 
-    model: MorphableReflectanceModel
+    model: reflectance.MorphableReflectanceModel
     mean: MeshReflectance
-    shape: MorphableShapeModel | None
+    shape: reflectance.MorphableShapeModel | None
     """Where it is known which vertices are landmarks."""
     sources: tuple[Path, ...] = ()
     """Of the samples; none for synthetic people."""
@@ -93,7 +85,7 @@ def build_model(
                 f"{path} has other triangles than {sources[0]}; a model needs one topology: fit captures of "
                 "meshes that correspond, or process scans with one model"
             )
-    model = MorphableReflectanceModel.from_samples(
+    model = reflectance.MorphableReflectanceModel.from_samples(
         [sample.reflectance for sample in samples],
         components=components,
         least_support=least_support,
@@ -115,7 +107,7 @@ def build_model(
             raise ReflectanceError(f"{what}: two landmarks have one vertex; give 68 different ones")
         if numbers.min() < 0 or numbers.max() >= len(first):
             raise ReflectanceError(f"{what} are {numbers.min()} to {numbers.max()}, it has {len(first)}")
-        shape = MorphableShapeModel.from_samples(shapes, None, samples[0].faces, numbers)
+        shape = reflectance.MorphableShapeModel.from_samples(shapes, None, samples[0].faces, numbers)
     return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
 
 
@@ -138,12 +130,12 @@ def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
     rest, faces = template.surface(SURFACE_LEVELS)
     if components is None:
         components = held_out_components(samples, rest)
-    model = MorphableReflectanceModel.from_samples(samples, components=components)
+    model = reflectance.MorphableReflectanceModel.from_samples(samples, components=components)
     shapes = np.stack([transform_points(procrustes(one.vertices, rest), one.vertices) for one in people])
     assert template.landmarks is not None
     nearest = np.linalg.norm(rest - template.landmarks[:, None], axis=2).argmin(1)
     offsets = expression_offsets(template, np.random.default_rng([0, 14]), levels=SURFACE_LEVELS)
-    shape = MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
+    shape = reflectance.MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
     mean = model.reconstruct(np.zeros(model.components)).reflectance
     return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape)
 
@@ -164,17 +156,17 @@ def default_model() -> FaceModels:
         for two, whole in zip(part("share"), (1, 0), strict=True)
     ]
     people, count = int(arrays["people"]), len(shares[0])
-    model = MorphableReflectanceModel(
+    model = reflectance.MorphableReflectanceModel(
         known=np.ones(count, bool),
         support=np.full(count, people),
-        diffuse=LinearModel(*part("diffuse")),
-        total=LinearModel(*part("total")),
-        share=LinearModel(*shares),
+        diffuse=reflectance.LinearModel(*part("diffuse")),
+        total=reflectance.LinearModel(*part("total")),
+        share=reflectance.LinearModel(*shares),
         total_variance=float(arrays["total_variance"]),
         samples=people,
     )
     mean, basis = part("shape")
-    shape = MorphableShapeModel(
+    shape = reflectance.MorphableShapeModel(
         to_surface @ mean,
         np.stack([to_surface @ direction for direction in basis]),
         int(arrays["identity_components"]),
@@ -214,8 +206,9 @@ def read_model_folder(path: Path) -> FaceModels:
     """Read the folder that `build` or `finetune` wrote, whose files must belong together."""
     if not path.is_dir():
         raise ReflectanceError(f"{path} is not a folder; give the one that `reflectance build` wrote")
-    model, mean = MorphableReflectanceModel.load(path / MODEL_FILE), read_reflectance(path / MEAN_FILE)
-    shape = MorphableShapeModel.load(path / SHAPE_FILE) if (path / SHAPE_FILE).exists() else None
+    model = reflectance.MorphableReflectanceModel.load(path / MODEL_FILE)
+    mean = read_reflectance(path / MEAN_FILE)
+    shape = reflectance.MorphableShapeModel.load(path / SHAPE_FILE) if (path / SHAPE_FILE).exists() else None
     counts = {MODEL_FILE: len(model.known), MEAN_FILE: len(mean.vertices)}
     if shape is not None:
         counts[SHAPE_FILE] = len(shape.mean)
@@ -229,11 +222,8 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
     """Write reflectances drawn from the model in a folder, each a file, and a sheet; return the figures."""
     models = read_model_folder(folder)
     drawn = [models.model.sample(np.random.default_rng([seed, k]), scale=scale) for k in range(count)]
-    figures = {
-        "samples": count,
-        "coefficients": [one.coefficients for one in drawn],
-        "clipped_share": [one.clipped_share for one in drawn],
-    }
+    names, figures = ("coefficients", "clipped_share"), dict[str, Any](samples=count)
+    figures |= {name: [getattr(one, name) for one in drawn] for name in names}
     options = {"count": count, "seed": seed, "scale": scale}
     with publishing(out, "sample", (folder,), options, figures) as results:
         white, panels = albedo_white(models.mean.reflectance.diffuse_linear), []
