@@ -19,12 +19,12 @@ NO_CAMERA = 255
 
 Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
 
-_SHAPES = {
+ARRAYS = {
     "position": (np.float64, 3),
     "normal": (np.float64, 3),
     "mask": (np.bool_, None),
-    "texture_linear": (np.float32, 3),
     "region": (np.uint8, None),
+    "texture_linear": (np.float32, 3),
     "texture_valid": (np.bool_, None),
     "specular_scale": (np.float32, None),
     "inpaint": (np.bool_, None),
@@ -35,6 +35,7 @@ _SHAPES = {
     "filled": (np.bool_, None),
     "on_face": (np.bool_, None),
 }
+"""Type and channels, None for a plain (H, W), of the arrays that have a value a texel."""
 
 _LENGTH = 0.01
 """Normals whose length differs from 1 by more are wrong; those shorter than this are not known."""
@@ -90,7 +91,7 @@ class GeometryImage:
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, bool)
         grid = mask.shape
-        for field, (dtype, channels) in _SHAPES.items():
+        for field, (dtype, channels) in ARRAYS.items():
             value = getattr(self, field)
             if value is None:
                 continue

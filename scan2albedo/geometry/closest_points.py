@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import face_lists, face_normals, neighbour_lists
+from scan2albedo.geometry.mesh import face_lists, face_normals, neighbour_lists, vertex_mask
 
 _FARTHEST = 1e100
 MAX_EXACT_FACES = 100_000
@@ -130,9 +130,7 @@ class NearestSurface:
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
         self._faces = checked_faces(faces)
-        used = np.zeros(len(self._vertices), bool)
-        used[self._faces.ravel()] = True
-        self._used = np.flatnonzero(used)
+        self._used = np.flatnonzero(vertex_mask(len(self._vertices), self._faces))
         self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
         self._ring_start, self._ring = face_lists(len(self._vertices), self._faces)
         self._near_start, self._near = neighbour_lists(len(self._vertices), self._faces)

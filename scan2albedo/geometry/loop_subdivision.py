@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import adjacency, edges_with_faces
+from scan2albedo.geometry.mesh import adjacency, edges_with_faces, vertex_mask
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,7 @@ def _one_ring_rule(vertex_count, faces, boundary, weight_of, boundary_neighbour)
     """Rows (1 - sum w) v + w sum over the one-ring, and the two-neighbour rule on the boundary."""
     ring = adjacency(vertex_count, faces)
     valence = np.asarray(ring.sum(1)).ravel()
-    on_boundary = np.zeros(vertex_count, bool)
-    on_boundary[boundary.ravel()] = True
+    on_boundary = vertex_mask(vertex_count, boundary)
     # An unreferenced vertex has no ring and stays where it is.
     interior = sparse.diags(np.where(on_boundary, 0.0, weight_of(np.maximum(valence, 1.0)))) @ ring
     ends = np.concatenate([boundary, boundary[:, ::-1]])

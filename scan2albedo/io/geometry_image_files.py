@@ -8,25 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.errors import GeometryImageError, ScanError
+from scan2albedo.core.geometry_image import ARRAYS, GeometryImage
+from scan2albedo.errors import GeometryImageError, ScanError, errors_of
 from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr_channels
 from scan2albedo.io.npz import read_npz, write_npz
 
 FORMAT_VERSION = 1
 
-_NAME_IN_FILE = {
-    "position": "position_mm",
-    **{name: name for name in ["normal", "mask", "region", "texture_linear", "texture_valid"]},
-    **{name: name for name in ["specular_scale", "inpaint", "skin", "labels"]},
-    **{name: name for name in ["face_chart", "filled", "on_face"]},
-}
+_NAME_IN_FILE = {name: name for name in ARRAYS if name != "camera"} | {"position": "position_mm"}
 _EXR_CHANNELS = {"position": "XYZ", "normal": "XYZ", "texture_linear": "RGB", "face_chart": "YX"}
-_MASKS = "mask", "texture_valid", "inpaint", "filled", "on_face"
-_KINDS = {
-    **dict.fromkeys(_MASKS, "b"),
-    **dict.fromkeys(("format_version", "region", "labels", "camera", "occluder_faces"), "iu"),
-}
+_KINDS = {"format_version": "iu", "occluder_faces": "iu"}
+_KINDS |= {name: {"b": "b", "u": "iu"}.get(np.dtype(kind).kind, "fiu") for name, (kind, _) in ARRAYS.items()}
 """Letters of the kinds of dtype that arrays of an archive have; real numbers for all others."""
 
 
@@ -115,10 +107,8 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
         occluder = (arrays["occluder_vertices_mm"], arrays["occluder_faces"])
     cameras = {"camera": arrays.get("camera"), "camera_positions": arrays.get("camera_positions_mm")}
     odds = float(arrays.get("texture_log_odds", np.zeros(())))
-    try:
+    with errors_of(file.name, GeometryImageError):
         return GeometryImage(**fields, **cameras, occluder=occluder, texture_log_odds=odds)  # type: ignore[arg-type]
-    except GeometryImageError as error:
-        raise GeometryImageError(f"{file.name}: {error}") from error
 
 
 def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:

@@ -9,13 +9,8 @@ from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
-from scan2albedo.geometry.mesh import (
-    boundary_loops,
-    edges_with_faces,
-    face_cross_products,
-    far_faces,
-    vertex_components,
-)
+from scan2albedo.geometry import mesh as meshes
+from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products
 from scan2albedo.geometry.rigid import compose
 
 MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
@@ -89,7 +84,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
         raise ModelError(f"{name}: every face has zero area; it holds no surface: export it again")
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
-    far = len(used) - len(np.unique(index[~far_faces(xyz, index)]))
+    far = len(used) - len(np.unique(index[~meshes.far_faces(xyz, index)]))
     found = (
         (far, "vertices far from the rest, which bend the surface: remove them"),
         (len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
@@ -112,7 +107,7 @@ def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
 
 def largest_component(vertex_count: int, faces: IntArray) -> IntArray:
     """Return the faces of the connected part that has the most."""
-    label = vertex_components(vertex_count, faces)[faces[:, 0]]
+    label = meshes.vertex_components(vertex_count, faces)[faces[:, 0]]
     return faces[label == np.bincount(label).argmax()]
 
 

@@ -11,17 +11,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, PlanStep, ProgressCallback
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses import (
-    FaceRegistrationOptions,
-    RegisteredEyeglasses,
-    register_on_face,
-    write_keypoints,
-    write_labels,
-    write_registered,
-)
+from scan2albedo.errors import EyeglassesError, errors_of
+from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
 from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
@@ -90,7 +84,7 @@ class PlacedFrame:
     """What became of the files of a registration."""
 
     given: GlassesInput
-    result: RegisteredEyeglasses
+    result: eyeglasses.RegisteredEyeglasses
     options: Mapping[str, Any]
     seconds: float
 
@@ -163,8 +157,9 @@ def register_frame(
     """
     begun, spend, frame = time.perf_counter(), Budget.of(budget), given.frame
     assert given.labels is not None
-    try:
-        result = register_on_face(
+    names = " with ".join(given.files[part].file for part in ("mesh", "labels") if part in given.files)
+    with errors_of(names, EyeglassesError):
+        result = eyeglasses.register_on_face(
             (frame.scan.vertices, frame.scan.faces, frame.keypoints, frame.weights),
             given.labels,
             given.masks,
@@ -174,12 +169,9 @@ def register_frame(
             start=given.start,
             shapes=[camera.shape for camera in given.cameras],
             pictures=given.pictures,
-            options=FaceRegistrationOptions(bend=bend),
+            options=eyeglasses.FaceRegistrationOptions(bend=bend),
             on_progress=on_progress,
         )
-    except EyeglassesError as error:
-        names = " with ".join(given.files[part].file for part in ("mesh", "labels") if part in given.files)
-        raise EyeglassesError(f"{names}: {error}") from error
     options = {"bend": bend, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     return PlacedFrame(given, result, options, time.perf_counter() - begun)
 
@@ -190,7 +182,7 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
     with RunFolder(out, FILES).publishing() as staging:
         folder = staging.folder
         _, weight_cut = write_frame_glb(folder / "registered.glb", result)
-        write_registered(folder / "registered.npz", result)
+        eyeglasses.write_registered(folder / "registered.npz", result)
         write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
         # What was found in pictures, as files that a person may correct and give back.
         if any(mask is not None for mask in result.proposed_masks):
