@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arguments import require_linear
+from scan2albedo.core.arrays import checked_mesh
 from scan2albedo.errors import GeometryImageError
 
 SMALLEST_SIZE, LARGEST_SIZE = 8, 16384
@@ -123,18 +124,8 @@ class GeometryImage:
                 )
             object.__setattr__(self, "camera_positions", positions)
         if self.occluder is not None:
-            xyz, index = np.asarray(self.occluder[0], np.float64), np.asarray(self.occluder[1], np.int64)
-            if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
-                raise GeometryImageError(
-                    f"occluder has vertices {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)"
-                )
-            if not np.isfinite(xyz).all():
-                raise GeometryImageError("occluder holds NaN or infinite vertices")
-            if len(index) and (index.min() < 0 or index.max() >= len(xyz)):
-                raise GeometryImageError(
-                    f"occluder has faces that refer to vertices {index.min()} ... {index.max()} of {len(xyz)}"
-                )
-            object.__setattr__(self, "occluder", (xyz, index))
+            mesh = checked_mesh(*self.occluder, "occluder", GeometryImageError)
+            object.__setattr__(self, "occluder", mesh)
 
     @property
     def shape(self) -> tuple[int, int]:

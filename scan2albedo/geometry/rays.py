@@ -10,7 +10,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray
+from scan2albedo.core.arrays import BoolArray, checked_mesh
 from scan2albedo.geometry.mesh import RayHits
 
 _CHUNK = 8192
@@ -28,17 +28,10 @@ class RayCaster:
         from embreex import rtcore_scene
         from embreex.mesh_construction import TriangleMesh
 
-        xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
         # Embree would read past the end of bad arrays: it checks nothing.
-        for name, array in (("vertices", xyz), ("faces", index)):
-            if array.ndim != 2 or array.shape[1] != 3:
-                raise ValueError(f"{name} of the mesh have shape {array.shape}, expected (N, 3)")
+        xyz, index = checked_mesh(vertices, faces, "the mesh to shoot rays at")
         if not len(xyz):
             raise ValueError("the mesh has no vertex to shoot rays at; give one with a surface")
-        if bad := int((~np.isfinite(xyz).all(1)).sum()):
-            raise ValueError(f"{bad} of {len(xyz)} vertices of the mesh are not finite; repair it first")
-        if len(index) and not (index.min() >= 0 and index.max() < len(xyz)):
-            raise ValueError(f"faces refer to vertices {index.min()} to {index.max()} of {len(xyz)}")
         self._vertices, self._faces = xyz, index
         low, high = xyz.min(0), xyz.max(0)
         self._center = (low + high) / 2

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry import mesh as meshes
 from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products
@@ -45,21 +45,9 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     Raises `ModelError` for vertices (T, 3) that are no head in any unit, are not finite or too few, bad
     indices, or a surface that is not manifold even when a few faces are dropped, or cannot be oriented.
     """
-    given, index = np.array(vertices, np.float64), np.array(faces)
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise ModelError(f"{name}: template vertices have shape {given.shape}, expected (T, 3)")
-    if index.ndim != 2 or index.shape[1] != 3 or len(index) == 0:
-        raise ModelError(
-            f"{name}: template faces have shape {index.shape}, expected (F, 3) with F > 0; "
-            "triangulate the mesh, a point cloud is not enough"
-        )
-    if not np.isfinite(given).all():
-        bad = int((~np.isfinite(given)).any(1).sum())
-        raise ModelError(f"{name}: {bad} template vertices are NaN or infinite; repair or re-export it")
-    index = index.astype(np.int64)
-    if index.min() < 0 or index.max() >= len(given):
-        wrong = index.min() if index.min() < 0 else index.max()
-        raise ModelError(f"{name}: a face refers to vertex {wrong}, but there are {len(given)} vertices")
+    given, index = checked_mesh(vertices, faces, name, ModelError)
+    if len(index) == 0:
+        raise ModelError(f"{name}: a template needs faces, a point cloud is not enough; mesh its points")
     used = np.unique(index)
     if len(used) < MIN_VERTICES:
         raise ModelError(f"{name}: only {len(used)} vertices in faces, at least {MIN_VERTICES} needed")
