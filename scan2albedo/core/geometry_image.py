@@ -228,7 +228,5 @@ def wound_like(
 def check_size(size: int) -> None:
     """Raise GeometryImageError unless `size` is a whole number from `SMALLEST_SIZE` to `LARGEST_SIZE`."""
     if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= LARGEST_SIZE:
-        raise GeometryImageError(
-            f"size {size} does not suit a geometry image; give a whole number of texels, {SMALLEST_SIZE} to "
-            f"{LARGEST_SIZE}"
-        )
+        said = f"size {size} does not suit a geometry image"
+        raise GeometryImageError(f"{said}; give a whole number of texels, {SMALLEST_SIZE} to {LARGEST_SIZE}")

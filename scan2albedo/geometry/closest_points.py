@@ -82,10 +82,8 @@ def checked_points(points: ArrayLike) -> FloatArray:
     """Return points (N, 3) as float64; ValueError for NaN, infinity or squared distances that overflow."""
     targets = np.ascontiguousarray(points, np.float64)
     if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
-        raise ValueError(
-            f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}; no surface point is "
-            "closest to them"
-        )
+        said = f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}"
+        raise ValueError(f"{said}; no surface point is closest to them")
     return targets
 
 

@@ -79,12 +79,6 @@ def edges_with_faces(faces: IntArray) -> tuple[IntArray, IntArray]:
     return np.stack([keys // span, keys % span], 1), counts
 
 
-def boundary_edges(faces: IntArray) -> IntArray:
-    """Return (B, 2) edges used by exactly one face."""
-    edges, counts = edges_with_faces(faces)
-    return edges[counts == 1]
-
-
 def vertex_mask(vertex_count: int, index: IntArray) -> BoolArray:
     """Return (V,) True for the vertices that an index array of any shape names, such as those of faces."""
     mask = np.zeros(vertex_count, bool)
@@ -93,8 +87,9 @@ def vertex_mask(vertex_count: int, index: IntArray) -> BoolArray:
 
 
 def boundary_vertex_mask(vertex_count: int, faces: IntArray) -> BoolArray:
-    """Return (V,) True for vertices on a boundary edge."""
-    return vertex_mask(vertex_count, boundary_edges(faces))
+    """Return (V,) True for vertices on an edge of exactly one face."""
+    edges, counts = edges_with_faces(faces)
+    return vertex_mask(vertex_count, edges[counts == 1])
 
 
 def boundary_loops(faces: IntArray) -> list[IntArray]:

@@ -68,14 +68,8 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
     Raises GeometryImageError, naming the file `path`, when it is missing, damaged, of another extension than
     .npz and .exr, or lacks position, normal or mask.
     """
-    file = Path(path)
-    extension = file.suffix.lower()
-    if extension not in (".npz", ".exr"):
-        raise GeometryImageError(
-            f"{file.name}: geometry images are .npz or .exr, not {file.suffix or 'without extension'}"
-        )
-    arrays: dict[str, NDArray[Any]] = {}
-    if extension == ".npz":
+    file, arrays = Path(path), dict[str, NDArray[Any]]()
+    if file.suffix.lower() == ".npz":
         arrays = read_npz(file, what="geometry image", advice="write it again", error=GeometryImageError)
         for name, array in arrays.items():
             if array.dtype.kind not in _KINDS.get(name, "fiu"):
@@ -85,7 +79,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
             raise GeometryImageError(
                 f"{file.name}: format version {version} is newer than {FORMAT_VERSION}; update scan2albedo"
             )
-    else:
+    elif file.suffix.lower() == ".exr":
         try:
             channels = read_exr_channels(file)
         except ScanError as error:
@@ -95,6 +89,9 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
             planes = [channels[f"{stored}.{c}"] for c in letters if f"{stored}.{c}" in channels]
             if len(planes) == len(letters):
                 arrays[stored] = np.stack(planes, axis=-1) if len(letters) > 1 else planes[0]
+    else:
+        kind = file.suffix or "without extension"
+        raise GeometryImageError(f"{file.name}: geometry images are .npz or .exr, not {kind}")
     missing = [name for name in ("position_mm", "normal", "mask") if name not in arrays]
     if missing:
         raise GeometryImageError(
@@ -127,8 +124,6 @@ def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float
     if not image.mask.any():
         raise GeometryImageError(f"{files[0]}: its mask is empty: no surface; process the scan again")
     if albedo.shape[:2] != image.shape:
-        raise GeometryImageError(
-            f"{files[1]}: has {albedo.shape[:2]} texels and {files[0].name} {image.shape}; they come from "
-            "different runs: process the scan again"
-        )
+        said = f"{files[1]}: has {albedo.shape[:2]} texels and {files[0].name} {image.shape}"
+        raise GeometryImageError(f"{said}; they come from different runs: process the scan again")
     return image, albedo

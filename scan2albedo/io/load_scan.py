@@ -160,10 +160,8 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
     if extension not in SUPPORTED_SCANS:
         if file.is_file():
             limits.require_own_kind(file)
-        raise ScanError(
-            f"{file.name}: {extension or 'a name without extension'} is not supported; "
-            f"save the scan as one of {', '.join(SUPPORTED_SCANS)}"
-        )
+        said = f"{file.name}: {extension or 'a name without extension'} is not supported"
+        raise ScanError(f"{said}; save the scan as one of {', '.join(SUPPORTED_SCANS)}")
     try:
         if limits.require_file(file, advice="decimate it") == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")

@@ -65,10 +65,8 @@ class ObjLines:
         if len(lines):
             start, end = int(self.starts[lines[0]]), int(self.ends[lines[0]])
             beginning = decoded(self.text[start : min(end, start + 50)].tobytes()).strip()[:40]
-            raise ScanError(
-                f"{self.name}: line {lines[0] + 1} holds '{beginning}', {expected}; "
-                "the file is damaged or truncated: export it again"
-            )
+            said = f"{self.name}: line {lines[0] + 1} holds '{beginning}', {expected}"
+            raise ScanError(f"{said}; the file is damaged or truncated: export it again")
 
 
 def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:

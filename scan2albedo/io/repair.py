@@ -22,10 +22,8 @@ def require_usable(mesh: ParsedMesh, name: str) -> None:
     count = len(mesh.vertices)
     if len(mesh.faces) == 0:
         what = f"a point cloud of {count} vertices" if count else "no vertices and no faces"
-        raise ScanError(
-            f"{name}: holds {what}; a surface is needed: mesh the points first, or export the scan again "
-            "if the file was cut short"
-        )
+        said = f"{name}: holds {what}; a surface is needed"
+        raise ScanError(f"{said}: mesh the points first, or export the scan again if the file was cut short")
     require_valid_indices(mesh.faces, count, name)
     bad = ~(np.abs(mesh.vertices) <= LARGEST_COORDINATE).all(axis=1)
     if bad.any():

@@ -108,12 +108,10 @@ def _decided(
         more = " (--unit), or `glasses canonicalize` the front's --frame-width in mm or other --widths"
         verb, more = ("are", more) if thing == "glasses" else ("is", "")
         if len(fitting) != 1:
-            said = f"not a {kind} in mm, cm or m (expected {low:.3g} to {high:.3g} mm)"
-            said = f"a {kind} in {' or '.join(fitting)}" if fitting else said
-            raise UnitError(
-                f"{name}: the {thing} {verb} {extent:.4g} units long, which is {said}; say what a unit is "
-                f"with unit='mm', 'cm' or 'm'{more}"
-            )
+            which = f"not a {kind} in mm, cm or m (expected {low:.3g} to {high:.3g} mm)"
+            which = f"a {kind} in {' or '.join(fitting)}" if fitting else which
+            said = f"{name}: the {thing} {verb} {extent:.4g} units long, which is {which}"
+            raise UnitError(f"{said}; say what a unit is with unit='mm', 'cm' or 'm'{more}")
         unit, how = fitting[0], "decided from the size"
     else:
         check_unit(unit)

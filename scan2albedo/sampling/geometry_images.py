@@ -61,25 +61,19 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
     """
     if not (hasattr(fitted, "vertices") and hasattr(fitted, "model_from_scan")):
-        raise TypeError(
-            f"geometry_image: fitted is {described(fitted)}, expected a FittedFace; fit(scan, model, pose) "
-            "returns one"
-        )
+        said = f"geometry_image: fitted is {described(fitted)}, expected a FittedFace"
+        raise TypeError(f"{said}; fit(scan, model, pose) returns one")
     require_type(scan, (RawScan, type(None)), "geometry_image: scan", "load_scan(path) returns one")
     check_size(size)
     for name, values in (("vertices", fitted.vertices), ("uv", fitted.uv)):
         bad = int((~np.isfinite(values)).any(1).sum())
         if bad:
-            raise GeometryImageError(
-                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, "
-                "and check the model"
-            )
+            said = f"the fitted face has {bad} vertices whose {name} are NaN or infinite"
+            raise GeometryImageError(f"{said}; fit the scan again, and check the model")
     outside = int((np.abs(fitted.uv - 0.5) > 0.5 + np.finfo(np.float32).resolution).any(1).sum())
     if outside:
-        raise GeometryImageError(
-            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which "
-            "would be cut off; scale its uv into [0, 1]"
-        )
+        said = f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices"
+        raise GeometryImageError(f"{said}, which would be cut off; scale its uv into [0, 1]")
     scan = None if scan is None else without_covers(fitted, scan)
     raster = rasterize_uv(fitted.uv, fitted.faces, size)
     if not raster.covered.any():

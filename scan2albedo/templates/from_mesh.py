@@ -152,10 +152,8 @@ def _chart(
     if uv is not None:
         given = np.asarray(uv, np.float64)
         if given.shape != (matrix.shape[0], 2):
-            raise ModelError(
-                f"{name}: uv has shape {given.shape}, expected ({matrix.shape[0]}, 2): "
-                "one coordinate a vertex; split vertices at seams or leave uv out"
-            )
+            said = f"{name}: uv has shape {given.shape}, expected ({matrix.shape[0]}, 2)"
+            raise ModelError(f"{said}: one coordinate a vertex; split vertices at seams or leave uv out")
         known = given[source]
         note = "a new chart was drawn: the uv given holds NaN"
         if np.isfinite(known).all():

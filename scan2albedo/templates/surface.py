@@ -156,10 +156,8 @@ def clean_template(surface: TemplateSurface, name: str) -> tuple[TemplateSurface
     euler = len(np.unique(closed)) - len(edges) + len(closed)
     rims = len(boundary_loops(closed))
     if euler != 1 or rims != 1:
-        raise ModelError(
-            f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}, "
-            "expected 1 and 1 (a disc); close handles or cut the face out of the head"
-        )
+        said = f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}"
+        raise ModelError(f"{said}, expected 1 and 1 (a disc); close handles or cut the face out of the head")
     done = (
         (len(surface.faces) - len(mesh), "faces cut off the back of a closed surface"),
         (len(holes), "holes filled"),

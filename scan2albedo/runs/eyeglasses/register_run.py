@@ -179,6 +179,7 @@ def register_frame(
 def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
     """Write a registered frame's files; return the figures of its `result.json`, or raise OutputError."""
     result, given = done.result, done.given
+    assert given.labels is not None
     with RunFolder(out, FILES).publishing() as staging:
         folder = staging.folder
         _, weight_cut = write_frame_glb(folder / "registered.glb", result)
@@ -186,14 +187,12 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
         write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
         # What was found in pictures, as files that a person may correct and give back.
         if any(mask is not None for mask in result.proposed_masks):
-            assert given.labels is not None
             marks = np.where(np.isnan(given.labels), result.proposed_labels, given.labels)
             write_labels(folder / "proposed_labels.json", marks, [camera.name for camera in given.cameras])
             for camera, mask in zip(given.cameras, result.proposed_masks, strict=True):
                 if mask is not None:
                     write_png(folder / f"{camera.name}_mask.png", mask)
         staging.trace(result.trace)
-        assert given.labels is not None
         pairs = zip(given.masks, result.proposed_masks, strict=True)
         masks = [proposed if mask is None else mask for mask, proposed in pairs]
         views = list(zip(given.cameras, masks, given.labels, strict=True))
