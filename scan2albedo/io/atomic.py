@@ -202,10 +202,9 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, target)
     except OSError as error:
-        raise OutputError(
-            f"cannot write {target.name} into the folder {target.parent}: {one_line(error)}; "
-            "check that the folder exists, can be written and has space left, or choose another"
-        ) from error
+        said = f"cannot write {target.name} into the folder {target.parent}: {one_line(error)}"
+        advice = "check that the folder exists, can be written and has space left, or choose another"
+        raise OutputError(f"{said}; {advice}") from error
     finally:
         finished(temporary)
 
@@ -261,10 +260,9 @@ def cannot_write(out: Path) -> Iterator[None]:
         cause = error if isinstance(error, OSError) else error.__cause__
         if cause is None:
             raise
-        raise OutputError(
-            f"cannot write the results into {out}: {one_line(cause)}; check that the folder can be written "
-            "and has space left, or choose another"
-        ) from error
+        said = f"cannot write the results into {out}: {one_line(cause)}"
+        advice = "check that the folder can be written and has space left, or choose another"
+        raise OutputError(f"{said}; {advice}") from error
 
 
 def check_writable(out: Path) -> None:

@@ -254,10 +254,9 @@ def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     except limits.DAMAGE as error:
         kind, cause = path.suffix[1:].upper(), one_line(error)
         cause = f"there is no {cause}" if isinstance(error, KeyError) else cause
-        raise ScanError(
-            f"{path.name}: cannot be read as {kind} ({cause}); "
-            "the file is damaged, truncated or refers to a missing file: export it again"
-        ) from error
+        said = f"{path.name}: cannot be read as {kind} ({cause})"
+        advice = "the file is damaged, truncated or refers to a missing file: export it again"
+        raise ScanError(f"{said}; {advice}") from error
 
 
 def files_of_gltf(path: Path, folder: ScanFolder) -> list[str]:

@@ -278,14 +278,10 @@ def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> b
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}.get(extension, "PNG")
     if array.dtype == np.uint16 or 0 in array.shape:
         raise ValueError(f"an image of shape {array.shape} and {array.dtype} cannot be stored as {extension}")
-    options: dict[str, dict[str, Any]] = {
-        "PNG": {"compress_level": 1},
-        "JPEG": {"quality": 95},
-        "TIFF": {"compression": "tiff_lzw"},
-    }
+    options: Any = {"JPEG": {"quality": 95}, "TIFF": {"compression": "tiff_lzw"}}
     file = BytesIO()
     stored = array[..., :3] if kind == "JPEG" and array.ndim == 3 else array
-    Image.fromarray(np.ascontiguousarray(stored)).save(file, kind, **options[kind])
+    Image.fromarray(np.ascontiguousarray(stored)).save(file, kind, **options.get(kind, {"compress_level": 1}))
     return file.getvalue()
 
 

@@ -188,10 +188,9 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
     raster = rasterize_uv(uv, chart_faces, size)
     if not raster.covered.any():
-        raise GeometryImageError(
-            f"{scan.name}: xatlas made no chart that covers a texel at size {size}; choose a larger size, "
-            "and remove vertices that lie far from the rest, which shrink it"
-        )
+        said = f"{scan.name}: xatlas made no chart that covers a texel at size {size}"
+        advice = "choose a larger size, and remove vertices that lie far from the rest, which shrink it"
+        raise GeometryImageError(f"{said}; {advice}")
     inside = raster.covered
     position = interpolate(raster, chart_faces, position_of)
     normal = normalized(interpolate(raster, chart_faces, normal_of))
@@ -251,10 +250,8 @@ def texture_doubt(fitted: FittedSurface, scan: RawScan, image: GeometryImage) ->
         said = " or ".join([said, *(name for name in others[:1] if rivals[name] > rivals[said] + prior)])
         reason = f"the texture fits the shape {said}: correct the export, or its coordinates"
     elif own < other:
-        reason = (
-            "brows, eyes and lips of the texture are not where the shape has them: is it another scan's, or "
-            "shifted?"
-        )
+        reason = "brows, eyes and lips of the texture are not where the shape has them"
+        reason += ": is it another scan's, or shifted?"
     else:
         return None
     return PlanStep.doubt("texture", reason, log_odds)

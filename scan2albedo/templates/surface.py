@@ -158,11 +158,9 @@ def clean_template(surface: TemplateSurface, name: str) -> tuple[TemplateSurface
     if euler != 1 or rims != 1:
         said = f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}"
         raise ModelError(f"{said}, expected 1 and 1 (a disc); close handles or cut the face out of the head")
-    done = (
-        (len(surface.faces) - len(mesh), "faces cut off the back of a closed surface"),
-        (len(holes), "holes filled"),
-    )
-    notes = (*surface.notes, *(f"{text}: {count}" for count, text in done if count))
+    cut = len(surface.faces) - len(mesh)
+    done = {"faces cut off the back of a closed surface": cut, "holes filled": len(holes)}
+    notes = (*surface.notes, *(f"{text}: {count}" for text, count in done.items() if count))
     return replace(surface, faces=closed, notes=notes), filled
 
 

@@ -138,10 +138,9 @@ class PlacedFrame:
         known = figures["observed_deviation_rms_mm"]
         sure = "nothing is observed" if known is None else f"known to {known:.2f} mm rms"
         lost = ", ".join(self.result.unobserved)
-        return (
-            f"{self.given.frame.name}: placed in {self.seconds:.1f} s; "
-            f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
-        ) + (f"; not observed: {lost}" if lost else "")
+        placed = f"{self.given.frame.name}: placed in {self.seconds:.1f} s"
+        seen = f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
+        return f"{placed}; {seen}" + (f"; not observed: {lost}" if lost else "")
 
 
 def register_frame(
