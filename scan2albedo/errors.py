@@ -152,6 +152,15 @@ def import_open3d() -> ModuleType:
 
 
 @contextmanager
+def errors_of(owner: str, kind: type[Scan2AlbedoError], *others: type[Exception]) -> Iterator[None]:
+    """Put the `owner` of an error of the block in front of it; those of `others` become of the `kind`."""
+    try:
+        yield
+    except (kind, *others) as error:
+        raise kind(f"{owner}: {error}") from error
+
+
+@contextmanager
 def memory_errors_named(name: str) -> Iterator[None]:
     """Turn a MemoryError, RecursionError or OverflowError into a TooLargeError that names its scan."""
     try:

@@ -47,8 +47,9 @@ from scan2albedo.geometry.rigid import (
     rotation_angle_rad,
     transform_points,
 )
-from scan2albedo.registration.candidates import Colors, ranked_candidates
+from scan2albedo.registration.candidates import ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
+from scan2albedo.registration.evidence import ColourScorer
 from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
 from scan2albedo.registration.template import Template
 
@@ -191,8 +192,8 @@ def rows_of(task: tuple[str, int]) -> list[Row]:
         return []
     poses = coarse_poses(prepared, _template(), options, meter, 0)
     rows = []
-    colors = Colors(prepared, AnnotatedFaceModel.default())
-    for candidate in ranked_candidates(prepared, _template(), colors, None, poses, options, meter):
+    scorer = cache(lambda: ColourScorer.of(case.scan, AnnotatedFaceModel.default()))
+    for candidate in ranked_candidates(prepared, _template(), scorer, None, poses, options, meter):
         if candidate.evidence is not None:
             pose = invert_rigid(candidate.pose.rigid(_template().front)) @ prepared.prepared_from_scan
             cues = tuple(candidate.evidence.cues[name] for name in SIGNS)

@@ -46,10 +46,8 @@ def require_linear(name: str, values: ArrayLike) -> None:
     if kind.kind in "OSU":
         raise TypeError(f"{name} is {described(values)}, expected an array of linear colours")
     if kind.kind in "iub":
-        raise TypeError(
-            f"{name} holds {kind}, expected floats of linear light, 1 = display white; decode sRGB of 8 bits "
-            "with scan2albedo.io.color.decode_srgb_integers"
-        )
+        said = f"{name} holds {kind}, expected floats of linear light, 1 = display white"
+        raise TypeError(f"{said}; decode sRGB of 8 bits with scan2albedo.io.color.decode_srgb_integers")
 
 
 def linear_doubt(name: str, values: NDArray[np.float32]) -> str:

@@ -1,4 +1,4 @@
-"""Types of arrays in annotations, whose shapes stand in docstrings, and a smooth step."""
+"""Types of arrays in annotations, whose shapes stand in docstrings; arrays of a mesh; a smooth step."""
 
 from __future__ import annotations
 
@@ -8,6 +8,22 @@ from numpy.typing import ArrayLike, NDArray
 BoolArray = NDArray[np.bool_]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+
+
+def checked_mesh(
+    vertices: ArrayLike, faces: ArrayLike, name: str, error: type[Exception] = ValueError
+) -> tuple[FloatArray, IntArray]:
+    """Return vertices (V, 3) and faces (F, 3) of a mesh; an `error` that begins with its name for others."""
+    xyz, index = np.asarray(vertices, np.float64), np.asarray(faces)
+    for what, array in (("vertices", xyz), ("faces", index)):
+        if array.ndim != 2 or array.shape[1] != 3:
+            raise error(f"{name}: its {what} have shape {array.shape}, expected (N, 3); triangulate it")
+    if bad := int((~np.isfinite(xyz)).any(1).sum()):
+        raise error(f"{name}: {bad} of {len(xyz)} vertices are NaN or infinite; repair it first")
+    index = index.astype(np.int64)
+    if len(index) and not (index.min() >= 0 and index.max() < len(xyz)):
+        raise error(f"{name}: its faces refer to vertices {index.min()} to {index.max()} of {len(xyz)}")
+    return xyz, index
 
 
 def smoothstep(x: ArrayLike) -> FloatArray:

@@ -104,14 +104,12 @@ def _is_cold(kernels: Sequence[Any]) -> bool:
                 listed[folder] = [entry for entry in entries if entry.name.endswith((".nbi", ".nbc"))]
         source = Path(kernel.py_func.__code__.co_filename)
         start, changed = f"{source.stem}.{kernel.py_func.__qualname__}-", source.stat().st_mtime
-        fresh = False
-        for entry in listed[folder]:
-            # Older than the source: where one process writes the index anew, another might read it by that.
-            if entry.name.startswith(start) and entry.stat().st_mtime < changed <= time.time():
-                Path(entry.path).unlink(missing_ok=True)
-            elif entry.name.startswith(start):
-                fresh = True
-        missing += not fresh
+        kept = [entry for entry in listed[folder] if entry.name.startswith(start)]
+        # Older than the source: where one process writes the index anew, another might read it by that.
+        old = [entry for entry in kept if entry.stat().st_mtime < changed <= time.time()]
+        for entry in old:
+            Path(entry.path).unlink(missing_ok=True)
+        missing += len(old) == len(kept)
     return missing > _COLD * len(kernels)
 
 

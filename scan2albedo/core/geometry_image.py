@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arguments import require_linear
+from scan2albedo.core.arrays import checked_mesh
 from scan2albedo.errors import GeometryImageError
 
 SMALLEST_SIZE, LARGEST_SIZE = 8, 16384
@@ -19,12 +20,12 @@ NO_CAMERA = 255
 
 Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
 
-_SHAPES = {
+ARRAYS = {
     "position": (np.float64, 3),
     "normal": (np.float64, 3),
     "mask": (np.bool_, None),
-    "texture_linear": (np.float32, 3),
     "region": (np.uint8, None),
+    "texture_linear": (np.float32, 3),
     "texture_valid": (np.bool_, None),
     "specular_scale": (np.float32, None),
     "inpaint": (np.bool_, None),
@@ -35,6 +36,7 @@ _SHAPES = {
     "filled": (np.bool_, None),
     "on_face": (np.bool_, None),
 }
+"""Type and channels, None for a plain (H, W), of the arrays that have a value a texel."""
 
 _LENGTH = 0.01
 """Normals whose length differs from 1 by more are wrong; those shorter than this are not known."""
@@ -90,7 +92,7 @@ class GeometryImage:
     def __post_init__(self) -> None:
         mask = np.asarray(self.mask, bool)
         grid = mask.shape
-        for field, (dtype, channels) in _SHAPES.items():
+        for field, (dtype, channels) in ARRAYS.items():
             value = getattr(self, field)
             if value is None:
                 continue
@@ -122,18 +124,8 @@ class GeometryImage:
                 )
             object.__setattr__(self, "camera_positions", positions)
         if self.occluder is not None:
-            xyz, index = np.asarray(self.occluder[0], np.float64), np.asarray(self.occluder[1], np.int64)
-            if xyz.ndim != 2 or index.ndim != 2 or xyz.shape[1] != 3 or index.shape[1] != 3:
-                raise GeometryImageError(
-                    f"occluder has vertices {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)"
-                )
-            if not np.isfinite(xyz).all():
-                raise GeometryImageError("occluder holds NaN or infinite vertices")
-            if len(index) and (index.min() < 0 or index.max() >= len(xyz)):
-                raise GeometryImageError(
-                    f"occluder has faces that refer to vertices {index.min()} ... {index.max()} of {len(xyz)}"
-                )
-            object.__setattr__(self, "occluder", (xyz, index))
+            mesh = checked_mesh(*self.occluder, "occluder", GeometryImageError)
+            object.__setattr__(self, "occluder", mesh)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -236,7 +228,5 @@ def wound_like(
 def check_size(size: int) -> None:
     """Raise GeometryImageError unless `size` is a whole number from `SMALLEST_SIZE` to `LARGEST_SIZE`."""
     if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= LARGEST_SIZE:
-        raise GeometryImageError(
-            f"size {size} does not suit a geometry image; give a whole number of texels, {SMALLEST_SIZE} to "
-            f"{LARGEST_SIZE}"
-        )
+        said = f"size {size} does not suit a geometry image"
+        raise GeometryImageError(f"{said}; give a whole number of texels, {SMALLEST_SIZE} to {LARGEST_SIZE}")

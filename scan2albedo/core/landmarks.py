@@ -47,10 +47,8 @@ class PlacedLandmarks:
     def __post_init__(self) -> None:
         points, sigma_mm = np.array(self.points, np.float64), np.array(self.sigma_mm, np.float64)
         if points.shape != (COUNT, 3) or sigma_mm.shape != (COUNT,):
-            raise ScanError(
-                f"landmarks have shape {points.shape} and deviations {sigma_mm.shape}, expected ({COUNT}, 3) "
-                f"and ({COUNT},); leave NaN where none was placed"
-            )
+            said = f"landmarks have shape {points.shape} and deviations {sigma_mm.shape}"
+            raise ScanError(f"{said}, expected ({COUNT}, 3) and ({COUNT},); leave NaN where none was placed")
         unknown, absurd = np.isnan(points), np.abs(points) > LARGEST_COORDINATE
         partly = np.flatnonzero((unknown.any(1) & ~unknown.all(1)) | absurd.any(1))
         if len(partly):
@@ -84,10 +82,8 @@ class PlacedLandmarks:
             except (ValueError, TypeError) as error:
                 raise ScanError(f"landmarks are not a (68, 3) array of numbers: {error}") from error
         else:
-            raise TypeError(
-                f"landmarks are of type {type(given).__name__}, expected a file, "
-                "{number: (x, y, z)} or a (68, 3) array"
-            )
+            said = f"landmarks are of type {type(given).__name__}"
+            raise TypeError(f"{said}, expected a file, {{number: (x, y, z)}} or a (68, 3) array")
         return cls(points * mm_per_unit, np.full(COUNT, PLACED_SIGMA_MM))
 
     @property

@@ -119,10 +119,8 @@ class RawScan:
 
     def __post_init__(self) -> None:
         if not is_folder_name(self.name):
-            raise ScanError(
-                f"a scan cannot be named {self.name!r}: its results get a folder of that name; give another "
-                f"`name` of up to {LONGEST_NAME} bytes"
-            )
+            said = f"a scan cannot be named {self.name!r}: its results get a folder of that name"
+            raise ScanError(f"{said}; give another `name` of up to {LONGEST_NAME} bytes")
         object.__setattr__(self, "notes", tuple(map(one_line, self.notes)))
         if self.landmarks is not None:
             object.__setattr__(self, "landmarks", PlacedLandmarks.of(self.landmarks))
@@ -134,10 +132,8 @@ class RawScan:
             raise ScanError(f"{self.name}: no faces ({len(vertices)} vertices); a surface mesh is needed")
         require_valid_indices(faces, len(vertices), self.name)
         if (reach := float(np.abs(vertices).max(initial=0.0))) > LARGEST_COORDINATE:
-            raise ScanError(
-                f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}; the file is "
-                "damaged: repair or re-export the scan"
-            )
+            said = f"{self.name}: a coordinate is {reach:.3g}, beyond {LARGEST_COORDINATE:g}"
+            raise ScanError(f"{said}; the file is damaged: repair or re-export the scan")
         if self.color_seen is not None:
             textured = self.uv is not None and self.texture_linear is not None
             grid = self.texture_linear.shape[:2] if textured else (len(vertices),)  # type: ignore[union-attr]
@@ -157,10 +153,8 @@ class RawScan:
                 "fraction is left to find a pixel by; leave uv out, or export the scan again"
             )
         if self.texture_linear is not None and self.texture_linear.size == 0:
-            raise ScanError(
-                f"{self.name}: texture_linear has shape {self.texture_linear.shape}, which holds no pixel; "
-                "leave it out (None) for a scan without a texture"
-            )
+            said = f"{self.name}: texture_linear has shape {self.texture_linear.shape}, which holds no pixel"
+            raise ScanError(f"{said}; leave it out (None) for a scan without a texture")
         colors = {"texture": self.texture_linear, "vertex colours": self.vertex_color_linear}
         for what, values in colors.items():
             if values is not None and (doubt := linear_doubt(what, values)) and doubt not in self.notes:

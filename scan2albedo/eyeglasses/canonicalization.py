@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.errors import EyeglassesError
+from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import mean_keypoints as means
 from scan2albedo.eyeglasses import unbending
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_weights
@@ -165,10 +165,8 @@ def canonicalize(
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
         means.require_posable(reference, "mean_keypoints")
-        try:
+        with errors_of("mean_keypoints", EyeglassesError):
             common = means.unit_exponent(reference, options.widths_mm)
-        except EyeglassesError as error:
-            raise EyeglassesError(f"mean_keypoints: {error}") from error
     anchor = means.fullest([frame.points for frame in given]) if reference is None else reference
     frames, failures = list[_Frame](), dict[int, str]()
     called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in given]

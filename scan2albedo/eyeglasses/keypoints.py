@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
+from scan2albedo.core import arrays
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 
@@ -113,13 +114,10 @@ def checked_mesh(vertices: ArrayLike, faces: ArrayLike, owner: str = "") -> tupl
     xyz, index = checked_points(f"{of}vertices", vertices), np.asarray(faces)
     if index.size == 0:
         raise EyeglassesError(f"{of}no faces; give a mesh with faces")
-    if index.ndim != 2 or index.shape[1] != 3:
-        raise ValueError(f"{of}faces must have shape (F, 3), got {index.shape}")
     if not np.issubdtype(index.dtype, np.integer):
         raise ValueError(f"{of}faces must hold integers, got {index.dtype}")
-    if index.min() < 0 or index.max() >= len(xyz):
-        raise ValueError(f"{of}faces must hold 0 to {len(xyz) - 1}, got {index.min()} to {index.max()}")
-    return xyz, np.ascontiguousarray(index, np.int64)
+    xyz, index = arrays.checked_mesh(xyz, index, owner or "the mesh")
+    return xyz, np.ascontiguousarray(index)
 
 
 def checked_keypoints(name: str, values: ArrayLike) -> FloatArray:

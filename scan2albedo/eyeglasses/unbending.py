@@ -50,9 +50,8 @@ class FrontHalves:
         # The rigid H with H H = left_from_mirrored, which turns by less than half a turn.
         turn = (Rotation.from_matrix(self.left_from_mirrored[:3, :3]) ** 0.5).as_matrix()
         half = compose(turn, np.linalg.solve(np.eye(3) + turn, self.left_from_mirrored[:3, 3]))
-        return np.asarray(np.linalg.inv(half), np.float64), self.reflection @ half @ np.linalg.inv(
-            self.reflection
-        )
+        mirror = self.reflection
+        return np.asarray(np.linalg.inv(half), np.float64), mirror @ half @ np.linalg.inv(mirror)
 
     @property
     def bend_deg(self) -> float:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.errors import EyeglassesError, ScanError
+from scan2albedo.errors import EyeglassesError, ScanError, errors_of
 from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, named_key_points, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import make_folder
@@ -165,10 +165,8 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
         path = next((one for one in named if one.is_file()), None)
         if path is None:
             raise EyeglassesError(f"mask {named[0]} is missing; give a PNG for each camera, named after it")
-        try:
+        with errors_of(f"mask {path}", EyeglassesError, ScanError):
             mask: BoolArray = (read_image_linear(path) != 0).any(-1)
-        except ScanError as error:
-            raise EyeglassesError(f"mask {path}: {error}") from error
         if mask.shape != camera.shape:
             here, wanted = (f"{width} x {height}" for height, width in (mask.shape, camera.shape))
             said = f"is {here} pixels, its camera's picture {wanted}"

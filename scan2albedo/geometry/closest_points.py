@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import face_lists, face_normals, neighbour_lists
+from scan2albedo.geometry.mesh import face_lists, face_normals, neighbour_lists, vertex_mask
 
 _FARTHEST = 1e100
 MAX_EXACT_FACES = 100_000
@@ -82,10 +82,8 @@ def checked_points(points: ArrayLike) -> FloatArray:
     """Return points (N, 3) as float64; ValueError for NaN, infinity or squared distances that overflow."""
     targets = np.ascontiguousarray(points, np.float64)
     if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
-        raise ValueError(
-            f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}; no surface point is "
-            "closest to them"
-        )
+        said = f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}"
+        raise ValueError(f"{said}; no surface point is closest to them")
     return targets
 
 
@@ -130,9 +128,7 @@ class NearestSurface:
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         self._vertices = np.ascontiguousarray(vertices, np.float64)
         self._faces = checked_faces(faces)
-        used = np.zeros(len(self._vertices), bool)
-        used[self._faces.ravel()] = True
-        self._used = np.flatnonzero(used)
+        self._used = np.flatnonzero(vertex_mask(len(self._vertices), self._faces))
         self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
         self._ring_start, self._ring = face_lists(len(self._vertices), self._faces)
         self._near_start, self._near = neighbour_lists(len(self._vertices), self._faces)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import adjacency, edges_with_faces
+from scan2albedo.geometry.mesh import adjacency, edges_with_faces, vertex_mask
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,9 @@ class LoopSubdivision:
             outer[row, corner] -= 1
             barycentric = np.where(inner[:, None], 1 - 2 * barycentric[:, [2, 0, 1]], outer)
             face = 4 * face + np.where(inner, 3, corner)
-        rows = np.repeat(np.arange(len(face)), 3)
-        interpolate = sparse.csr_matrix(
-            (barycentric.ravel(), (rows, self.faces[face].ravel())), shape=(len(face), self.matrix.shape[0])
-        )
+        places = np.repeat(np.arange(len(face)), 3), self.faces[face].ravel()
+        shape = len(face), self.matrix.shape[0]
+        interpolate = sparse.csr_matrix((barycentric.ravel(), places), shape=shape)
         return (interpolate @ self.matrix).tocsr()
 
     def control_points(self, points: SurfacePoints) -> SurfacePoints:
@@ -128,13 +127,10 @@ def _one_ring_rule(vertex_count, faces, boundary, weight_of, boundary_neighbour)
     """Rows (1 - sum w) v + w sum over the one-ring, and the two-neighbour rule on the boundary."""
     ring = adjacency(vertex_count, faces)
     valence = np.asarray(ring.sum(1)).ravel()
-    on_boundary = np.zeros(vertex_count, bool)
-    on_boundary[boundary.ravel()] = True
+    on_boundary = vertex_mask(vertex_count, boundary)
     # An unreferenced vertex has no ring and stays where it is.
     interior = sparse.diags(np.where(on_boundary, 0.0, weight_of(np.maximum(valence, 1.0)))) @ ring
     ends = np.concatenate([boundary, boundary[:, ::-1]])
-    along = sparse.csr_matrix(
-        (np.full(len(ends), boundary_neighbour), (ends[:, 0], ends[:, 1])), shape=(vertex_count, vertex_count)
-    )
+    along = sparse.csr_matrix((np.full(len(ends), boundary_neighbour), ends.T), shape=(vertex_count,) * 2)
     total = (interior + along).tocsr()
     return (total + sparse.diags(1 - np.asarray(total.sum(1)).ravel())).tocsr()

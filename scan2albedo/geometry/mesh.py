@@ -79,17 +79,17 @@ def edges_with_faces(faces: IntArray) -> tuple[IntArray, IntArray]:
     return np.stack([keys // span, keys % span], 1), counts
 
 
-def boundary_edges(faces: IntArray) -> IntArray:
-    """Return (B, 2) edges used by exactly one face."""
-    edges, counts = edges_with_faces(faces)
-    return edges[counts == 1]
+def vertex_mask(vertex_count: int, index: IntArray) -> BoolArray:
+    """Return (V,) True for the vertices that an index array of any shape names, such as those of faces."""
+    mask = np.zeros(vertex_count, bool)
+    mask[index] = True
+    return mask
 
 
 def boundary_vertex_mask(vertex_count: int, faces: IntArray) -> BoolArray:
-    """Return (V,) True for vertices on a boundary edge."""
-    mask = np.zeros(vertex_count, bool)
-    mask[boundary_edges(faces).ravel()] = True
-    return mask
+    """Return (V,) True for vertices on an edge of exactly one face."""
+    edges, counts = edges_with_faces(faces)
+    return vertex_mask(vertex_count, edges[counts == 1])
 
 
 def boundary_loops(faces: IntArray) -> list[IntArray]:
@@ -155,12 +155,8 @@ def neighbouring_faces(faces: IntArray) -> tuple[IntArray, IntArray, BoolArray]:
 
 def without_unreferenced(vertices: FloatArray, faces: IntArray) -> tuple[IntArray, IntArray]:
     """Return (kept vertex indices (K,), faces renumbered to them)."""
-    used = np.zeros(len(vertices), bool)
-    used[faces.ravel()] = True
-    kept = np.flatnonzero(used)
-    renumber = np.full(len(vertices), -1, np.int64)
-    renumber[kept] = np.arange(len(kept))
-    return kept, renumber[faces]
+    used = vertex_mask(len(vertices), faces)
+    return np.flatnonzero(used), (np.cumsum(used) - 1)[faces]
 
 
 def far_vertices(vertices: FloatArray, used: BoolArray) -> BoolArray:
@@ -183,8 +179,7 @@ def far_faces(vertices: FloatArray, faces: IntArray) -> BoolArray:
 
     Where such faces hang together and hold a twentieth of all vertices, they are a thing of their own.
     """
-    used = np.zeros(len(vertices), bool)
-    used[faces] = True
+    used = vertex_mask(len(vertices), faces)
     far = far_vertices(vertices, used)
     reaching = far[faces].any(1)
     if not reaching.any() or reaching.all():
@@ -229,9 +224,7 @@ class ThinnedSurface:
     def boundary(self) -> BoolArray:
         """(V,) at edges of an odd number of faces: modulo 2 borders add up, which joining vertices keeps."""
         edges, uses = edges_with_faces(self.faces)
-        mask = np.zeros(len(self.vertices), bool)
-        mask[edges[uses % 2 == 1].ravel()] = True
-        return mask
+        return vertex_mask(len(self.vertices), edges[uses % 2 == 1])
 
 
 def thinned(vertices: FloatArray, faces: IntArray, cell: float) -> ThinnedSurface:

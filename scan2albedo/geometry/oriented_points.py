@@ -10,13 +10,8 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.mesh import (
-    face_cross_products,
-    neighbour_lists,
-    normalized,
-    vertex_areas,
-    vertex_normals,
-)
+from scan2albedo.geometry import mesh
+from scan2albedo.geometry.mesh import neighbour_lists, normalized, vertex_normals
 
 _MAX_RAW_SAMPLES = 400_000
 _LEAST_AGREEMENT = 0.3
@@ -56,7 +51,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     # Of millions of faces every so-manieth stands for its neighbours.
     read_stride = int(np.ceil(len(faces) / _MAX_RAW_SAMPLES)) or 1
     faces = faces[::read_stride]
-    cross = face_cross_products(vertices, faces)
+    cross = mesh.face_cross_products(vertices, faces)
     area = 0.5 * np.linalg.norm(cross, axis=1)
     used = np.flatnonzero(area > 0)
     per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(np.int64)
@@ -132,7 +127,7 @@ class SurfaceNoise:
         height = np.einsum("ij,ij->i", above, normals)
         degree = np.diff(begins)
         gap = np.where(degree >= 4, height / np.sqrt(1 + 1 / np.maximum(degree, 1)), np.nan)
-        return cls(gap, vertex_areas(vertices, faces))
+        return cls(gap, mesh.vertex_areas(vertices, faces))
 
     def among(self, chosen: BoolArray) -> tuple[float, float]:
         """Return the noise's standard deviation among some vertices (V,), and the area of one of them.

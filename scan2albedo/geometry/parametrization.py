@@ -48,10 +48,8 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     uv = 0.5 + (unit - 0.5) * np.minimum(span, 1.0)
     flipped = int(np.sum(signed_areas(uv, index) <= 0))
     if flipped:
-        raise ModelError(
-            f"the chart has {flipped} of {len(index)} faces flipped or without area; "
-            "remove zero-area faces and ears from the mesh, or give UVs of your own"
-        )
+        said = f"the chart has {flipped} of {len(index)} faces flipped or without area"
+        raise ModelError(f"{said}; remove zero-area faces and ears from the mesh, or give UVs of your own")
     return uv
 
 

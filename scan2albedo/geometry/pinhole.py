@@ -63,9 +63,7 @@ def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:
     space, to_space = _centred(np.asarray(points, np.float64))
     plane, to_plane = _centred(np.asarray(pixels, np.float64))
     none = np.zeros_like(space)
-    rows = np.concatenate(
-        [np.hstack([space, none, -plane[:, :1] * space]), np.hstack([none, space, -plane[:, 1:2] * space])]
-    )
+    rows = np.block([[space, none, -plane[:, :1] * space], [none, space, -plane[:, 1:2] * space]])
     camera = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
     return np.asarray(np.linalg.solve(to_plane, camera @ to_space), np.float64)
 

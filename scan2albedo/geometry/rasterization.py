@@ -48,25 +48,23 @@ def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tupl
 
     `pixels` (V, 2) are column and row of each vertex; pixel centres lie at integers.
     """
-    face, barycentric = np.full(shape, -1, np.int64), np.zeros((*shape, 3))
-    _rasterize(*_contiguous(pixels, depth, faces), np.full(shape, -np.inf), face, barycentric)
-    return Raster(face, barycentric)
+    raster = Raster(np.full(shape, -1, np.int64), np.zeros((*shape, 3)))
+    nearest_depths(pixels, depth, faces, shape, raster)
+    return raster
 
 
 def nearest_depths(
-    pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]
-) -> NDArray[np.float64]:
-    """Return the largest depth (H, W) at each pixel centre, -inf where nothing covers it."""
-    nearest, none = np.full(shape, -np.inf), np.zeros((0, 0), np.int64)
-    _rasterize(*_contiguous(pixels, depth, faces), nearest, none, np.zeros((0, 0, 3)))
-    return nearest
-
-
-def _contiguous(
-    pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    pixels: ArrayLike,
+    depth: ArrayLike,
+    faces: ArrayLike,
+    shape: tuple[int, int],
+    raster: Raster = Raster(np.zeros((0, 0), np.int64), np.zeros((0, 0, 3))),
+) -> FloatArray:
+    """Return the largest depth (H, W) at each pixel centre, -inf where nothing covers it; fill a `raster`."""
     places, depths = np.ascontiguousarray(pixels, np.float64), np.ascontiguousarray(depth, np.float64)
-    return places, depths, np.ascontiguousarray(faces, np.int64)
+    triangles, nearest = np.ascontiguousarray(faces, np.int64), np.full(shape, -np.inf)
+    _rasterize(places, depths, triangles, nearest, raster.face, raster.barycentric)
+    return nearest
 
 
 @njit(cache=True, nogil=True)

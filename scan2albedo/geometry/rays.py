@@ -10,7 +10,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray
+from scan2albedo.core.arrays import BoolArray, checked_mesh
 from scan2albedo.geometry.mesh import RayHits
 
 _CHUNK = 8192
@@ -28,17 +28,10 @@ class RayCaster:
         from embreex import rtcore_scene
         from embreex.mesh_construction import TriangleMesh
 
-        xyz, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
         # Embree would read past the end of bad arrays: it checks nothing.
-        for name, array in (("vertices", xyz), ("faces", index)):
-            if array.ndim != 2 or array.shape[1] != 3:
-                raise ValueError(f"{name} of the mesh have shape {array.shape}, expected (N, 3)")
+        xyz, index = checked_mesh(vertices, faces, "the mesh to shoot rays at")
         if not len(xyz):
             raise ValueError("the mesh has no vertex to shoot rays at; give one with a surface")
-        if bad := int((~np.isfinite(xyz).all(1)).sum()):
-            raise ValueError(f"{bad} of {len(xyz)} vertices of the mesh are not finite; repair it first")
-        if len(index) and not (index.min() >= 0 and index.max() < len(xyz)):
-            raise ValueError(f"faces refer to vertices {index.min()} to {index.max()} of {len(xyz)}")
         self._vertices, self._faces = xyz, index
         low, high = xyz.min(0), xyz.max(0)
         self._center = (low + high) / 2
@@ -55,35 +48,26 @@ class RayCaster:
         return self._scale
 
     def to_local(self, points: ArrayLike) -> NDArray[np.float32]:
-        """Return (N, 3) float32: points centred and scaled as embree sees them, for `occluded_local`."""
+        """Return (N, 3) float32: points centred and scaled as embree sees them, for `occluded`."""
         return ((np.asarray(points, np.float64) - self._center) * (1 / self._scale)).astype(np.float32)
 
-    def occluded(self, origins: ArrayLike, directions: ArrayLike) -> BoolArray:
+    def occluded(self, origins: ArrayLike, directions: ArrayLike, *, local: bool = False) -> BoolArray:
         """Return (N,) True where the ray from `origins` (N, 3) along `directions` hits anything.
 
-        Directions (N, 3) are of any length; one direction (3,) for all rays is faster.
+        Directions (N, 3) are of any length; one direction (3,) for all rays is faster. Origins that serve
+        many times may be `local`, that is from `to_local`.
         """
-        start = np.asarray(origins, np.float64)
-        return self._occluded(len(start), lambda block: self.to_local(start[block]), directions)
-
-    def occluded_local(self, origins: NDArray[np.float32], directions: ArrayLike) -> BoolArray:
-        """Return what `occluded` does, for origins that went through `to_local` once and serve many times."""
-        return self._occluded(len(origins), lambda block: origins[block], directions)
-
-    def _occluded(
-        self, count: int, origins: Callable[[slice], NDArray[np.float32]], directions: ArrayLike
-    ) -> BoolArray:
-        heading = _single(directions)
+        start, heading = np.asarray(origins, np.float32 if local else np.float64), _single(directions)
         # Embree wants a direction a ray: one block of a common direction serves every block of rays.
-        common = np.tile(heading, (min(count, _CHUNK), 1)) if heading.ndim == 1 else None
-        result = np.zeros(count, bool)
+        common = np.tile(heading, (min(len(start), _CHUNK), 1)) if heading.ndim == 1 else None
+        result = np.zeros(len(start), bool)
 
         def shoot(block: slice) -> None:
-            start = origins(block)
-            along = heading[block] if common is None else common[: len(start)]
-            np.not_equal(self._scene.run(start, along, query="OCCLUDED"), -1, out=result[block])
+            near = start[block] if local else self.to_local(start[block])
+            along = heading[block] if common is None else common[: len(near)]
+            np.not_equal(self._scene.run(near, along, query="OCCLUDED"), -1, out=result[block])
 
-        each_block(shoot, blocks(count, _CHUNK))
+        each_block(shoot, blocks(len(start), _CHUNK))
         return result
 
     def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:

@@ -140,10 +140,8 @@ def procrustes(
     w = np.ones(len(x)) if weights is None else np.asarray(weights, float)
     total = float(w.sum())
     if not (np.isfinite(x).all() and np.isfinite(y).all() and 0 < total < np.inf):
-        raise ValueError(
-            f"{len(x)} pairs of points and weights of sum {total:g} place nothing: points must be finite, "
-            "and at least one must weigh something"
-        )
+        said = f"{len(x)} pairs of points and weights of sum {total:g} place nothing"
+        raise ValueError(f"{said}: points must be finite, and at least one must weigh something")
     w = w / total
     x_mean, y_mean = w @ x, w @ y
     u, singular, vt = np.linalg.svd((w[:, None] * (y - y_mean)).T @ (x - x_mean))

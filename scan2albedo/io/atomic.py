@@ -14,15 +14,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from scan2albedo.errors import OutputError, one_line
-from scan2albedo.io.leftovers import (
-    JOURNAL,
-    finished,
-    folder_lock,
-    hidden_path,
-    keep,
-    remove_leftovers,
-    roll_back,
-)
+from scan2albedo.io import leftovers
+from scan2albedo.io.leftovers import JOURNAL, finished, folder_lock, hidden_path
 
 
 @contextmanager
@@ -34,7 +27,7 @@ def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
     home = target.parent if home is None else home
     with suppress(FileExistsError):
         home.mkdir(parents=True)
-    remove_leftovers(home, target)
+    leftovers.remove_leftovers(home, target)
     staging, there = hidden_path(home / target.name), target.is_dir()
     try:
         if there and target.stat().st_dev != home.stat().st_dev:
@@ -86,7 +79,7 @@ def publish(staging: Path, target: Path, dropped: Collection[str], last: Collect
                 (old / name).parent.mkdir(parents=True, exist_ok=True)
             journal = {"holder": holder.name, "made": made, "dropped": older}
             (holder / JOURNAL).write_text(json.dumps(journal), encoding="utf-8")
-            keep(holder)  # from here on it holds what is not to be lost
+            leftovers.keep(holder)  # from here on it holds what is not to be lost
             os.rename(holder / JOURNAL, target / JOURNAL)
             for name in older:
                 os.rename(target / name, old / name)
@@ -94,7 +87,7 @@ def publish(staging: Path, target: Path, dropped: Collection[str], last: Collect
                 os.rename(new / name, target / name)
             os.unlink(target / JOURNAL)
         except BaseException:  # whatever stops it, an interrupt too: the folder is whole again
-            roll_back(target, locked=True)
+            leftovers.roll_back(target, locked=True)
             raise
         finally:
             if not os.path.lexists(target / JOURNAL):
@@ -209,10 +202,9 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, target)
     except OSError as error:
-        raise OutputError(
-            f"cannot write {target.name} into the folder {target.parent}: {one_line(error)}; "
-            "check that the folder exists, can be written and has space left, or choose another"
-        ) from error
+        said = f"cannot write {target.name} into the folder {target.parent}: {one_line(error)}"
+        advice = "check that the folder exists, can be written and has space left, or choose another"
+        raise OutputError(f"{said}; {advice}") from error
     finally:
         finished(temporary)
 
@@ -254,7 +246,7 @@ def result_folder(
     with cannot_write(out), staged(target, staged_in and Path(os.path.realpath(staged_in))) as staging:
         yield staging
         with folder_lock(target) as locked:
-            roll_back(target, locked)
+            leftovers.roll_back(target, locked)
             # A record may have been edited: nothing outside `out` is touched.
             publish(staging, target, {name for name in obsolete if Path(name).name == name}, records)
 
@@ -268,10 +260,9 @@ def cannot_write(out: Path) -> Iterator[None]:
         cause = error if isinstance(error, OSError) else error.__cause__
         if cause is None:
             raise
-        raise OutputError(
-            f"cannot write the results into {out}: {one_line(cause)}; check that the folder can be written "
-            "and has space left, or choose another"
-        ) from error
+        said = f"cannot write the results into {out}: {one_line(cause)}"
+        advice = "check that the folder can be written and has space left, or choose another"
+        raise OutputError(f"{said}; {advice}") from error
 
 
 def check_writable(out: Path) -> None:

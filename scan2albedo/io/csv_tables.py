@@ -49,8 +49,6 @@ def cells_by_column(
 ) -> dict[str, str]:
     """Return the cells of a row, empty where it is short; raises `error` when it has too many."""
     if len(row) > len(header):
-        raise error(
-            f"{where}: has {len(row)} cells, the header {len(header)}; put a cell that holds a separator in "
-            "quotes"
-        )
+        said = f"{where}: has {len(row)} cells, the header {len(header)}"
+        raise error(f"{said}; put a cell that holds a separator in quotes")
     return dict.fromkeys(header, "") | dict(zip(header, row, strict=False))

@@ -8,25 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.errors import GeometryImageError, ScanError
+from scan2albedo.core.geometry_image import ARRAYS, GeometryImage
+from scan2albedo.errors import GeometryImageError, ScanError, errors_of
 from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr_channels
 from scan2albedo.io.npz import read_npz, write_npz
 
 FORMAT_VERSION = 1
 
-_NAME_IN_FILE = {
-    "position": "position_mm",
-    **{name: name for name in ["normal", "mask", "region", "texture_linear", "texture_valid"]},
-    **{name: name for name in ["specular_scale", "inpaint", "skin", "labels"]},
-    **{name: name for name in ["face_chart", "filled", "on_face"]},
-}
+_NAME_IN_FILE = {name: name for name in ARRAYS if name != "camera"} | {"position": "position_mm"}
 _EXR_CHANNELS = {"position": "XYZ", "normal": "XYZ", "texture_linear": "RGB", "face_chart": "YX"}
-_MASKS = "mask", "texture_valid", "inpaint", "filled", "on_face"
-_KINDS = {
-    **dict.fromkeys(_MASKS, "b"),
-    **dict.fromkeys(("format_version", "region", "labels", "camera", "occluder_faces"), "iu"),
-}
+_KINDS = {"format_version": "iu", "occluder_faces": "iu"}
+_KINDS |= {name: {"b": "b", "u": "iu"}.get(np.dtype(kind).kind, "fiu") for name, (kind, _) in ARRAYS.items()}
 """Letters of the kinds of dtype that arrays of an archive have; real numbers for all others."""
 
 
@@ -76,14 +68,8 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
     Raises GeometryImageError, naming the file `path`, when it is missing, damaged, of another extension than
     .npz and .exr, or lacks position, normal or mask.
     """
-    file = Path(path)
-    extension = file.suffix.lower()
-    if extension not in (".npz", ".exr"):
-        raise GeometryImageError(
-            f"{file.name}: geometry images are .npz or .exr, not {file.suffix or 'without extension'}"
-        )
-    arrays: dict[str, NDArray[Any]] = {}
-    if extension == ".npz":
+    file, arrays = Path(path), dict[str, NDArray[Any]]()
+    if file.suffix.lower() == ".npz":
         arrays = read_npz(file, what="geometry image", advice="write it again", error=GeometryImageError)
         for name, array in arrays.items():
             if array.dtype.kind not in _KINDS.get(name, "fiu"):
@@ -93,7 +79,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
             raise GeometryImageError(
                 f"{file.name}: format version {version} is newer than {FORMAT_VERSION}; update scan2albedo"
             )
-    else:
+    elif file.suffix.lower() == ".exr":
         try:
             channels = read_exr_channels(file)
         except ScanError as error:
@@ -103,6 +89,9 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
             planes = [channels[f"{stored}.{c}"] for c in letters if f"{stored}.{c}" in channels]
             if len(planes) == len(letters):
                 arrays[stored] = np.stack(planes, axis=-1) if len(letters) > 1 else planes[0]
+    else:
+        kind = file.suffix or "without extension"
+        raise GeometryImageError(f"{file.name}: geometry images are .npz or .exr, not {kind}")
     missing = [name for name in ("position_mm", "normal", "mask") if name not in arrays]
     if missing:
         raise GeometryImageError(
@@ -115,10 +104,8 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
         occluder = (arrays["occluder_vertices_mm"], arrays["occluder_faces"])
     cameras = {"camera": arrays.get("camera"), "camera_positions": arrays.get("camera_positions_mm")}
     odds = float(arrays.get("texture_log_odds", np.zeros(())))
-    try:
+    with errors_of(file.name, GeometryImageError):
         return GeometryImage(**fields, **cameras, occluder=occluder, texture_log_odds=odds)  # type: ignore[arg-type]
-    except GeometryImageError as error:
-        raise GeometryImageError(f"{file.name}: {error}") from error
 
 
 def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:
@@ -137,8 +124,6 @@ def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float
     if not image.mask.any():
         raise GeometryImageError(f"{files[0]}: its mask is empty: no surface; process the scan again")
     if albedo.shape[:2] != image.shape:
-        raise GeometryImageError(
-            f"{files[1]}: has {albedo.shape[:2]} texels and {files[0].name} {image.shape}; they come from "
-            "different runs: process the scan again"
-        )
+        said = f"{files[1]}: has {albedo.shape[:2]} texels and {files[0].name} {image.shape}"
+        raise GeometryImageError(f"{said}; they come from different runs: process the scan again")
     return image, albedo

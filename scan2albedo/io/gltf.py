@@ -88,15 +88,11 @@ class GltfFile:
         advice = "export it again without compression"
         for extension in _NOT_DECODED:
             if extension in required:
-                raise ScanError(
-                    f"{name}: is compressed with {extension}, which is not decoded here; {advice} "
-                    "(gltfpack without -c)"
-                )
+                said = f"{name}: is compressed with {extension}, which is not decoded here"
+                raise ScanError(f"{said}; {advice} (gltfpack without -c)")
         if _DRACO in (*used, *required) and find_spec("DracoPy") is None:
-            raise MissingDependencyError(
-                f"{name}: is compressed with Draco; install what reads it with: "
-                f"pip install 'scan2albedo[draco]', or {advice}"
-            )
+            said = f"{name}: is compressed with Draco; install what reads it with"
+            raise MissingDependencyError(f"{said}: pip install 'scan2albedo[draco]', or {advice}")
         for view in tree.get("bufferViews", ()):
             if view["buffer"] < 0 or view.get("byteStride", 4) < 4:
                 raise ValueError(f"a view of buffer {view['buffer']}, of stride {view.get('byteStride', 4)}")
@@ -258,10 +254,9 @@ def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     except limits.DAMAGE as error:
         kind, cause = path.suffix[1:].upper(), one_line(error)
         cause = f"there is no {cause}" if isinstance(error, KeyError) else cause
-        raise ScanError(
-            f"{path.name}: cannot be read as {kind} ({cause}); "
-            "the file is damaged, truncated or refers to a missing file: export it again"
-        ) from error
+        said = f"{path.name}: cannot be read as {kind} ({cause})"
+        advice = "the file is damaged, truncated or refers to a missing file: export it again"
+        raise ScanError(f"{said}; {advice}") from error
 
 
 def files_of_gltf(path: Path, folder: ScanFolder) -> list[str]:

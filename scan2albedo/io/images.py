@@ -36,9 +36,8 @@ def read_image_linear(path: str | Path, *, alpha: bool = False, upright: bool = 
     are decoded as sRGB, or by the colour profile that the file holds; float samples (EXR, HDR, float TIFF)
     are linear already. Grey is repeated over three channels, alpha is dropped; with `alpha`, one that varies
     is kept, (H, W, 4). A photograph is turned `upright` by its EXIF orientation; texture coordinates refer to
-    the pixels as stored. Raises ScanError, naming the file, when it is
-    missing, unreadable, damaged or holds NaN; TooLargeError, before anything is decoded, when its header
-    declares more than `limits.PIXELS`.
+    the pixels as stored. Raises ScanError, naming the file, when it is missing, unreadable, damaged or holds
+    NaN; TooLargeError, before anything is decoded, when its header declares more than `limits.PIXELS`.
     """
     samples = read_image_values(path, alpha=alpha, upright=upright)
     if samples.dtype in (np.uint8, np.uint16):
@@ -74,10 +73,8 @@ def read_image_values(
     except (OSError, ValueError) as error:
         raise ScanError(f"image {file} cannot be read: {one_line(error)}") from error
     if pixels is None:
-        raise ScanError(
-            f"image {file} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown; "
-            f"re-export it as one of {', '.join(SUPPORTED_IMAGES)}"
-        )
+        said = f"image {file} cannot be decoded ({len(data)} bytes): damaged, truncated or unknown"
+        raise ScanError(f"{said}; re-export it as one of {', '.join(SUPPORTED_IMAGES)}")
     pixels = np.atleast_3d(pixels)
     if pixels.shape[2] < 3:
         pixels = pixels[..., [0, 0, 0, *range(1, pixels.shape[2])]]
@@ -281,14 +278,10 @@ def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> b
     kind = {".jpg": "JPEG", ".jpeg": "JPEG", ".tif": "TIFF", ".tiff": "TIFF"}.get(extension, "PNG")
     if array.dtype == np.uint16 or 0 in array.shape:
         raise ValueError(f"an image of shape {array.shape} and {array.dtype} cannot be stored as {extension}")
-    options: dict[str, dict[str, Any]] = {
-        "PNG": {"compress_level": 1},
-        "JPEG": {"quality": 95},
-        "TIFF": {"compression": "tiff_lzw"},
-    }
+    options: Any = {"JPEG": {"quality": 95}, "TIFF": {"compression": "tiff_lzw"}}
     file = BytesIO()
     stored = array[..., :3] if kind == "JPEG" and array.ndim == 3 else array
-    Image.fromarray(np.ascontiguousarray(stored)).save(file, kind, **options[kind])
+    Image.fromarray(np.ascontiguousarray(stored)).save(file, kind, **options.get(kind, {"compress_level": 1}))
     return file.getvalue()
 
 

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import COUNT, PLACED_SIGMA_MM, PlacedLandmarks
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, errors_of
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.limits import NAME_BYTES, parse_json
 from scan2albedo.io.records import Number, Record
@@ -121,10 +121,8 @@ def read_landmarks(file: str | Path, mm_per_unit: float = 1.0) -> PlacedLandmark
             if not math.isfinite(values[-1]):
                 raise ScanError(f"{where}: {str(value)[:40]!r} is not a finite number; {_ADVICE}")
         points[number], sigma_mm[number] = [value * mm_per_unit for value in values[:3]], values[3]
-    try:
+    with errors_of(str(path), ScanError):
         return PlacedLandmarks(points, sigma_mm)
-    except ScanError as error:
-        raise ScanError(f"{path}: {error}") from error
 
 
 # The readers yield, of each point: where it stands, its number, coordinates and deviation as written.

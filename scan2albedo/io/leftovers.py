@@ -84,14 +84,13 @@ def _at_work(path: Path) -> bool:
     try:
         import psutil
     except ImportError:  # of the extra `batch`
-        if os.name != "posix":
-            return True
         try:
-            os.kill(number, 0)
+            if os.name == "posix":
+                os.kill(number, 0)
+        except (PermissionError, OverflowError):
+            pass
         except ProcessLookupError:
             return False
-        except (PermissionError, OverflowError):
-            return True
         return True
     try:
         # A later process may have the same number; clocks differ by up to two seconds.

@@ -11,19 +11,16 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from scan2albedo.core.arguments import linear_doubt, require_type
+from scan2albedo.core.arrays import IntArray
+from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
+from scan2albedo.core.raw_scan import RawScan, scan_name
 from scan2albedo.errors import ScanError, TooLargeError, memory_errors_named, one_line
 from scan2albedo.io import limits
+from scan2albedo.io.parsed_mesh import ParsedMesh
 from scan2albedo.io.scan_folder import ScanFolder
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from scan2albedo.core.raw_scan import RawScan
-    from scan2albedo.io.parsed_mesh import ParsedMesh
 
 READERS = {
     ".obj": ("scan2albedo.io.obj:read_obj", "scan2albedo.io.obj:files_of_obj"),
@@ -74,7 +71,7 @@ def load_scan(
     """
     from scan2albedo.io.units import millimetres_per_unit
 
-    def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
+    def decide(mesh: ParsedMesh, components: IntArray) -> tuple[float, str]:
         return millimetres_per_unit(mesh.vertices, components, unit, Path(path).name)
 
     scan = load_scan_with(path, decide, name=name, textures=textures)
@@ -83,7 +80,6 @@ def load_scan(
 
 def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None) -> RawScan:
     """Return a scan, of the file `path`, with landmarks as `load_scan` takes them; may raise ScanError."""
-    from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
     from scan2albedo.io.landmark_files import landmarks_file, read_landmarks
 
     if not isinstance(landmarks, str | Path):
@@ -99,7 +95,7 @@ def with_landmarks(scan: RawScan, landmarks: Any, path: str | Path | None = None
 
 def load_scan_with(
     path: str | Path,
-    decide_unit: Callable[[ParsedMesh, NDArray[np.int64]], tuple[float, str]],
+    decide_unit: Callable[[ParsedMesh, IntArray], tuple[float, str]],
     *,
     name: str | None = None,
     textures: str | Path | None = None,
@@ -112,7 +108,6 @@ def load_scan_with(
     file = Path(path)
     with memory_errors_named(file.name):
         parsed = read_mesh_file(file, None if textures is None else Path(textures))
-        from scan2albedo.core.raw_scan import RawScan, scan_name
         from scan2albedo.geometry.mesh import vertex_components
         from scan2albedo.io.repair import repair, require_usable
         from scan2albedo.io.texture_atlas import pack_texture, seen_colors
@@ -165,10 +160,8 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
     if extension not in SUPPORTED_SCANS:
         if file.is_file():
             limits.require_own_kind(file)
-        raise ScanError(
-            f"{file.name}: {extension or 'a name without extension'} is not supported; "
-            f"save the scan as one of {', '.join(SUPPORTED_SCANS)}"
-        )
+        said = f"{file.name}: {extension or 'a name without extension'} is not supported"
+        raise ScanError(f"{said}; save the scan as one of {', '.join(SUPPORTED_SCANS)}")
     try:
         if limits.require_file(file, advice="decimate it") == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")

@@ -10,21 +10,11 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ScanError
-from scan2albedo.io import limits
+from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import linear_of_srgb_numbers
-from scan2albedo.io.parsed_mesh import (
-    Material,
-    MaterialText,
-    ParsedMesh,
-    ScanPictures,
-    cut_note,
-    decoded,
-    fan_triangles,
-    parse_mtl,
-    require_few_triangles,
-)
+from scan2albedo.io.parsed_mesh import Material, MaterialText, ParsedMesh, ScanPictures, decoded
 from scan2albedo.io.scan_folder import ScanFolder
 
 
@@ -75,10 +65,8 @@ class ObjLines:
         if len(lines):
             start, end = int(self.starts[lines[0]]), int(self.ends[lines[0]])
             beginning = decoded(self.text[start : min(end, start + 50)].tobytes()).strip()[:40]
-            raise ScanError(
-                f"{self.name}: line {lines[0] + 1} holds '{beginning}', {expected}; "
-                "the file is damaged or truncated: export it again"
-            )
+            said = f"{self.name}: line {lines[0] + 1} holds '{beginning}', {expected}"
+            raise ScanError(f"{said}; the file is damaged or truncated: export it again")
 
 
 def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
@@ -98,7 +86,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     starts, ends = lines.starts[rows], lines.ends[rows]
     counts = tables.count_tokens(lines.text, starts, ends)
     lines.raise_for(rows[counts < 3], "expected at least 3 corners")
-    require_few_triangles(lines.name, counts)
+    parsed_mesh.require_few_triangles(lines.name, counts)
     corners, bad = tables.parse_corners(lines.text, starts, counts)
     lines.raise_for(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
     line_of_corner = np.repeat(rows, counts)
@@ -111,7 +99,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
             lines.raise_for(line_of_corner[(written < 1) & (corners[:, column] < 0)], "index before 1")
         lines.raise_for(line_of_corner[written > total], f"but there are {total} {name}")
         corners[:, column] = written - 1
-    triangles, face_of_triangle = fan_triangles(counts)
+    triangles, face_of_triangle = parsed_mesh.fan_triangles(counts)
     uv = None
     if len(coordinates) and (corners[:, 1] >= 0).any():
         corner = corners[triangles, 1]
@@ -143,7 +131,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
         material=material,
         materials=materials,
         vertex_color_linear=colors,
-        notes=cut_note(counts) + notes,
+        notes=parsed_mesh.cut_note(counts) + notes,
     )
 
 
@@ -163,7 +151,7 @@ def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
         for library in folder.library_names(decoded(match).strip()):
             names.append(library)
             if (file := folder.find(library)) is not None:
-                materials |= parse_mtl(decoded(limits.read_bytes(file, limits.LIBRARY_BYTES)))
+                materials |= parsed_mesh.parse_mtl(decoded(limits.read_bytes(file, limits.LIBRARY_BYTES)))
     textures = [m.texture_file for m in materials.values() if m.texture_file is not None]
     return names + folder.or_named_like(path, textures)
 
@@ -194,7 +182,7 @@ def _materials(
         total += len(data)
         place = f"the material libraries of {lines.name}"
         limits.require_at_most(place, "bytes", total, limits.LIBRARY_BYTES, "export the scan again")
-        known |= parse_mtl(decoded(data))
+        known |= parsed_mesh.parse_mtl(decoded(data))
     if not known:
         return None, (), tuple(notes)
     names, faces = lines.names(b"usemtl"), lines.of_kind(b"f")

@@ -13,18 +13,10 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.operators import vertex_average
-from scan2albedo.io import limits
+from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.obj import ObjLines
-from scan2albedo.io.parsed_mesh import (
-    MaterialText,
-    ParsedMesh,
-    ScanPictures,
-    cut_note,
-    damaged,
-    fan_triangles,
-    require_few_triangles,
-)
+from scan2albedo.io.parsed_mesh import MaterialText, ParsedMesh, ScanPictures, damaged
 from scan2albedo.io.scan_folder import ScanFolder
 from scan2albedo.io.text_tables import NumberLines, byte_ranges, number_lines, walk_rows
 
@@ -140,8 +132,8 @@ def mesh_of_columns(
     if (index.counts < 3).any():
         short = int(np.flatnonzero(index.counts < 3)[0])
         raise ScanError(f"{path.name}: face {short} has {index.counts[short]} corners, expected at least 3")
-    require_few_triangles(path.name, index.counts)
-    corners, polygon = fan_triangles(index.counts)
+    parsed_mesh.require_few_triangles(path.name, index.counts)
+    corners, polygon = parsed_mesh.fan_triangles(index.counts)
     faces = index.items.astype(np.int64)[corners]
     # Texture coordinates of the corners, else of the vertices.
     uv, listed = None, face.get("texcoord")
@@ -169,7 +161,7 @@ def mesh_of_columns(
     if len(materials) > 1 and "texnumber" in of_face:
         chosen = of_face["texnumber"].astype(np.int64)[polygon]
         material = np.where((chosen >= 0) & (chosen < len(materials)), chosen, -1)
-    notes = cut_note(index.counts) + notes
+    notes = parsed_mesh.cut_note(index.counts) + notes
     return ParsedMesh(vertices, faces, uv, material, materials, vertex_color_linear=colors, notes=notes)
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, IntArray
+from scan2albedo.core.arrays import IntArray
 from scan2albedo.core.raw_scan import LARGEST_COORDINATE, require_valid_indices
 from scan2albedo.errors import ScanError
-from scan2albedo.geometry.mesh import turned_against_neighbours
+from scan2albedo.geometry.mesh import turned_against_neighbours, vertex_mask
 from scan2albedo.io.parsed_mesh import ParsedMesh
 
 _AREA_FLOOR = 1e-12
@@ -22,16 +22,12 @@ def require_usable(mesh: ParsedMesh, name: str) -> None:
     count = len(mesh.vertices)
     if len(mesh.faces) == 0:
         what = f"a point cloud of {count} vertices" if count else "no vertices and no faces"
-        raise ScanError(
-            f"{name}: holds {what}; a surface is needed: mesh the points first, or export the scan again "
-            "if the file was cut short"
-        )
+        said = f"{name}: holds {what}; a surface is needed"
+        raise ScanError(f"{said}: mesh the points first, or export the scan again if the file was cut short")
     require_valid_indices(mesh.faces, count, name)
     bad = ~(np.abs(mesh.vertices) <= LARGEST_COORDINATE).all(axis=1)
     if bad.any():
-        used = np.zeros(count, bool)
-        used[mesh.faces] = True
-        broken = np.flatnonzero(bad & used)
+        broken = np.flatnonzero(bad & vertex_mask(count, mesh.faces))
         if len(broken):
             raise ScanError(
                 f"{name}: {len(broken)} vertices used by faces are NaN or infinite (or beyond "
@@ -73,7 +69,7 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     zero-area faces and repeats of the same three vertices are dropped; faces that are wound against their
     neighbours are reversed; unreferenced vertices are dropped. Each step that changed something adds a note.
     """
-    used = _used(mesh)
+    used = vertex_mask(len(mesh.vertices), mesh.faces)
     first = first_equal_row(mesh.vertices)
     merged = int((used & (first != np.arange(len(first)))).sum())
     notes = (f"vertices merged at equal positions (seams): {merged}",) if merged else ()
@@ -108,7 +104,7 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
             uv=None if mesh.uv is None else np.where(turned[:, None, None], mesh.uv[:, ::-1], mesh.uv),
             notes=(*mesh.notes, note),
         )
-    used = _used(mesh)
+    used = vertex_mask(len(mesh.vertices), mesh.faces)
     if used.all():
         return mesh
     color, unused = mesh.vertex_color_linear, int((~used).sum()) - merged
@@ -119,9 +115,3 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
         vertex_color_linear=None if color is None else color[used],
         notes=mesh.notes + ((f"unreferenced vertices dropped: {unused}",) if unused > 0 else ()),
     )
-
-
-def _used(mesh: ParsedMesh) -> BoolArray:
-    used = np.zeros(len(mesh.vertices), bool)
-    used[mesh.faces] = True
-    return used

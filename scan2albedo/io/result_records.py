@@ -5,19 +5,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import PlanStep
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from scan2albedo.core.raw_scan import RawScan
 
 APPLICATION_FILE = "application.json"
 SHA256 = "^[0-9a-f]{64}$"

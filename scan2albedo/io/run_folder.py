@@ -131,10 +131,9 @@ class RunFolder(Generic[Kind]):
                 if not below:
                     listed |= {name for name in self._also if files.holds(name)}
                 if files.whole_folder and there and not listed:
-                    raise OutputError(
-                        f"{folder}: is not empty, and no run of {files.command} wrote it ({fault}); "
-                        "nothing in it is touched: move it away, or choose another folder"
-                    )
+                    said = f"{folder}: is not empty, and no run of {files.command} wrote it ({fault})"
+                    advice = "nothing in it is touched: move it away, or choose another folder"
+                    raise OutputError(f"{said}; {advice}")
                 for name in sorted(there, key=lambda name: name != files.record):
                     if files.holds(name) and name not in listed:
                         raise OutputError(

@@ -107,16 +107,11 @@ def _decided(
     if unit == "auto":
         more = " (--unit), or `glasses canonicalize` the front's --frame-width in mm or other --widths"
         verb, more = ("are", more) if thing == "glasses" else ("is", "")
-        if not fitting:
-            raise UnitError(
-                f"{name}: the {thing} {verb} {extent:.4g} units long, which is not a {kind} in mm, cm or m "
-                f"(expected {low:.3g} to {high:.3g} mm); say what a unit is with unit='mm', 'cm' or 'm'{more}"
-            )
-        if len(fitting) > 1:
-            raise UnitError(
-                f"{name}: the {thing}, {extent:.4g} units long, may be in {' or '.join(fitting)}; say what a "
-                f"unit is with unit='mm', 'cm' or 'm'{more}"
-            )
+        if len(fitting) != 1:
+            which = f"not a {kind} in mm, cm or m (expected {low:.3g} to {high:.3g} mm)"
+            which = f"a {kind} in {' or '.join(fitting)}" if fitting else which
+            said = f"{name}: the {thing} {verb} {extent:.4g} units long, which is {which}"
+            raise UnitError(f"{said}; say what a unit is with unit='mm', 'cm' or 'm'{more}")
         unit, how = fitting[0], "decided from the size"
     else:
         check_unit(unit)

@@ -58,7 +58,7 @@ class ShadowMap:
         points = self.position, self.normal, self._origin
         at, origin, ray = _needed_rays(*points, toward, inverse, self._above, result)
         if self.caster is not None and len(at):
-            result[at] = ~self.caster.occluded_local(origin, ray if inverse else toward)
+            result[at] = ~self.caster.occluded(origin, ray if inverse else toward, local=True)
         return result
 
     def reached(

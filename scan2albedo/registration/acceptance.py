@@ -107,10 +107,8 @@ def accepted(
     # Once one is found the others are not looked at closely.
     apart = [_distance_mm(c, best) for c in candidates[1:] if c.log_odds > 0 or c.likeness > _FACE_LIKENESS]
     if best.log_odds > 0 and max(apart, default=0.0) > _OTHER_FACE_MM:
-        text = (
-            f"there is a second face {max(apart):.0f} mm away; the one that resembles the model "
-            "more was taken: cut the other off to choose"
-        )
+        text = "the one that resembles the model more was taken: cut the other off to choose"
+        text = f"there is a second face {max(apart):.0f} mm away; {text}"
         steps.append(PlanStep.doubt("register.second_face", text))
     return Plan(tuple(steps))
 

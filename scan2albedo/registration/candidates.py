@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain, repeat
-from types import ModuleType
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -15,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import import_open3d
-from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import PlacedPose, Poses
@@ -77,35 +74,28 @@ class Candidate:
 Candidates = tuple[Candidate, ...]
 
 
-@dataclass(frozen=True)
-class Colors:
-    """The colours of a scan, which are asked only where its shape leaves doubts."""
+def rescored(
+    candidates: Candidates, scan: PreparedScan, front: FloatArray, scorer: Callable[[], ColourScorer | None]
+) -> Candidates:
+    """Return the candidates, those that were looked at with what the scan's colours say; the best first.
 
-    scan: PreparedScan
-    model: AnnotatedSurface
-
-    @cached_property
-    def _scorer(self) -> ColourScorer | None:
-        return ColourScorer.of(self.scan.raw, self.model)
-
-    def rescored(self, candidates: Candidates) -> Candidates:
-        """Return the candidates, those that were looked at with what the colours say; the best first."""
-        if candidates[0].convinces or self._scorer is None:
-            return candidates
-        scored = list(candidates)
-        for place, candidate in enumerate(scored):
-            if candidate.evidence is not None and candidate.color_log_odds is None:
-                pose = candidate.pose
-                model_from_scan = invert_rigid(pose.rigid(self.model.front)) @ self.scan.prepared_from_scan
-                odds = self._scorer.log_odds(model_from_scan, pose.scale)
-                scored[place] = replace(candidate, color_log_odds=odds)
-        return _sorted(scored)
+    `front` (3,) is the model's; the `scorer` is asked for only where the shape leaves doubts.
+    """
+    if candidates[0].convinces or (colors := scorer()) is None:
+        return candidates
+    scored = list(candidates)
+    for place, candidate in enumerate(scored):
+        if candidate.evidence is not None and candidate.color_log_odds is None:
+            pose = candidate.pose
+            model_from_scan = invert_rigid(pose.rigid(front)) @ scan.prepared_from_scan
+            scored[place] = replace(candidate, color_log_odds=colors.log_odds(model_from_scan, pose.scale))
+    return _sorted(scored)
 
 
 def ranked_candidates(
     scan: PreparedScan,
     template: Template,
-    colors: Colors,
+    scorer: Callable[[], ColourScorer | None],
     landmarks: PlacedPose | None,
     poses: Poses,
     options: RegistrationOptions,
@@ -124,7 +114,8 @@ def ranked_candidates(
     freely = _batches(scan, template, poses, 2 * options.candidates, 0)
     for number, (batch, cloud) in enumerate(chain(zip(batches, repeat(target)), zip(freely, repeat(None)))):
         candidates = _with_refined(scan, cloud, template, batch, meter, candidates)
-        candidates = colors.rescored(_with_evidence(scan, template, candidates, meter, landmarks))
+        candidates = _with_evidence(scan, template, candidates, meter, landmarks)
+        candidates = rescored(candidates, scan, template.front, scorer)
         hopeless = number == 1 and landmarks is None and candidates[0].log_odds <= -_MOST_LOG_ODDS
         if meter.exhausted or candidates[0].convinces or hopeless:
             break
@@ -249,8 +240,14 @@ class ScanTarget:
 
         On one thread: Open3D adds up its equations as threads finish, which would give other bits each time.
         """
-        registration = self._open3d.pipelines.registration
-        with _one_thread(self._open3d):
+        registration, utility = self._open3d.pipelines.registration, self._open3d.utility
+        with ExitStack() as afterwards:
+            # From 0.20 on by its own setting (TBB), before that by OpenMP's.
+            if hasattr(utility, "set_max_threads"):
+                afterwards.callback(utility.set_max_threads, utility.get_max_threads())
+                utility.set_max_threads(1)
+            else:
+                afterwards.enter_context(threadpool_limits(1, "openmp"))
             result = registration.registration_icp(
                 self._cloud_of(model),
                 self._cloud,
@@ -260,18 +257,3 @@ class ScanTarget:
                 registration.ICPConvergenceCriteria(1e-6, 1e-6, 20),
             )
         return np.array(result.transformation)
-
-
-@contextmanager
-def _one_thread(open3d: ModuleType) -> Iterator[None]:
-    """Keep Open3D on one thread: from 0.20 on through its own setting (TBB), before that through OpenMP's."""
-    if not hasattr(open3d.utility, "set_max_threads"):
-        with threadpool_limits(1, "openmp"):
-            yield
-        return
-    threads = open3d.utility.get_max_threads()
-    open3d.utility.set_max_threads(1)
-    try:
-        yield
-    finally:
-        open3d.utility.set_max_threads(threads)

@@ -73,11 +73,6 @@ class Residuals:
         distance = np.abs(self.plane_mm[inlier])
         return float(np.quantile(distance, part, weights=weights[inlier], method="inverted_cdf"))
 
-    def robust_cost(self, weights: FloatArray, sigma_mm: float) -> float:
-        """Return the weighted mean of min(distance, 3 sigma), 3 sigma where there is no inlier."""
-        capped = np.where(self.inlier, np.minimum(np.abs(self.plane_mm), 3 * sigma_mm), 3 * sigma_mm)
-        return float(weights @ capped / weights.sum())
-
     def icp_loss_mm(self, weights: FloatArray, sigma_mm: float) -> float:
         """Return the root of the mean loss that a step of `icp` lowers (Geman-McClure).
 
@@ -188,8 +183,13 @@ def tightened(
 def rigid_distance_mm(
     scan: OrientedPoints, template: Template, pose: Similarity, sigma_mm: float = 1.0
 ) -> float:
-    """Return the robust distance of the model's samples to the scan, weighted to the rigid regions."""
-    return residuals(scan, template.samples, pose).robust_cost(template.rigidity, sigma_mm)
+    """Return the mean of min(distance, 3 sigma) of the model's samples, weighted to the rigid regions.
+
+    Where there is no inlier it is 3 sigma.
+    """
+    found, weights = residuals(scan, template.samples, pose), template.rigidity
+    capped = np.where(found.inlier, np.minimum(np.abs(found.plane_mm), 3 * sigma_mm), 3 * sigma_mm)
+    return float(weights @ capped / weights.sum())
 
 
 def rms_mm(scan: OrientedPoints, template: Template, pose: Similarity) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -15,9 +16,10 @@ from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
 from scan2albedo.registration.acceptance import accepted, probability, proportion_doubts, shape_of
-from scan2albedo.registration.candidates import Colors, ranked_candidates
+from scan2albedo.registration.candidates import ranked_candidates
 from scan2albedo.registration.coarse_search import PlacedPose, coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
+from scan2albedo.registration.evidence import ColourScorer
 from scan2albedo.registration.icp import rms_mm, tightened
 from scan2albedo.registration.scan_preparation import SPACING_MM, RegistrationOptions, prepared_scan
 from scan2albedo.registration.template import Template
@@ -92,8 +94,8 @@ def register(
     prepared = prepared_scan(scan, options)
     template = Template.of(model, seed)
     poses = coarse_poses(prepared, template, options, meter, seed)
-    colors, landmarks = Colors(prepared, model), PlacedPose.of(prepared, model)
-    candidates = ranked_candidates(prepared, template, colors, landmarks, poses, options, meter)
+    scorer, landmarks = cache(lambda: ColourScorer.of(scan, model)), PlacedPose.of(prepared, model)
+    candidates = ranked_candidates(prepared, template, scorer, landmarks, poses, options, meter)
     plan = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     best = candidates[0]

@@ -36,11 +36,10 @@ class RegistrationOptions:
     def __post_init__(self) -> None:
         if not 0 < self.anchor_spacing_mm < np.inf:
             raise ValueError(f"anchor_spacing_mm must be finite and above 0, got {self.anchor_spacing_mm}")
-        for name in ("kept_starts", "candidates", "settling_iterations"):
-            if not getattr(self, name) >= 1:
-                raise ValueError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        if not self.annealing_evaluations >= 0:
-            raise ValueError(f"annealing_evaluations must be 0 or more, got {self.annealing_evaluations}")
+        counts = {"kept_starts": 1, "candidates": 1, "settling_iterations": 1, "annealing_evaluations": 0}
+        for name, least in counts.items():
+            if not getattr(self, name) >= least:
+                raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
 
 
 SPACING_MM = 4.0

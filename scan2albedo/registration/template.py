@@ -52,10 +52,8 @@ class Template:
         if key in _KNOWN:
             return _KNOWN[key]
         if (count := len(model.control_vertices)) < 20:
-            raise RegistrationError(
-                f"{model.name}: a model of {count} control vertices has no relief to find a face by; at "
-                "least 20 are needed, better some hundred"
-            )
+            said = f"{model.name}: a model of {count} control vertices has no relief to find a face by"
+            raise RegistrationError(f"{said}; at least 20 are needed, better some hundred")
         vertices, faces = model.surface(1)
         samples = oriented_points(vertices, faces, 6)
         samples = samples.subset(np.random.default_rng(seed).permutation(len(samples)))

@@ -61,25 +61,19 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     .. [1] X. Gu, S. Gortler, H. Hoppe, "Geometry Images", SIGGRAPH 2002.
     """
     if not (hasattr(fitted, "vertices") and hasattr(fitted, "model_from_scan")):
-        raise TypeError(
-            f"geometry_image: fitted is {described(fitted)}, expected a FittedFace; fit(scan, model, pose) "
-            "returns one"
-        )
+        said = f"geometry_image: fitted is {described(fitted)}, expected a FittedFace"
+        raise TypeError(f"{said}; fit(scan, model, pose) returns one")
     require_type(scan, (RawScan, type(None)), "geometry_image: scan", "load_scan(path) returns one")
     check_size(size)
     for name, values in (("vertices", fitted.vertices), ("uv", fitted.uv)):
         bad = int((~np.isfinite(values)).any(1).sum())
         if bad:
-            raise GeometryImageError(
-                f"the fitted face has {bad} vertices whose {name} are NaN or infinite; fit the scan again, "
-                "and check the model"
-            )
+            said = f"the fitted face has {bad} vertices whose {name} are NaN or infinite"
+            raise GeometryImageError(f"{said}; fit the scan again, and check the model")
     outside = int((np.abs(fitted.uv - 0.5) > 0.5 + np.finfo(np.float32).resolution).any(1).sum())
     if outside:
-        raise GeometryImageError(
-            f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices, which "
-            "would be cut off; scale its uv into [0, 1]"
-        )
+        said = f"the model's chart leaves the unit square at {outside} of {len(fitted.uv)} vertices"
+        raise GeometryImageError(f"{said}, which would be cut off; scale its uv into [0, 1]")
     scan = None if scan is None else without_covers(fitted, scan)
     raster = rasterize_uv(fitted.uv, fitted.faces, size)
     if not raster.covered.any():
@@ -194,10 +188,9 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     position_of, normal_of = vertices[chart_vertex], vertex_normals(vertices, faces)[chart_vertex]
     raster = rasterize_uv(uv, chart_faces, size)
     if not raster.covered.any():
-        raise GeometryImageError(
-            f"{scan.name}: xatlas made no chart that covers a texel at size {size}; choose a larger size, "
-            "and remove vertices that lie far from the rest, which shrink it"
-        )
+        said = f"{scan.name}: xatlas made no chart that covers a texel at size {size}"
+        advice = "choose a larger size, and remove vertices that lie far from the rest, which shrink it"
+        raise GeometryImageError(f"{said}; {advice}")
     inside = raster.covered
     position = interpolate(raster, chart_faces, position_of)
     normal = normalized(interpolate(raster, chart_faces, normal_of))
@@ -257,10 +250,8 @@ def texture_doubt(fitted: FittedSurface, scan: RawScan, image: GeometryImage) ->
         said = " or ".join([said, *(name for name in others[:1] if rivals[name] > rivals[said] + prior)])
         reason = f"the texture fits the shape {said}: correct the export, or its coordinates"
     elif own < other:
-        reason = (
-            "brows, eyes and lips of the texture are not where the shape has them: is it another scan's, or "
-            "shifted?"
-        )
+        reason = "brows, eyes and lips of the texture are not where the shape has them"
+        reason += ": is it another scan's, or shifted?"
     else:
         return None
     return PlanStep.doubt("texture", reason, log_odds)

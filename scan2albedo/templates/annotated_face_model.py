@@ -138,18 +138,14 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
 
     kept, faces = without_unreferenced(surface.vertices, surface.faces)
     scan, default = RawScan(surface.vertices[kept], faces, name=given.name), default_model()
-    failure = ""
     try:
         registration = register(scan, default)
-    except RegistrationError as error:
-        failure = str(error)
-    else:
         # Below even odds the pose is more likely wrong than right.
-        if registration.confidence < 0.5:
-            failure = f"a face is recognised with confidence {registration.confidence:.2f} only"
-    if failure:
+        if (chance := registration.confidence) < 0.5:
+            raise RegistrationError(f"a face is recognised with confidence {chance:.2f} only")
+    except RegistrationError as error:
         model = model_from_surface(surface, given, control_size)
-        return replace(model, notes=(*model.notes, f"axes taken as they are, nothing annotated: {failure}"))
+        return replace(model, notes=(*model.notes, f"axes taken as they are, nothing annotated: {error}"))
     fitted = fit(scan, default, registration)
     rotation, axes = fitted.model_from_scan[:3, :3], "axes as they came"
     degrees = np.degrees(rotation_angle_rad(rotation))

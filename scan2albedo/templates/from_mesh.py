@@ -84,15 +84,9 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     chart, chart_note = _chart(vertex_uv(given), source, (control, control_faces), matrix, name)
     corners_uv, uv_note = corner_uv(given)
     off = np.linalg.norm(offset[source], axis=1)
-    notes = (
-        *disc.notes,
-        f"the surface keeps {off.mean():.1f} mm (mean) and {off.max():.0f} mm (most) from the template; a "
-        "greater control_size follows it better"
-        if off.mean() > 1
-        else "",
-        chart_note,
-        uv_note,
-    )
+    away = f"the surface keeps {off.mean():.1f} mm (mean) and {off.max():.0f} mm (most) from the template"
+    coarse = f"{away}; a greater control_size follows it better" if off.mean() > 1 else ""
+    notes = (*disc.notes, coarse, chart_note, uv_note)
     return AnnotatedSurface(
         control_vertices=control,
         control_faces=control_faces,
@@ -152,10 +146,8 @@ def _chart(
     if uv is not None:
         given = np.asarray(uv, np.float64)
         if given.shape != (matrix.shape[0], 2):
-            raise ModelError(
-                f"{name}: uv has shape {given.shape}, expected ({matrix.shape[0]}, 2): "
-                "one coordinate a vertex; split vertices at seams or leave uv out"
-            )
+            said = f"{name}: uv has shape {given.shape}, expected ({matrix.shape[0]}, 2)"
+            raise ModelError(f"{said}: one coordinate a vertex; split vertices at seams or leave uv out")
         known = given[source]
         note = "a new chart was drawn: the uv given holds NaN"
         if np.isfinite(known).all():

@@ -7,15 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh
 from scan2albedo.errors import ModelError
-from scan2albedo.geometry.mesh import (
-    boundary_loops,
-    edges_with_faces,
-    face_cross_products,
-    far_faces,
-    vertex_components,
-)
+from scan2albedo.geometry import mesh as meshes
+from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products
 from scan2albedo.geometry.rigid import compose
 
 MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
@@ -50,21 +45,9 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     Raises `ModelError` for vertices (T, 3) that are no head in any unit, are not finite or too few, bad
     indices, or a surface that is not manifold even when a few faces are dropped, or cannot be oriented.
     """
-    given, index = np.array(vertices, np.float64), np.array(faces)
-    if given.ndim != 2 or given.shape[1] != 3:
-        raise ModelError(f"{name}: template vertices have shape {given.shape}, expected (T, 3)")
-    if index.ndim != 2 or index.shape[1] != 3 or len(index) == 0:
-        raise ModelError(
-            f"{name}: template faces have shape {index.shape}, expected (F, 3) with F > 0; "
-            "triangulate the mesh, a point cloud is not enough"
-        )
-    if not np.isfinite(given).all():
-        bad = int((~np.isfinite(given)).any(1).sum())
-        raise ModelError(f"{name}: {bad} template vertices are NaN or infinite; repair or re-export it")
-    index = index.astype(np.int64)
-    if index.min() < 0 or index.max() >= len(given):
-        wrong = index.min() if index.min() < 0 else index.max()
-        raise ModelError(f"{name}: a face refers to vertex {wrong}, but there are {len(given)} vertices")
+    given, index = checked_mesh(vertices, faces, name, ModelError)
+    if len(index) == 0:
+        raise ModelError(f"{name}: a template needs faces, a point cloud is not enough; mesh its points")
     used = np.unique(index)
     if len(used) < MIN_VERTICES:
         raise ModelError(f"{name}: only {len(used)} vertices in faces, at least {MIN_VERTICES} needed")
@@ -89,7 +72,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
         raise ModelError(f"{name}: every face has zero area; it holds no surface: export it again")
     part = largest_component(len(xyz), welded)
     mesh, dropped = _manifold(part, name)
-    far = len(used) - len(np.unique(index[~far_faces(xyz, index)]))
+    far = len(used) - len(np.unique(index[~meshes.far_faces(xyz, index)]))
     found = (
         (far, "vertices far from the rest, which bend the surface: remove them"),
         (len(welded) - len(part), "faces of loose parts, which follow the nearest surface"),
@@ -112,7 +95,7 @@ def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
 
 def largest_component(vertex_count: int, faces: IntArray) -> IntArray:
     """Return the faces of the connected part that has the most."""
-    label = vertex_components(vertex_count, faces)[faces[:, 0]]
+    label = meshes.vertex_components(vertex_count, faces)[faces[:, 0]]
     return faces[label == np.bincount(label).argmax()]
 
 
@@ -173,15 +156,11 @@ def clean_template(surface: TemplateSurface, name: str) -> tuple[TemplateSurface
     euler = len(np.unique(closed)) - len(edges) + len(closed)
     rims = len(boundary_loops(closed))
     if euler != 1 or rims != 1:
-        raise ModelError(
-            f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}, "
-            "expected 1 and 1 (a disc); close handles or cut the face out of the head"
-        )
-    done = (
-        (len(surface.faces) - len(mesh), "faces cut off the back of a closed surface"),
-        (len(holes), "holes filled"),
-    )
-    notes = (*surface.notes, *(f"{text}: {count}" for count, text in done if count))
+        said = f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}"
+        raise ModelError(f"{said}, expected 1 and 1 (a disc); close handles or cut the face out of the head")
+    cut = len(surface.faces) - len(mesh)
+    done = {"faces cut off the back of a closed surface": cut, "holes filled": len(holes)}
+    notes = (*surface.notes, *(f"{text}: {count}" for text, count in done.items() if count))
     return replace(surface, faces=closed, notes=notes), filled
 
 

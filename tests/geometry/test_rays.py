@@ -95,7 +95,7 @@ def test_prepared_origins_and_one_common_direction_give_the_same_answers():
     )
     each = caster.occluded(origins, np.tile([0, 0, -1.0], (30_000, 1)))
     assert np.array_equal(caster.occluded(origins, [0, 0, -1.0]), each)
-    assert np.array_equal(caster.occluded_local(caster.to_local(origins), [0, 0, -1.0]), each)
+    assert np.array_equal(caster.occluded(caster.to_local(origins), [0, 0, -1.0], local=True), each)
     assert each.mean() == pytest.approx(np.pi * 100 / 24**2, rel=0.02)
 
 

@@ -17,8 +17,8 @@ from scan2albedo.geometry.rigid import (
     rotation_from_vector,
 )
 from scan2albedo.registration import register
-from scan2albedo.registration.candidates import Candidate, Colors, ScanTarget
-from scan2albedo.registration.evidence import Evidence
+from scan2albedo.registration.candidates import Candidate, ScanTarget, rescored
+from scan2albedo.registration.evidence import ColourScorer, Evidence
 from scan2albedo.registration.relief import ReliefAgreement
 from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
 
@@ -62,14 +62,14 @@ def looked_at(pose, relief):
 def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(model):
     scan, known = synthetic.raw_scan(3, scanner=synthetic.Scanner(size=128, picture_size=500, spacing_mm=3.0))
     prepared = prepared_scan(scan, RegistrationOptions())
-    colors = Colors(prepared, model)
+    colors = prepared, model.front, lambda: ColourScorer.of(scan, model)
     truth = prepared.prepared_from_scan @ invert_rigid(known.model_from_scan)
     upright = Similarity(truth[:3, :3], truth[:3, 3])
     flipped = Similarity(truth[:3, :3] @ np.diag([-1.0, -1.0, 1.0]), truth[:3, 3])
     sure = (looked_at(flipped, 0.9), looked_at(upright, 0.3))
-    assert colors.rescored(sure) is sure
+    assert rescored(sure, *colors) is sure
     doubtful = (looked_at(flipped, 0.3), looked_at(upright, 0.3))
-    best, other = colors.rescored(doubtful)
+    best, other = rescored(doubtful, *colors)
     assert best.pose is upright
     assert best.color_log_odds > 1
     assert other.color_log_odds < 0
@@ -80,7 +80,7 @@ def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
     bare = prepared_scan(RawScan(scan.vertices, scan.faces), RegistrationOptions())
     rest = Similarity(np.eye(3), np.zeros(3))
     doubtful = (looked_at(rest, 0.3),)
-    assert Colors(bare, model).rescored(doubtful) is doubtful
+    assert rescored(doubtful, bare, model.front, lambda: ColourScorer.of(bare.raw, model)) is doubtful
 
 
 def test_a_search_without_anything_like_a_face_ends_early(model):

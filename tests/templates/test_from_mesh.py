@@ -179,8 +179,8 @@ def test_what_cannot_be_used_is_refused_with_the_reason():
     cases = [
         (vertices[:, :2], faces, "shape"),
         (vertices, faces[:0], "point cloud"),
-        (vertices, faces + 5, f"refers to vertex {faces.max() + 5},"),
-        (vertices, faces - 1, "refers to vertex -1,"),
+        (vertices, faces + 5, f"refer to vertices 5 to {faces.max() + 5} of"),
+        (vertices, faces - 1, "refer to vertices -1 to"),
         (vertices, every_edge_thrice, "more than two faces"),
         (*torus, "disc"),
     ]

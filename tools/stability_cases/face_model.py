@@ -181,9 +181,12 @@ def _() -> str:
     vertices, faces = face()
     broken = vertices.copy()
     broken[3] = np.nan
-    with suppress(ModelError), naming(f"{len(vertices)} template vertices are NaN or infinite; repair"):
+    with (
+        suppress(ModelError),
+        naming(f"{len(vertices)} of .* vertices are NaN or infinite; repair"),
+    ):
         return modelled(np.full_like(vertices, np.nan), faces)[1]
-    with naming("1 template vertices are NaN or infinite; repair"):
+    with naming("1 of .* vertices are NaN or infinite; repair"):
         return modelled(broken, faces)[1]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.errors import EyeglassesError
+from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses import rims
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens, mirror_on_sphere, refract
@@ -69,7 +69,7 @@ def insert_lens(
     top, bridge, inner, bottom, outer = marks
     # Three of the five lie on the nose's side, so their mean would be off.
     guess = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
-    try:
+    with errors_of(f"the {SIDES[side]} lens", EyeglassesError):
         normal = _viewers_side(rims.fit_normal(marks, vertices), guess, keypoints)
         rim = rims.find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal)
         if len(rim_masks):
@@ -91,8 +91,6 @@ def insert_lens(
         plane = rims.LensPlane.at(rim.center, rim.normal)
         seated = rim.points + seat_mm * rim.measured[:, None] * plane.directions(plane.angles(rim.points))
         fan, triangles = lens_mesh(rim.center, seated, rim.normal)
-    except EyeglassesError as error:
-        raise EyeglassesError(f"the {SIDES[side]} lens: {error}") from error
     at = rim.center if center is None else center - ((center - rim.center) @ rim.normal) * rim.normal
     optics = ThinLens(at, rim.normal, material.dioptres)
     return InsertedLens(side, material, rim, fan, triangles, optics, RayCaster(fan, triangles))

@@ -211,7 +211,7 @@ class LitScene:
             passed.fill(1.0)
             for lens, local, share, center, reach in near:
                 ray = _through_ball(position, center, reach, toward, facing)
-                passed[ray[lens.caster.occluded_local(local[ray], toward)]] *= share
+                passed[ray[lens.caster.occluded(local[ray], toward, local=True)]] *= share
             _add_light(facing, intensity, passed, matte)
             if strength > 0:
                 _add_light(mirrored, intensity, passed, glossy)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
-from scan2albedo.errors import EyeglassesError
+from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face import inputs, objective, outline, start_poses
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
@@ -121,10 +121,8 @@ class _Registration:
         else:
             seconds = meter.budget.seconds
             left = None if seconds is None else Budget(seconds=max(seconds - meter.elapsed_s, 1e-3))
-            try:
+            with errors_of("the glasses' weights", EyeglassesError):
                 solved = solve_weights(given.vertices, given.faces, given.keypoints[given.known], budget=left)
-            except EyeglassesError as error:
-                raise EyeglassesError(f"the glasses' weights: {error}") from error
             evidence = f"{solved.node_count} nodes, {meter.elapsed_s:.2f} s"
             self._note("weights", True, "the glasses bring none", evidence)
             weights = np.zeros((len(given.vertices), len(given.keypoints)))

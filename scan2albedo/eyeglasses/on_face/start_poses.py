@@ -234,10 +234,9 @@ def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptio
     first = min(starts, key=lambda state: rigid(state).cost)
     mirrored_px = descend(rigid, first, Meter("mirrored", "px"), error="median_label_px").at.median_label_px
     if mirrored_px < error_px / 2:
-        raise EyeglassesError(
-            "left and right of the labels, or of the glasses' key points, seem to be exchanged: the pose "
-            f"fits to {mirrored_px:.1f} px with them swapped, to {error_px:.1f} px as they are"
-        )
+        said = "left and right of the labels, or of the glasses' key points, seem to be exchanged"
+        advice = f"the pose fits to {mirrored_px:.1f} px with them swapped, to {error_px:.1f} px as they are"
+        raise EyeglassesError(f"{said}: {advice}")
 
 
 @dataclass(frozen=True)

@@ -11,16 +11,10 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
+from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, PlanStep, ProgressCallback
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses import (
-    CanonicalizationOptions,
-    CanonicalSet,
-    canonicalize,
-    skin,
-    write_canonical,
-    write_keypoints,
-)
+from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
@@ -89,7 +83,7 @@ class CanonicalFiles:
     """What became of some mesh files; `frames` and `result.frames` go together."""
 
     frames: tuple[GlassesFrame, ...]
-    result: CanonicalSet
+    result: eyeglasses.CanonicalSet
     failures: tuple[FailedFrameRecord, ...]
     options: Mapping[str, Any]
     seconds: float
@@ -120,7 +114,7 @@ def canonicalize_frames(
         if unit == "unknown":
             raise EyeglassesError(f"key points {mean} do not say their unit; a mean needs one: mm, cm or m")
         mean_mm = given * MM_PER_UNIT[unit]
-    result = canonicalize(
+    result = eyeglasses.canonicalize(
         [frame.scan for frame in frames],
         [frame.keypoints for frame in frames],
         mean_keypoints=mean_mm,
@@ -148,7 +142,7 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
             folder = staging.folder / frame.name
             folder.mkdir()
             weights, weight_cut = write_frame_glb(folder / "canonical.glb", canonical)
-            write_canonical(folder / "canonical.npz", canonical)
+            eyeglasses.write_canonical(folder / "canonical.npz", canonical)
             write_keypoints(folder / "keypoints.json", canonical.keypoints, unit="mm")
             # How bent the frame was, and what the GLB's cut to four joints a vertex costs.
             rigid = transform_points(canonical.canonical_from_frame, canonical.scale * frame.scan.vertices)

@@ -10,18 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scan2albedo import eyeglasses
 from scan2albedo.core import ProgressCallback
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import OutputError
-from scan2albedo.eyeglasses import (
-    Camera,
-    LensMaterial,
-    LensPictureOptions,
-    write_cameras,
-    write_keypoints,
-    write_labels,
-    write_masks,
-)
+from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers
@@ -32,13 +25,8 @@ from scan2albedo.io.load_scan import file_sha256, input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.registration import register
-from scan2albedo.runs.eyeglasses import lenses_run, register_run
-from scan2albedo.runs.eyeglasses.inputs import (
-    GlassesInput,
-    keypoints_beside,
-    read_lens_scene,
-    read_registration,
-)
+from scan2albedo.runs.eyeglasses import inputs, lenses_run, register_run
+from scan2albedo.runs.eyeglasses.inputs import GlassesInput, keypoints_beside
 from scan2albedo.runs.eyeglasses.lenses_run import run_lenses
 from scan2albedo.runs.eyeglasses.register_run import PlacedFrame, register_frame, write_registration_files
 from scan2albedo.synthetic import Scanner, Wearer, raw_scan, wearer
@@ -152,9 +140,9 @@ def run_glasses_demo(
         # From the files that `glasses lenses` would read.
         middle = given.cameras[len(given.cameras) // 2].name
         head_file, cameras_file = (Path(given.files[what].file) for what in ("head", "cameras"))
-        source = read_lens_scene(folder / "registered.glb", head_file, cameras_file, views=[middle])
+        source = inputs.read_lens_scene(folder / "registered.glb", head_file, cameras_file, views=[middle])
         lens = LensMaterial(dioptres=-6.0, beta=0.04)
-        run_lenses(source, (lens, lens), LensPictureOptions(), folder / LENSES, say)
+        run_lenses(source, (lens, lens), eyeglasses.LensPictureOptions(), folder / LENSES, say)
     return compare_with_wearer(placed, person, head)
 
 
@@ -183,9 +171,9 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
     with result_folder(folder, staged_in=out) as staging:
         write_obj(staging / "frame.obj", glasses.rest_vertices, glasses.faces)
         write_keypoints(keypoints_beside(staging / "frame.obj"), glasses.rest_keypoints, unit="mm")
-        write_cameras(staging / "cameras.json", cameras)
+        eyeglasses.write_cameras(staging / "cameras.json", cameras)
         write_labels(staging / "labels.json", person.labels, [camera.name for camera in cameras])
-        write_masks(staging / "masks", list(person.masks), cameras)
+        eyeglasses.write_masks(staging / "masks", list(person.masks), cameras)
         if head is not None:
             write_glb(staging / "head.glb", *head)
         for made in staging.rglob("*"):
@@ -196,4 +184,4 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
                     said = "no run of scan2albedo glasses demo wrote it"
                     raise OutputError(f"{there}: {said}; move it away, or choose another folder")
     skull, parts = None if head is None else folder / "head.glb", ("frame.obj", "cameras.json", "labels.json")
-    return read_registration(*(folder / name for name in parts), masks=folder / "masks", head=skull)
+    return inputs.read_registration(*(folder / name for name in parts), masks=folder / "masks", head=skull)

@@ -5,24 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field
 
+from scan2albedo import eyeglasses
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses import (
-    Camera,
-    LensMaterial,
-    read_cameras,
-    read_canonical,
-    read_labels,
-    read_masks,
-    read_registered,
-    read_start,
-)
+from scan2albedo.errors import EyeglassesError, errors_of
+from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
@@ -30,12 +22,10 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.load_scan import file_sha256, input_sha256, load_scan, load_scan_with
+from scan2albedo.io.parsed_mesh import ParsedMesh
 from scan2albedo.io.records import Record
 from scan2albedo.io.result_records import SHA256
 from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_GLASSES_MM, check_unit, glasses_millimetres_per_unit
-
-if TYPE_CHECKING:
-    from scan2albedo.io.parsed_mesh import ParsedMesh
 
 CANONICAL = ".npz"
 """Extension of frames that bring their weights, and of results whose pose is a start."""
@@ -198,11 +188,9 @@ def read_registration(
     pixels = np.full((len(views), len(KEY_POINT_NAMES), 2), np.nan)
     if labels is not None:
         files["labels"] = _hashed(labels)
-        listed = read_labels(labels)
-        try:
+        listed = eyeglasses.read_labels(labels)
+        with errors_of(f"labels {labels}", EyeglassesError):
             pixels = listed.of_cameras([camera.name for camera in views])
-        except EyeglassesError as error:
-            raise EyeglassesError(f"labels {labels}: {error}") from error
     for camera, marks in zip(views, pixels, strict=True):
         given, limit = marks[np.isfinite(marks).all(1)], np.array(camera.shape[::-1]) - 0.5
         outside = int(((given < -0.5) | (given > limit)).any(1).sum())
@@ -216,13 +204,13 @@ def read_registration(
     pose = None
     if start is not None:
         npz = start.suffix.lower() == CANONICAL
-        pose = read_registered(start).world_from_glasses if npz else read_start(start)
+        pose = eyeglasses.read_registered(start).world_from_glasses if npz else eyeglasses.read_start(start)
         files["start"] = _hashed(start)
     read: list[tuple[str, RawScan]] = []
     if mesh.suffix.lower() == CANONICAL:
         if keypoints is not None or unit not in ("auto", "mm") or frame_width_mm is not None:
             raise ValueError(f"{mesh.name} brings its own key points, and is in mm")
-        made, own = read_canonical(mesh), {"mesh": _hashed(mesh)}
+        made, own = eyeglasses.read_canonical(mesh), {"mesh": _hashed(mesh)}
         # All canonical frames' files are called alike, their folders are not.
         folder = mesh.absolute().parent.name
         name = folder if mesh.name == "canonical.npz" and folder else mesh.stem
@@ -338,19 +326,21 @@ def _read_named(
 ) -> tuple[Any, ...]:
     """Return the masks or pictures of a folder, None where it has none, and add files and notes."""
     found: list[Any] = [None] * len(cameras)
-    for number, camera in enumerate(cameras if folder is not None else ()):
-        assert folder is not None
-        endings = (".png",) if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
+    if folder is None:
+        return tuple(found)
+    endings = (".png",) if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
+    for number, camera in enumerate(cameras):
         named = [folder / f"{camera.name}{ending}" for ending in endings]
-        if path := next((path for path in named if path.is_file()), None):
-            mask = kind == "mask"
-            found[number] = (
-                read_masks(folder, [camera])[0] if mask else encode_srgb_bytes(_read_picture(path, camera))
-            )
-            files[f"{kind} {camera.name}"] = _hashed(path)
-        else:
+        path = next((path for path in named if path.is_file()), None)
+        if path is None:
             notes.append(f"no {kind} of {camera.name!r}: {folder} has no {camera.name}{' or '.join(endings)}")
-    if folder is not None and all(one is None for one in found):
+            continue
+        if kind == "mask":
+            (found[number],) = eyeglasses.read_masks(folder, [camera])
+        else:
+            found[number] = encode_srgb_bytes(_read_picture(path, camera))
+        files[f"{kind} {camera.name}"] = _hashed(path)
+    if all(one is None for one in found):
         names = ", ".join(camera.name + endings[0] for camera in cameras)
         more = f" (or {', '.join(endings[1:])})" if len(endings) > 1 else ""
         raise EyeglassesError(f"{kind}s {folder}: the folder holds none of {names}{more}")

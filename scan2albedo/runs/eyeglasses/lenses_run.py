@@ -12,16 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from scan2albedo import eyeglasses
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses import (
-    Camera,
-    InsertedLens,
-    LensPicture,
-    LensPictureOptions,
-    Surface,
-    insert_lenses,
-)
+from scan2albedo.errors import EyeglassesError, errors_of
+from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass, worn_axes
 from scan2albedo.eyeglasses.lenses.lens_picture import Lenses, checked_image
@@ -108,7 +102,7 @@ class LensView:
     """A view with lenses in it."""
 
     camera: Camera
-    picture: LensPicture
+    picture: eyeglasses.LensPicture
     seconds: float
 
 
@@ -125,7 +119,7 @@ class RenderedLenses:
     """Factor on linear colours for previews: `white_exposure`, 1 for photographs."""
 
     @property
-    def lenses(self) -> tuple[InsertedLens, ...]:
+    def lenses(self) -> tuple[eyeglasses.InsertedLens, ...]:
         """The lenses, the same in all views."""
         return self.views[0].picture.lenses
 
@@ -199,7 +193,7 @@ def render_lenses(
     views = []
     for camera, photograph in zip(cameras, photographs, strict=True):
         begun = time.perf_counter()
-        picture = insert_lenses(
+        picture = eyeglasses.insert_lenses(
             frame,
             keypoints,
             lenses,
@@ -248,7 +242,7 @@ def run_lenses(
 
     how = "drawn" if source.pictures is None else "put into photographs"
     say(f"{frame.name}: lenses are {how} for {', '.join(camera.name for camera in source.cameras)}")
-    try:
+    with errors_of(f"{files['mesh'].file} with {files['keypoints'].file}", EyeglassesError):
         rendered = render_lenses(
             surface_of(frame.scan, _FRAME_ALBEDO),
             frame.keypoints,
@@ -261,8 +255,6 @@ def run_lenses(
             options=options,
             on_view=say_view,
         )
-    except EyeglassesError as error:
-        raise EyeglassesError(f"{files['mesh'].file} with {files['keypoints'].file}: {error}") from error
     for note in rendered.notes:
         say(f"{frame.name}: {note}")
     records = []

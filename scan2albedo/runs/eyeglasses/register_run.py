@@ -11,17 +11,11 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
+from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, PlanStep, ProgressCallback
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses import (
-    FaceRegistrationOptions,
-    RegisteredEyeglasses,
-    register_on_face,
-    write_keypoints,
-    write_labels,
-    write_registered,
-)
+from scan2albedo.errors import EyeglassesError, errors_of
+from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
 from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
@@ -90,7 +84,7 @@ class PlacedFrame:
     """What became of the files of a registration."""
 
     given: GlassesInput
-    result: RegisteredEyeglasses
+    result: eyeglasses.RegisteredEyeglasses
     options: Mapping[str, Any]
     seconds: float
 
@@ -144,10 +138,9 @@ class PlacedFrame:
         known = figures["observed_deviation_rms_mm"]
         sure = "nothing is observed" if known is None else f"known to {known:.2f} mm rms"
         lost = ", ".join(self.result.unobserved)
-        return (
-            f"{self.given.frame.name}: placed in {self.seconds:.1f} s; "
-            f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
-        ) + (f"; not observed: {lost}" if lost else "")
+        placed = f"{self.given.frame.name}: placed in {self.seconds:.1f} s"
+        seen = f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
+        return f"{placed}; {seen}" + (f"; not observed: {lost}" if lost else "")
 
 
 def register_frame(
@@ -163,8 +156,9 @@ def register_frame(
     """
     begun, spend, frame = time.perf_counter(), Budget.of(budget), given.frame
     assert given.labels is not None
-    try:
-        result = register_on_face(
+    names = " with ".join(given.files[part].file for part in ("mesh", "labels") if part in given.files)
+    with errors_of(names, EyeglassesError):
+        result = eyeglasses.register_on_face(
             (frame.scan.vertices, frame.scan.faces, frame.keypoints, frame.weights),
             given.labels,
             given.masks,
@@ -174,12 +168,9 @@ def register_frame(
             start=given.start,
             shapes=[camera.shape for camera in given.cameras],
             pictures=given.pictures,
-            options=FaceRegistrationOptions(bend=bend),
+            options=eyeglasses.FaceRegistrationOptions(bend=bend),
             on_progress=on_progress,
         )
-    except EyeglassesError as error:
-        names = " with ".join(given.files[part].file for part in ("mesh", "labels") if part in given.files)
-        raise EyeglassesError(f"{names}: {error}") from error
     options = {"bend": bend, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     return PlacedFrame(given, result, options, time.perf_counter() - begun)
 
@@ -187,21 +178,20 @@ def register_frame(
 def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
     """Write a registered frame's files; return the figures of its `result.json`, or raise OutputError."""
     result, given = done.result, done.given
+    assert given.labels is not None
     with RunFolder(out, FILES).publishing() as staging:
         folder = staging.folder
         _, weight_cut = write_frame_glb(folder / "registered.glb", result)
-        write_registered(folder / "registered.npz", result)
+        eyeglasses.write_registered(folder / "registered.npz", result)
         write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
         # What was found in pictures, as files that a person may correct and give back.
         if any(mask is not None for mask in result.proposed_masks):
-            assert given.labels is not None
             marks = np.where(np.isnan(given.labels), result.proposed_labels, given.labels)
             write_labels(folder / "proposed_labels.json", marks, [camera.name for camera in given.cameras])
             for camera, mask in zip(given.cameras, result.proposed_masks, strict=True):
                 if mask is not None:
                     write_png(folder / f"{camera.name}_mask.png", mask)
         staging.trace(result.trace)
-        assert given.labels is not None
         pairs = zip(given.masks, result.proposed_masks, strict=True)
         masks = [proposed if mask is None else mask for mask, proposed in pairs]
         views = list(zip(given.cameras, masks, given.labels, strict=True))

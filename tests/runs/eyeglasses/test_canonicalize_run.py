@@ -278,7 +278,7 @@ def test_other_widths_admit_small_frames(tmp_path):
         frame = read_frame(path, unit="mm", widths_mm=(25, 60))
         np.testing.assert_allclose(frame.keypoints, marks)
     assert read_frame(path, widths_mm=(25, 60)).mm_per_unit == 1.0
-    with pytest.raises(ScanError, match=r"may be in mm or cm; .* --frame-width in mm or other --widths"):
+    with pytest.raises(ScanError, match=r"glasses in mm or cm; .* --frame-width in mm or other --widths"):
         read_frame(path, widths_mm=(25, 400))
 
 
