@@ -77,7 +77,9 @@ def face_coverage(fitted: FittedFace) -> float:
     if counted.all():
         return fitted.metrics["coverage"]
     area = face_areas(fitted.vertices, fitted.faces) * counted
-    return float(area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), 1e-300))
+    return float(
+        area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), np.finfo(float).tiny)
+    )
 
 
 def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
@@ -92,7 +94,7 @@ def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
 
     def covered(numbers: tuple[int, ...], radius_mm: float) -> float:
         near = np.linalg.norm(rest - landmarks[list(numbers)].mean(0), axis=1) < radius_mm
-        return float(area[near & seen].sum() / max(area[near].sum(), 1e-300))
+        return float(area[near & seen].sum() / max(area[near].sum(), np.finfo(float).tiny))
 
     return tuple(name for name, part in PARTS.items() if covered(*part) < LEAST_OF_A_PART)
 
@@ -155,7 +157,7 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
         patch = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
         whole, shown = area[half], area[half] * seen[half]
         known = np.bincount(patch, shown)
-        mean = np.bincount(patch, shown * distance[half]) / np.maximum(known, 1e-300)
+        mean = np.bincount(patch, shown * distance[half]) / np.maximum(known, np.finfo(float).tiny)
         used = known > LEAST_OF_A_PATCH * np.bincount(patch, whole)
         if known[used].sum() < LEAST_OF_A_REGION * whole.sum():
             return 0.0

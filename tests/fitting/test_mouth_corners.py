@@ -9,7 +9,7 @@ from benchmarks.raw_like import raw_like
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import fit
-from scan2albedo.fitting.mouth_corners import CORNERS, FIRST_MM, FURTHER_MM, MouthCorners, MouthScan
+from scan2albedo.fitting.mouth_opening import CORNERS, FIRST_MM, FURTHER_MM, MouthCorners, MouthScan
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.fitting.scan_smoothing import SurfaceAverages
+from scan2albedo.fitting.scan_surface import SurfaceAverages
 from scan2albedo.geometry.mesh import boundary_vertex_mask
 from tests.fitting.conftest import mask_surface
 
