@@ -50,9 +50,9 @@ def followed(made: Take, out: Path | None = None) -> tuple[dict[str, float], Flo
     begin = time.process_time()
     result = process_sequence(made.frames, out, name="take")
     total = time.process_time() - begin
-    assert result.first.fitted is not None
-    model, found = result.first.fitted.model, []
-    for points, pose in zip(result.control_points, result.model_from_scan, strict=True):
+    assert result.fitted is not None
+    model, found = result.fitted.model, []
+    for points, pose in zip(result.control_points, result.poses, strict=True):
         landmarks = model.landmarks_of(points)
         assert landmarks is not None
         found.append(transform_points(invert_rigid(pose), landmarks))

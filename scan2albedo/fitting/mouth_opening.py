@@ -235,8 +235,8 @@ def corners_pulled(deformation: Deformation) -> Deformation:
     reference, meter = deformation.reference, deformation.meter
     if meter.exhausted:
         return deformation
-    corners = MouthCorners.of(deformation.model, reference)
-    if corners is None:
+    moves = corner_moves(deformation.model, reference)
+    if moves is None:
         return deformation
     mouth = MouthScan.of(deformation.model, reference, deformation.scan, TRIAL_LEVEL)
     reached: dict[float, FloatArray] = {}
@@ -245,35 +245,27 @@ def corners_pulled(deformation: Deformation) -> Deformation:
             return deformation
         if mm in FURTHER_MM and not mouth.gains(reached, FURTHER_MM[mm]):
             continue
-        reached[mm] = coarsely_fitted(deformation, corners.pulled(reference, (mm, mm)) if mm else reference)
+        reached[mm] = coarsely_fitted(deformation, reference + mm * moves.sum(2) if mm else reference)
     pull = mouth.chosen(reached)
-    return replace(deformation, reference=corners.pulled(reference, pull), corners_mm=pull)
+    return replace(deformation, reference=reference + moves @ pull, corners_mm=pull)
 
 
-@dataclass(frozen=True)
-class MouthCorners:
-    """How the control points move when the right or the left corner is pulled a mm: `moves` (C, 3, 2)."""
+def corner_moves(model: AnnotatedSurface, control_points: FloatArray) -> FloatArray | None:
+    """Return how control points move (C, 3, 2) when the right or the left corner is drawn back by a mm.
 
-    moves: FloatArray
-
-    @classmethod
-    def of(cls, model: AnnotatedSurface, control_points: FloatArray) -> MouthCorners | None:
-        """Return a model's pulls, toward the jaw line's ends at the ears; None without landmarks."""
-        landmarks = model.landmarks_of(control_points)
-        if landmarks is None:
-            return None
-        corners = landmarks[list(CORNERS)]
-        middle, half_width = corners.mean(0), 0.5 * max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6)
-        across, above = (control_points - middle)[:, :2].T
-        beside = np.maximum(np.abs(across) - half_width, 0)
-        share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / BESIDE_MM) ** 2)
-        share = share * np.exp(-0.5 * (above / ABOVE_MM) ** 2)
-        toward = normalized(landmarks[[0, 16]] - corners)
-        return cls((share * [across < 0, across > 0]).T[:, None] * toward.T)
-
-    def pulled(self, control_points: FloatArray, mm: tuple[float, float]) -> FloatArray:
-        """Return the control points (C, 3) with the right and the left corner pulled."""
-        return np.asarray(control_points + self.moves @ mm)
+    That is toward the ears; None without landmarks.
+    """
+    landmarks = model.landmarks_of(control_points)
+    if landmarks is None:
+        return None
+    corners = landmarks[list(CORNERS)]
+    middle, half_width = corners.mean(0), 0.5 * max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6)
+    across, above = (control_points - middle)[:, :2].T
+    beside = np.maximum(np.abs(across) - half_width, 0)
+    share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / BESIDE_MM) ** 2)
+    share = share * np.exp(-0.5 * (above / ABOVE_MM) ** 2)
+    toward = normalized(landmarks[[0, 16]] - corners)
+    return np.asarray((share * [across < 0, across > 0]).T[:, None] * toward.T)
 
 
 @dataclass(frozen=True)

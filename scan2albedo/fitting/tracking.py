@@ -8,14 +8,14 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from scan2albedo.core import Budget, Meter
+from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import aligned
 from scan2albedo.fitting.fit import scan_beside
 from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates, scan_forces
-from scan2albedo.fitting.mouth_opening import JawHinge, MouthCorners
+from scan2albedo.fitting.mouth_opening import JawHinge, corner_moves
 from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.result import MIN_COVERAGE, FittedFace
 from scan2albedo.fitting.samples import SurfaceSamples
@@ -27,16 +27,15 @@ from scan2albedo.geometry.rigid import invert_rigid
 class TrackedFace:
     """A frame of a take: `control_points` (C, 3) in the model's frame, mm, and the scan's pose (4, 4) in it.
 
-    `jaw_deg` and `corners_mm` (2,) are how far the jaw is open and the mouth's corners are drawn back beside
-    the first frame. Of control points `seen` (C,) have scan near their surface; of the surface that is the
-    part `coverage`, at a mean distance of `residual_mm`. `odds` are mean log odds of a sample that the last
-    shape, before it bends, lies on the face, not beside it.
+    `mouth` (3,) is how far beside the first frame the jaw is turned, degrees, and the right and left corner
+    of the mouth drawn back, mm. Control points `seen` (C,) have scan near; that is the part `coverage` of the
+    surface, at a mean distance of `residual_mm`. `odds` are mean log odds of a sample that the last shape,
+    before it bends, lies on the face, not beside it.
     """
 
     control_points: FloatArray
     model_from_scan: FloatArray
-    jaw_deg: float
-    corners_mm: FloatArray
+    mouth: FloatArray
     seen: BoolArray
     residual_mm: float
     coverage: float
@@ -52,27 +51,30 @@ class FaceTracker:
     frame's shape with jaw and corners moved, in every frame, so that errors do not add up.
     """
 
-    def __init__(self, first: FittedFace, options: FitOptions) -> None:
+    def __init__(
+        self, first: FittedFace, options: FitOptions, on_progress: ProgressCallback | None = None
+    ) -> None:
         self._model, self._options, self._rest = first.model, options, first.control_points
         self._samples = samples = SurfaceSamples.of(first.model, self._rest, 0)
-        self._hinge = JawHinge.of(first.model, self._rest)
-        corners = MouthCorners.of(first.model, self._rest)
-        self._corners = np.zeros((*self._rest.shape, 2)) if corners is None else corners.moves
+        hinge, corners = JawHinge.of(first.model, self._rest), corner_moves(first.model, self._rest)
+        if hinge is None or corners is None:
+            raise FitError("the frames of a take need a model with landmarks: those of jaw and mouth")
+        self._hinge, self._corners, self._on_progress = hinge, corners, on_progress
         self._weight = samples.area * samples.rigidity * samples.relief(samples.matrix @ self._rest)
         near = ~np.isnan(first.residual_mm[: len(self._rest)])
         figures = (first.metrics["residual_mean_mm"], first.metrics["coverage"], np.inf)
-        self.start = TrackedFace(self._rest, first.model_from_scan, 0.0, np.zeros(2), near, *figures)
+        self.start = TrackedFace(self._rest, first.model_from_scan, np.zeros(3), near, *figures)
 
     def follow(self, scan: RawScan, last: TrackedFace) -> TrackedFace:
         """Return the face in the next frame, `last` being where it was; FitError where no scan is near."""
-        model, options, pose = self._model, self._options, last.model_from_scan
-        meter = Meter("track", "mm", Budget())
-        samples, matrix = self._samples, self._samples.matrix
-        surface = scan_beside(scan, samples, last.control_points, pose, options)
+        model, options, samples = self._model, self._options, self._samples
+        meter = Meter("track", "mm", Budget(), self._on_progress)
+        surface = scan_beside(scan, samples, last.control_points, last.model_from_scan, options)
         gates = ForceGates(GATE_MM[0], options.tangential, MIN_ROBUST_MM[1])
         # What a frame turns the jaw by is small, so that the turn is linear. Its prior has a deviation of 3
         # degrees a frame, and of 10 mm for each corner: a jaw opens in a quarter of a second, smiles sooner.
-        turned = self._turned(last.jaw_deg + 1) - self._turned(last.jaw_deg)
+        jaw, rest = last.mouth[0], self._rest
+        turned = self._hinge.opened(rest, jaw + 1) - self._hinge.opened(rest, jaw)
         modes = np.concatenate([turned[:, :, None], self._corners], axis=2)
         found = aligned(
             surface,
@@ -86,25 +88,23 @@ class FaceTracker:
             modes=modes,
         )
         correction = invert_rigid(found.pose.rigid(model.front))
-        pose, surface = correction @ pose, surface.moved(correction)
+        surface, mouth = surface.moved(correction), last.mouth + found.coefficients
         moved = last.control_points + modes @ found.coefficients
-        points = matrix @ moved
+        points = samples.matrix @ moved
         forces = scan_forces(surface, points, samples.normals(points), gates)
         # Distances have a half Cauchy density: beside the face of the last gate's scale, on it of a tenth of
         # that, which is what the last shape, laid on the next frame, has. Where the scan ends it tells none.
-        weight, square = np.where(np.isnan(forces.near_mm), 0.0, self._weight), forces.near_mm**2
-        on, beside = (scale / (scale**2 + np.nan_to_num(square)) for scale in (GATE_MM[1] / 10, GATE_MM[1]))
-        odds = float(weight @ np.log(on / beside) / (weight.sum() or 1))
-        corners_mm = last.corners_mm + found.coefficients[1:]
-        reference = self._turned(last.jaw_deg + found.coefficients[0]) + self._corners @ corners_mm
+        known, on, beside = ~np.isnan(forces.near_mm), GATE_MM[1] / 10, GATE_MM[1]
+        square, weight = forces.near_mm[known] ** 2, self._weight[known]
+        odds = np.log(on / beside * (beside**2 + square) / (on**2 + square))
+        reference = self._hinge.opened(rest, mouth[0]) + self._corners @ mouth[1:]
         deformation = Deformation(model, reference, surface, options, meter)
-        stages = [(options.levels[0], 0.5, SHORT), (options.levels[-1], 1.0, 2 * SHORT)]
-        if options.finest_level > options.levels[-1]:
-            stages.append((options.finest_level, 1.0, SHORT))
-        q = moved - reference
-        for level, progress, steps in stages:
-            q = run_stage(deformation, level, progress, steps, q, None)
-        control, (samples, _) = reference + q, deformation.sampled(options.levels[-1])
+        q, level = moved - reference, options.levels[-1]
+        for at, progress, steps in ((options.levels[0], 0.5, SHORT), (level, 1.0, 2 * SHORT)):
+            q = run_stage(deformation, at, progress, steps, q, None)
+        if options.finest_level > level:
+            q = run_stage(deformation, options.finest_level, 1.0, SHORT, q, None)
+        control, (samples, _) = reference + q, deformation.sampled(level)
         points, gates = samples.matrix @ control, ForceGates.at(options, 1.0)
         forces = scan_forces(surface, points, samples.normals(points), gates)
         shown = samples.area * (forces.near_mm < gates.distance_mm)
@@ -114,12 +114,9 @@ class FaceTracker:
         seen = samples.matrix.T @ shown > 0.5 * (samples.matrix.T @ samples.area)
         # Small gaps follow their surroundings: between lips, in holes.
         seen[model.control_faces[seen[model.control_faces].any(1)]] = True
-        jaw_deg = 0.0 if self._hinge is None else self._hinge.angle_deg(self._rest, control)
-        residual_mm = forces.mean_distance_mm(samples.area)
-        return TrackedFace(control, pose, jaw_deg, corners_mm, seen, residual_mm, coverage, odds)
-
-    def _turned(self, jaw_deg: float) -> FloatArray:
-        return self._rest if self._hinge is None else self._hinge.opened(self._rest, jaw_deg)
+        mouth[0] = self._hinge.angle_deg(rest, control)
+        figures = forces.mean_distance_mm(samples.area), coverage, float(weight @ odds / (weight.sum() or 1))
+        return TrackedFace(control, correction @ last.model_from_scan, mouth, seen, *figures)
 
 
 def smoothed_in_time(values: FloatArray, seen: BoolArray) -> tuple[FloatArray, FloatArray]:

@@ -133,8 +133,7 @@ def write_glb(
     folder cannot be written; ValueError for a texture without `uv`, or wrong shapes.
 
     The mesh of a `take` moves: at `time_s` (T,) the vertices V are R_t (V + sum_k w_tk D_k) + t_t, linear in
-    between, with `targets` D and what they add to the normals, `normals` (K, V, 3), `weights` (T, K) and
-    `pose` (T, 4, 4), mm.
+    between, with `targets` D (K, V, 3), `weights` (T, K) and `pose` (T, 4, 4), mm.
     """
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
@@ -159,27 +158,22 @@ def write_glb(
             material["pbrMetallicRoughness"]["baseColorTexture"] = picture
     lists = {"materials": [material]}
     if take is not None:
-        curves = {
-            "translation": (METRES_PER_MM * take["pose"][:, :3, 3], "VEC3"),
-            "rotation": (Rotation.from_matrix(take["pose"][:, :3, :3]).as_quat(), "VEC4"),
-        }
+        pose, normals = take["pose"], vertex_normals(points, triangles)
+        curves = {"rotation": (Rotation.from_matrix(pose[:, :3, :3]).as_quat(), "VEC4")}
+        curves["translation"] = METRES_PER_MM * pose[:, :3, 3], "VEC3"
         if len(take["targets"]):
             curves["weights"] = take["weights"].ravel(), "SCALAR"
             file.meshes[mesh]["weights"] = take["weights"][0].tolist()
-            file.meshes[mesh]["primitives"][0]["targets"] = [
-                {
-                    "POSITION": file.add_array((METRES_PER_MM * moved).astype("f4"), "VEC3", bounds=True),
-                    "NORMAL": file.add_array(turned.astype("f4"), "VEC3"),
-                }
-                for moved, turned in zip(take["targets"], take["normals"], strict=True)
-            ]
+            file.meshes[mesh]["primitives"][0]["targets"] = targets = []
+            for move in take["targets"]:
+                turned = (vertex_normals(points + move, triangles) - normals).astype("f4")
+                place = file.add_array((METRES_PER_MM * move).astype("f4"), "VEC3", bounds=True)
+                targets.append({"POSITION": place, "NORMAL": file.add_array(turned, "VEC3")})
         times = file.add_array(take["time_s"].astype("f4")[:, None], "SCALAR", bounds=True)
         outputs = [file.add_array(values.astype("f4"), kind) for values, kind in curves.values()]
-        animation = {
-            "samplers": [{"input": times, "output": number} for number in outputs],
-            "channels": [{"sampler": k, "target": {"node": 0, "path": p}} for k, p in enumerate(curves)],
-        }
-        lists["animations"] = [animation]
+        samplers = [{"input": times, "output": number} for number in outputs]
+        channels = [{"sampler": k, "target": {"node": 0, "path": p}} for k, p in enumerate(curves)]
+        lists["animations"] = [{"samplers": samplers, "channels": channels}]
     file.write(path, [{"name": "face", "mesh": mesh}], [0], **lists)
 
 

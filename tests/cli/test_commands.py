@@ -21,8 +21,8 @@ from scan2albedo.cli.commands import app
 from scan2albedo.cli.common import echo_json
 from scan2albedo.core import Plan, PlanStep, RawScan
 from scan2albedo.pipeline import sequence, validation
-from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.pipeline.sequence import SequenceResult
+from scan2albedo.sampling import geometry_image_of_scan
 from tests.io.meshes import write_square_obj
 
 COMMAND = [sys.executable, "-m", "scan2albedo"]
@@ -320,8 +320,10 @@ def test_frames_of_a_take_are_followed_and_a_broken_one_fails_by_name(monkeypatc
         rows = [{**figures, "file": str(frame)} for frame in frames]
         rows[1] |= {"used": False, "notes": ("left out: it is empty",)}
         plan = Plan((PlanStep.doubt("sequence.frame", "frame 2, b/scan.obj: left out: it is empty"),))
-        first = ProcessResult(RawScan(np.eye(3), [[0, 1, 2]]), None, None, None, None, plan, None, {}, {}, 0)
-        return SequenceResult(name, None, None, tuple(rows), first, plan, True, Path(out) / name)
+        scan = RawScan(np.eye(3), [[0, 1, 2]], name=name)
+        whole = {"scan": scan, "geometry_image": geometry_image_of_scan(scan, 8), "plan": plan, "seed": 0}
+        absent = dict.fromkeys(("registration", "fitted", "albedo", "trace", "control_points", "poses"))
+        return SequenceResult(**whole, **absent, frames=tuple(rows), fps=fps, timings_s={}, options={})
 
     monkeypatch.setattr(sequence, "process_sequence", follow)
     monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
@@ -330,7 +332,7 @@ def test_frames_of_a_take_are_followed_and_a_broken_one_fails_by_name(monkeypatc
     done = invoke(*given, "--json")
     assert done.exit_code == 1, done.output
     assert called == [(frames, "smile", 25.0, "draft")]
-    assert "smile: followed through 2 of 3 frames in 1.5 s of CPU; fit 0.25 mm mean" in done.stderr
+    assert "followed through 2 of 3 frames, 0 found again; fit 0.25 mm mean" in done.stderr
     assert "frame 2, b/scan.obj: left out: it is empty" in done.stderr
     summary = json.loads(done.stdout)
     assert [frame["used"] for frame in summary["frames"]] == [True, False, True]

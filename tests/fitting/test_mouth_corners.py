@@ -9,7 +9,7 @@ from benchmarks.raw_like import raw_like
 from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import fit
-from scan2albedo.fitting.mouth_opening import CORNERS, FIRST_MM, FURTHER_MM, MouthCorners, MouthScan
+from scan2albedo.fitting.mouth_opening import CORNERS, FIRST_MM, FURTHER_MM, MouthScan, corner_moves
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 
@@ -19,7 +19,7 @@ RIGHT, LEFT = CORNERS
 
 
 def smiling(model, right_mm, left_mm):
-    return MouthCorners.of(model, model.control_vertices).pulled(model.control_vertices, (right_mm, left_mm))
+    return model.control_vertices + corner_moves(model, model.control_vertices) @ (right_mm, left_mm)
 
 
 def mouth_of(model, control_points):
@@ -48,9 +48,7 @@ def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
 
 def pulled_all(model):
     """The model with both corners pulled by each length, as if a coarse fit had left it so."""
-    corners = MouthCorners.of(model, model.control_vertices)
-    every = (*FIRST_MM, *FURTHER_MM)
-    return {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in every}
+    return {mm: smiling(model, mm, mm) for mm in (*FIRST_MM, *FURTHER_MM)}
 
 
 @pytest.mark.parametrize(
@@ -77,8 +75,7 @@ def test_a_side_without_scan_stays(model):
         mouth.points[~mouth.left], mouth.normals[~mouth.left], mouth.left[~mouth.left], mouth.samples
     )
     assert np.isnan(right_only.distances(model.control_vertices)[1])
-    corners = MouthCorners.of(model, model.control_vertices)
-    reached = {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, 15.0)}
+    reached = {mm: smiling(model, mm, mm) for mm in (0.0, 15.0)}
     assert right_only.chosen(reached) == (15.0, 0.0)
 
 
@@ -118,7 +115,7 @@ def test_nobody_smiles_who_does_not(ict, model, person, monkeypatch):
 
 
 def test_models_without_landmarks_have_no_corners(mask_model):
-    assert MouthCorners.of(mask_model, mask_model.control_vertices) is None
+    assert corner_moves(mask_model, mask_model.control_vertices) is None
 
 
 def test_a_budget_that_ends_in_the_search_leaves_the_mouth_as_it_is(model):
