@@ -8,14 +8,14 @@ coarse fit reaches into the crease of the cheek.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
@@ -235,18 +235,21 @@ def corners_pulled(deformation: Deformation) -> Deformation:
     reference, meter = deformation.reference, deformation.meter
     if meter.exhausted:
         return deformation
-    moves = corner_moves(deformation.model, reference)
-    if moves is None:
+    moves, landmarks = corner_moves(deformation.model, reference), deformation.model.landmarks_of(reference)
+    if moves is None or landmarks is None:
         return deformation
-    mouth = MouthScan.of(deformation.model, reference, deformation.scan, TRIAL_LEVEL)
-    reached: dict[float, FloatArray] = {}
+    mean_mm, saved = dict[float, FloatArray](), dict[float, FloatArray]()
+    (samples, _), middle = deformation.sampled(TRIAL_LEVEL), landmarks[list(CORNERS)].mean(0)
     for mm in (*FIRST_MM, *FURTHER_MM):
         if meter.exhausted:
             return deformation
-        if mm in FURTHER_MM and not mouth.gains(reached, FURTHER_MM[mm]):
-            continue
-        reached[mm] = coarsely_fitted(deformation, reference + mm * moves.sum(2) if mm else reference)
-    pull = mouth.chosen(reached)
+        if mm not in FURTHER_MM or saved[FURTHER_MM[mm]].max() > (WORTH if mm > 0 else 0.0):
+            reached = coarsely_fitted(deformation, reference + mm * moves.sum(2) if mm else reference)
+            mean_mm[mm] = mouth_distances(samples, deformation.scan, middle, reached)
+            still, now = mean_mm[0.0], mean_mm[mm]
+            # 0 where either is unknown.
+            saved[mm] = np.where((still > 0) & (now >= 0), 1 - now / np.where(still > 0, still, 1.0), 0.0)
+    pull = chosen_pulls(saved)
     return replace(deformation, reference=reference + moves @ pull, corners_mm=pull)
 
 
@@ -268,63 +271,32 @@ def corner_moves(model: AnnotatedSurface, control_points: FloatArray) -> FloatAr
     return np.asarray((share * [across < 0, across > 0]).T[:, None] * toward.T)
 
 
-@dataclass(frozen=True)
-class MouthScan:
-    """The scan within ZONE_MM of the mouth, to measure how near a face is to it.
+def mouth_distances(
+    samples: SurfaceSamples, scan: ScanSurface, middle: FloatArray, control_points: FloatArray
+) -> FloatArray:
+    """Return mean distances (2,), mm, of the scan right and left of a mouth's `middle` (3,) from a face.
 
-    `points` and unit `normals` are (N, 3), `left` (N,) marks the subject's left; `samples` are the model's.
+    Scan whose normal disagrees is left out, distances are cut off at REACH_MM; NaN on a side without any.
     """
+    near = np.linalg.norm(scan.vertices - middle, axis=1) < ZONE_MM
+    surface, faces = samples.matrix @ control_points, samples.faces
+    hits = NearestSurface(surface, faces).query(scan.vertices[near])
+    normals = surface_normals(surface, faces)[0][faces[hits.face]]
+    across = normalized(np.einsum("nk,nkj->nj", hits.barycentric, normals))
+    facing = np.einsum("ij,ij->i", across, scan.normals[near]) > MIN_COSINE
+    distance, left = np.minimum(hits.distance, REACH_MM), scan.vertices[near, 0] > middle[0]
+    sides = [distance[facing & (left == side)] for side in (False, True)]
+    return np.array([side.mean() if len(side) else np.nan for side in sides])
 
-    points: FloatArray
-    normals: FloatArray
-    left: BoolArray
-    samples: SurfaceSamples
 
-    @classmethod
-    def of(
-        cls, model: AnnotatedSurface, control_points: FloatArray, scan: ScanSurface, level: int
-    ) -> MouthScan:
-        """Take the scan within ZONE_MM of the mouth of an annotated model."""
-        landmarks = model.landmarks_of(control_points)
-        assert landmarks is not None
-        middle = landmarks[list(CORNERS)].mean(0)
-        near = np.linalg.norm(scan.vertices - middle, axis=1) < ZONE_MM
-        points = scan.vertices[near]
-        samples = SurfaceSamples.of(model, control_points, level)
-        return cls(points, scan.normals[near], points[:, 0] > middle[0], samples)
+def chosen_pulls(saved: Mapping[float, FloatArray]) -> tuple[float, float]:
+    """Return the pulls in mm of the right and the left corner whose coarse fits ended nearest.
 
-    def distances(self, control_points: FloatArray) -> FloatArray:
-        """Return the mean distance (2,) of the scan from the model, mm, on the right and on the left.
-
-        Scan whose normal disagrees is left out, distances are cut off at REACH_MM; NaN on a side without any.
-        """
-        surface, faces = self.samples.matrix @ control_points, self.samples.faces
-        hits = NearestSurface(surface, faces).query(self.points)
-        normals = surface_normals(surface, faces)[0][faces[hits.face]]
-        across = normalized(np.einsum("nk,nkj->nj", hits.barycentric, normals))
-        facing = np.einsum("ij,ij->i", across, self.normals) > MIN_COSINE
-        distance = np.minimum(hits.distance, REACH_MM)
-        sides = [distance[facing & (self.left == left)] for left in (False, True)]
-        return np.array([side.mean() if len(side) else np.nan for side in sides])
-
-    def gains(self, reached: dict[float, FloatArray], mm: float) -> bool:
-        """Whether the coarse fit of a pull ended enough nearer for one beyond it to be tried."""
-        return bool(self.saved(reached, mm).max() > (WORTH if mm > 0 else 0.0))
-
-    def saved(self, reached: dict[float, FloatArray], mm: float) -> FloatArray:
-        """Return which part of the distance is saved (2,), right and left; 0 where either is unknown."""
-        old, new = self.distances(reached[0.0]), self.distances(reached[mm])
-        return np.where((old > 0) & (new >= 0), 1 - new / np.where(old > 0, old, 1.0), 0.0)
-
-    def chosen(self, reached: dict[float, FloatArray]) -> tuple[float, float]:
-        """Return the pulls in mm of the right and the left corner whose coarse fits ended nearest.
-
-        `reached` holds the control points after each pull's coarse fit, 0 mm among them. A side is drawn back
-        only when it gains BACK_GAIN; both are drawn together when they gain NARROWER_GAIN on average.
-        """
-        saved = {mm: self.saved(reached, mm) for mm in reached}
-        narrower = max((mm for mm in saved if mm <= 0), key=lambda mm: saved[mm].sum())
-        if saved[narrower].mean() > NARROWER_GAIN:
-            return narrower, narrower
-        right, left = (max(saved, key=lambda mm: saved[mm][side]) for side in (0, 1))
-        return (right if saved[right][0] > BACK_GAIN else 0.0, left if saved[left][1] > BACK_GAIN else 0.0)
+    Each of them `saved` a part of the distance (2,), right and left. A side is drawn back only when it gains
+    BACK_GAIN; both are drawn together when they gain NARROWER_GAIN on average.
+    """
+    narrower = max((mm for mm in saved if mm <= 0), key=lambda mm: saved[mm].sum())
+    if saved[narrower].mean() > NARROWER_GAIN:
+        return narrower, narrower
+    right, left = (max(saved, key=lambda mm: saved[mm][side]) for side in (0, 1))
+    return (right if saved[right][0] > BACK_GAIN else 0.0, left if saved[left][1] > BACK_GAIN else 0.0)
