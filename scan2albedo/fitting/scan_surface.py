@@ -117,65 +117,49 @@ def scan_near_model(
     kept, index = without_unreferenced(thin.vertices, faces)
     points, count = thin.vertices[kept], thin.count[kept]
     boundary = thin.boundary[kept] & (not torn)
-    averages = SurfaceAverages(points, index, boundary, count)
+    surface = points, index, boundary, count.astype(float), neighbour_lists(len(points), index)
     # Normals are taken over a wider surface than positions: noise turns them more.
-    fair = averages.smoothed(2 * smoothing_mm)
-    points = averages.smoothed(smoothing_mm, keep_curvature=True)
-    return ScanSurface(points, index, vertex_normals(fair, index), boundary)
+    normals = vertex_normals(smoothed(*surface, 2 * smoothing_mm), index)
+    return ScanSurface(smoothed(*surface, smoothing_mm, keep_curvature=True), index, normals, boundary)
 
 
-@dataclass(frozen=True)
-class SurfaceAverages:
-    """A surface (V, 3), (F, 3) whose points, but those on the `boundary` (V,), are averaged with neighbours.
+def smoothed(
+    vertices: FloatArray,
+    faces: IntArray,
+    boundary: BoolArray,
+    count: FloatArray,
+    joined: tuple[IntArray, IntArray],
+    scale_mm: float,
+    *,
+    keep_curvature: bool = False,
+) -> FloatArray:
+    """Return vertices (V, 3), but those on the `boundary` (V,), averaged over about `scale_mm` of surface.
 
-    Every vertex is in a face; one that is the mean of `count` (V,) measurements has that weight.
+    That is a standard deviation; the number of averages follows from the length of the edges, 40 at most.
+    Every vertex is in a face and `joined` to its `neighbour_lists`; one that is the mean of `count` (V,)
+    measurements has that weight. Spikes move to the mean of their neighbours. With `keep_curvature`, the
+    difference that averages made is averaged as well and added back ("twicing", J. W. Tukey, "Exploratory
+    Data Analysis", 1977, section 16).
     """
-
-    vertices: FloatArray
-    faces: IntArray
-    boundary: BoolArray
-    count: FloatArray | None = None
-
-    def smoothed(self, scale_mm: float, *, keep_curvature: bool = False) -> FloatArray:
-        """Return the vertices (V, 3) averaged over about `scale_mm` (a standard deviation) of surface.
-
-        The number of averages follows from the length of the edges, 40 at most. Spikes move to the mean of
-        their neighbours. With `keep_curvature`, the difference that averages made is averaged as well and
-        added back ("twicing", J. W. Tukey, "Exploratory Data Analysis", 1977, section 16).
-        """
-        edge_mm = usual_edge(self.vertices, self.faces)
-        passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), 40)
-        if passes == 0:
-            return self.vertices
-        reach_mm = REACH * max(scale_mm, edge_mm)
-        shares = _neighbour_shares(self.vertices, *self._joined, self._spike, self._weight, reach_mm)
-        points = self._averaged(self.vertices, self.vertices, shares, passes)
-        if not keep_curvature:
-            return points
-        taken = self.vertices - points
-        return points + self._averaged(taken, np.zeros_like(taken), shares, passes)
-
-    @cached_property
-    def _joined(self) -> tuple[IntArray, IntArray]:
-        return neighbour_lists(len(self.vertices), self.faces)
-
-    @cached_property
-    def _spike(self) -> BoolArray:
-        begins, neighbours = self._joined
-        gap = lengths(above_neighbours(self.vertices, begins, neighbours))
-        around = np.maximum.reduceat(gap[neighbours], begins[:-1])
-        return np.asarray((gap > SPIKE * np.median(gap)) & (gap > around))
-
-    @cached_property
-    def _weight(self) -> FloatArray:
-        return np.where(self._spike, 0.0, np.ones(len(self.vertices)) if self.count is None else self.count)
-
-    def _averaged(
-        self, values: FloatArray, at_border: FloatArray, shares: FloatArray, passes: int
-    ) -> FloatArray:
-        for _ in range(passes):
-            values = _average(values, at_border, self.boundary, *self._joined, shares, self._weight)
-        return values
+    edge_mm = usual_edge(vertices, faces)
+    passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), 40)
+    if passes == 0:
+        return vertices
+    begins, neighbours = joined
+    gap = lengths(above_neighbours(vertices, begins, neighbours))
+    around = np.maximum.reduceat(gap[neighbours], begins[:-1])
+    spike = (gap > SPIKE * np.median(gap)) & (gap > around)
+    weight = np.where(spike, 0.0, count)
+    shares = _neighbour_shares(vertices, *joined, spike, weight, REACH * max(scale_mm, edge_mm))
+    points = vertices
+    for _ in range(passes):
+        points = _average(points, vertices, boundary, *joined, shares, weight)
+    if not keep_curvature:
+        return points
+    taken, still = vertices - points, np.zeros_like(points)
+    for _ in range(passes):
+        taken = _average(taken, still, boundary, *joined, shares, weight)
+    return points + taken
 
 
 @njit(cache=True, nogil=True)

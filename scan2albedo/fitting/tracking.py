@@ -57,8 +57,8 @@ class FaceTracker:
         self._model, self._options, self._rest = first.model, options, first.control_points
         self._samples = samples = SurfaceSamples.of(first.model, self._rest, 0)
         hinge, corners = JawHinge.of(first.model, self._rest), corner_moves(first.model, self._rest)
-        if hinge is None or corners is None:
-            raise FitError("the frames of a take need a model with landmarks: those of jaw and mouth")
+        assert hinge is not None
+        assert corners is not None
         self._hinge, self._corners, self._on_progress = hinge, corners, on_progress
         self._weight = samples.area * samples.rigidity * samples.relief(samples.matrix @ self._rest)
         near = ~np.isnan(first.residual_mm[: len(self._rest)])
@@ -96,15 +96,13 @@ class FaceTracker:
         # that, which is what the last shape, laid on the next frame, has. Where the scan ends it tells none.
         known, on, beside = ~np.isnan(forces.near_mm), GATE_MM[1] / 10, GATE_MM[1]
         square, weight = forces.near_mm[known] ** 2, self._weight[known]
-        odds = np.log(on / beside * (beside**2 + square) / (on**2 + square))
+        odds = weight @ np.log(on / beside * (beside**2 + square) / (on**2 + square)) / (weight.sum() or 1)
         reference = self._hinge.opened(rest, mouth[0]) + self._corners @ mouth[1:]
         deformation = Deformation(model, reference, surface, options, meter)
-        q, level = moved - reference, options.levels[-1]
-        for at, progress, steps in ((options.levels[0], 0.5, SHORT), (level, 1.0, 2 * SHORT)):
-            q = run_stage(deformation, at, progress, steps, q, None)
-        if options.finest_level > level:
-            q = run_stage(deformation, options.finest_level, 1.0, SHORT, q, None)
-        control, (samples, _) = reference + q, deformation.sampled(level)
+        q, finest = moved - reference, max(options.levels[-1], options.finest_level)
+        for level, progress, steps in ((options.levels[0], 0.5, SHORT), (finest, 1.0, 2 * SHORT)):
+            q = run_stage(deformation, level, progress, steps, q, None)
+        control, (samples, _) = reference + q, deformation.sampled(finest)
         points, gates = samples.matrix @ control, ForceGates.at(options, 1.0)
         forces = scan_forces(surface, points, samples.normals(points), gates)
         shown = samples.area * (forces.near_mm < gates.distance_mm)
@@ -115,7 +113,7 @@ class FaceTracker:
         # Small gaps follow their surroundings: between lips, in holes.
         seen[model.control_faces[seen[model.control_faces].any(1)]] = True
         mouth[0] = self._hinge.angle_deg(rest, control)
-        figures = forces.mean_distance_mm(samples.area), coverage, float(weight @ odds / (weight.sum() or 1))
+        figures = forces.mean_distance_mm(samples.area), coverage, float(odds)
         return TrackedFace(control, correction @ last.model_from_scan, mouth, seen, *figures)
 
 

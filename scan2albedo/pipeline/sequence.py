@@ -31,6 +31,7 @@ from scan2albedo.pipeline.process import WHOLE_FACE, process
 from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
 from scan2albedo.pipeline.scale_search import registered_outward
 from scan2albedo.registration import register
+from scan2albedo.templates import chosen_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,10 +59,8 @@ class SequenceResult(ProcessResult):
 
     def summary(self) -> str:
         """Return a summary of one line for a person."""
-        used = [frame for frame in self.frames if frame["used"]]
-        again, mean_mm = (np.mean([frame[n] for frame in used]) for n in ("found_again", "residual_mm"))
-        followed = f"followed through {len(used)} of {len(self.frames)} frames"
-        told = f"{followed}, {again * len(used):.0f} found again; fit {mean_mm:.2f} mm mean"
+        mm = [frame["residual_mm"] for frame in self.frames if frame["used"]]
+        told = f"followed through {len(mm)} of {len(self.frames)} frames; fit {np.mean(mm):.2f} mm mean"
         return f"{super().summary()}; {told}"
 
     def vertices(self, frame: int) -> FloatArray:
@@ -125,37 +124,35 @@ def process_sequence(
     ----------
     frames : sequence of path or RawScan
         Of one scanner, whose frame and unit are those of the first.
-    out : path, optional
-        Folder that gets a subfolder `name` with the files of a result, those of the first frame, and
-        sequence.glb (morph targets and head motion, animated) and frames.npz.
-    name : str
+    out, name : path, str
+        `out`, when given, gets a folder `name` with the files of the first frame's result, and sequence.glb
+        (morph targets and head motion, animated) and frames.npz.
     fps : float
         Frames a second in sequence.glb.
     on_progress : callable, optional
         Called with every `TraceRow`.
     **options
-        Those of `process`; when omitted, quality is "draft" and "albedo" skipped. A budget holds for the
-        first frame.
+        Those of `process`, whose budget holds for the first frame; draft without albedo when omitted.
     """
-    if isinstance(frames, str | Path) or len(frames) == 0:
-        raise ValueError("process_sequence: frames is empty or one path, expected a list of the take's scans")
-    if not is_folder_name(name):
-        raise ValueError(f"name is {name!r}, expected a name that a folder can have")
-    if not 0 < fps < np.inf:
-        raise ValueError(f"fps is {fps}, expected frames a second, above 0")
     chosen = ProcessOptions(**{"quality": "draft", "skip": ("albedo",), **options})
-    if chosen.model == "none":
-        raise ValueError("a sequence needs the model of a face: leave model='none' out")
+    model = chosen_model(chosen.model)
+    if isinstance(frames, str | Path) or not len(frames):
+        raise ValueError("frames is empty or a path, expected a list of the take's scans")
+    if not is_folder_name(name) or not 0 < fps < np.inf:
+        raise ValueError(f"name {name!r}, fps {fps}: expected a folder's name, and frames a second above 0")
+    if model is None or model.landmark_points is None:
+        raise ValueError("a sequence needs the model of a face with landmarks, as the default one is")
     if out is not None:
         RunFolder(Path(out) / name, FILES).check()
         check_writable(Path(out))
     found, rows, first = list[TrackedFace](), list[dict[str, Any]](), None
+    arguments = chosen.arguments() | {"model": model}
     with compiled_beside():
         for number, source in enumerate(frames):
             begin, face, again, notes = time.process_time(), None, False, list[str]()
             try:
                 if first is None:
-                    first = process(source, name=name, on_progress=on_progress, **chosen.arguments())
+                    first = process(source, name=name, on_progress=on_progress, **arguments)
                     assert first.fitted is not None
                     tracker = FaceTracker(first.fitted, chosen.stages.fit, on_progress)
                     face = tracker.start

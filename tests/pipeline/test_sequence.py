@@ -169,11 +169,11 @@ def test_wrong_input_is_refused(frames, tmp_path):
         ([], {}, ValueError, "frames is empty"),
         ("a.obj", {}, ValueError, "a list of the take's scans"),
         ([1.0], {}, TypeError, "give the path of a scan"),
-        (frames, {"name": "a/b"}, ValueError, "a folder can have"),
-        (frames, {"fps": 0.0}, ValueError, "fps is 0"),
+        (frames, {"name": "a/b"}, ValueError, "expected a folder's name"),
+        (frames, {"fps": 0.0}, ValueError, "fps 0.0: expected"),
         (frames, {"quality": "fast"}, ValueError, "quality is 'fast'"),
         ([tmp_path / "none.obj"], {}, ScanError, "none.obj"),
-        (frames, {"model": "none"}, ValueError, "needs the model of a face"),
+        (frames, {"model": "none"}, ValueError, "the model of a face with landmarks"),
     ):
         with pytest.raises(error, match=message):
             process_sequence(given, **{"name": "take", **options})
