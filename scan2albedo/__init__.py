@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from scan2albedo.pipeline.person import PersonResult, process_person
     from scan2albedo.pipeline.process import process
     from scan2albedo.pipeline.result import ProcessResult
+    from scan2albedo.pipeline.sequence import SequenceResult, process_sequence
     from scan2albedo.registration import Registration, register
     from scan2albedo.sampling import geometry_image, geometry_image_of_scan
     from scan2albedo.templates import AnnotatedFaceModel
@@ -57,6 +58,7 @@ _HOMES = {
     "Region": "face_model",
     "Registration": "registration",
     "Scan2AlbedoError": "errors",
+    "SequenceResult": "pipeline.sequence",
     "Trace": "core",
     "albedo_error": "albedo",
     "estimate_albedo": "albedo",
@@ -67,6 +69,7 @@ _HOMES = {
     "load_scan": "io",
     "process": "pipeline.process",
     "process_person": "pipeline.person",
+    "process_sequence": "pipeline.sequence",
     "read_geometry_image": "io.geometry_image_files",
     "register": "registration",
 }
@@ -88,6 +91,7 @@ __all__ = [
     "Region",
     "Registration",
     "Scan2AlbedoError",
+    "SequenceResult",
     "Trace",
     "__version__",
     "albedo_error",
@@ -102,6 +106,7 @@ __all__ = [
     "load_scan",
     "process",
     "process_person",
+    "process_sequence",
     "read_geometry_image",
     "recognition",
     "reflectance",

@@ -160,7 +160,7 @@ def score_ours(case: Case, options: FitOptions | None = None, steps: int | None 
 
 def score_mesh(method: str, case: Case, vertices: FloatArray, cpu_s: float) -> Score:
     """Score the template's surface at level 1 deformed to `vertices`; the dense template goes along."""
-    from scan2albedo.fitting.folds import FoldFinder
+    from scan2albedo.fitting.stages import FoldFinder
 
     rest, faces = case.model.surface(1)
     template = _template_at_rest(case.model)

@@ -18,7 +18,7 @@ from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
-from scan2albedo.optimization import damped_step
+from scan2albedo.optimization.least_squares import damped_step
 
 _DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
 """Intensity and scales at which the first lamps are tried in a room that is dark otherwise: what such a lamp

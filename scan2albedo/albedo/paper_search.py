@@ -16,7 +16,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
-from scan2albedo.optimization import simulated_annealing
+from scan2albedo.optimization.annealing import simulated_annealing
 
 _DIRECTIONS = 80
 """Directions of the table of visibilities: annealing moves too far for shadow rays of its own."""

@@ -6,6 +6,7 @@ import inspect
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -194,19 +195,23 @@ def person(
     name: Annotated[str, typer.Argument(help="Of the person: the results get a folder of this name.")],
     scans: Annotated[list[Path], typer.Argument(help="Scans of the person.", metavar="SCAN...")],
     out: OutOption,
+    sequence: bool = typer.Option(False, "--sequence", help="The scans are a take's frames, in order."),
+    fps: float = typer.Option(30.0, help="Frames a second of --sequence."),
     json_summary: JsonOption = False,
     **flags: Any,
 ) -> None:
-    """Process several scans of one person into one neutral shape and one albedo."""
-    options = _process_options(context, scans)
+    """Process several scans of one person into one shape and one albedo, or a take into a mesh that moves."""
+    options = _process_options(context, () if sequence else scans).arguments()
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import removed_if_empty
     from scan2albedo.pipeline.person import process_person
+    from scan2albedo.pipeline.sequence import process_sequence
 
     stop_cleanly_on_interrupt(out)
     with removed_if_empty(out), ProgressLines(name) as progress:
         progress.say(f"{name}: {len(scans)} scans")
-        result = process_person(scans, out, name=name, on_progress=progress.update, **options.arguments())
+        run = partial(process_sequence, fps=fps) if sequence else process_person
+        result = run(scans, out, name=name, on_progress=progress.update, **options)
         for note in result.notes:
             progress.say(f"{name}: {note}")
         progress.say(result.summary())

@@ -5,6 +5,8 @@ Closest points alone let the sheet slide along a face whose eyes, nose and mouth
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy import sparse
 from scipy.interpolate import BSpline
@@ -18,7 +20,6 @@ from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
-from scan2albedo.geometry.rigid import Similarity
 
 NOISE_MM = 1.5
 """Standard deviation of the distance between the scan and a model in the person's shape."""
@@ -31,63 +32,63 @@ LEVEL_MM, STEP_MM = 13.0, 1.3
 LAST_GATE_MM, ROBUST_MM = 6.0, (3.0, 1.5)
 
 
-def refine_similarity(
+def aligned(
     scan: ScanSurface,
     samples: SurfaceSamples,
-    rest: FloatArray,
+    control_points: FloatArray,
     weight: FloatArray,
-    gates: ForceGates,
+    gates: Callable[[int], ForceGates],
+    precision: FloatArray,
     *,
-    iterations: int,
-    scale_range: tuple[float, float],
+    steps: int,
     meter: Meter,
+    modes: FloatArray | None = None,
     landmarks: LandmarkPull | None = None,
-) -> Similarity:
-    """Return the similarity that moves rigid regions of control points `rest` (C, 3) onto the scan."""
+    rim: FloatArray | None = None,
+    scale_range: tuple[float, float] = (1.0, 1.0),
+) -> Alignment:
+    """Return how `align` moves control points (C, 3) with modes (C, 3, M) onto the scan and to landmarks.
+
+    `weight` (N,) is that of the samples, `gates` those of each step; see `scan_forces` for the `rim`.
+    """
     forces: ScanForces | None = None
+    matrix, weights = samples.matrix, weight
+    if landmarks is not None:
+        matrix = sparse.vstack([matrix, landmarks.matrix]).tocsr()
+        weights = np.concatenate([weight, np.ones(len(landmarks.targets))])
 
     def pairs(now: Alignment, points: FloatArray) -> Pairs | None:
         nonlocal forces
         if now.steps and meter.exhausted:
             return None
-        on_face = points[: len(weight)]
-        forces = scan_forces(scan, on_face, samples.normals(on_face), gates, forces)
-        return with_landmarks(forces, samples, landmarks, points, meter)
+        start, on_face = forces if rim is None else None, points[: len(weight)]
+        forces = found = scan_forces(
+            scan, on_face, samples.normals(on_face), gates(now.steps), start, rim=rim
+        )
+        meter.count()
+        meter.record(found.mean_distance_mm(samples.area))
+        if not found.weight.any():
+            return None
+        if landmarks is None:
+            return Pairs(found.offset, found.normal, found.weight, found.tangential, NOISE_MM)
+        offset = landmarks.seen_offsets(points[len(weight) :])
+        return Pairs(
+            np.vstack([found.offset, offset]),
+            np.vstack([found.normal, np.zeros_like(offset)]),
+            np.concatenate([found.weight, landmarks.person_weight(offset)]),
+            np.concatenate([np.full(len(weight), found.tangential), np.ones(len(offset))]),
+            NOISE_MM,
+        )
 
-    matrix, weights = source(samples, weight, landmarks)
-    known = np.array([[SIZE_SD**-2]])
+    moves = None if modes is None else np.stack([matrix @ modes[:, axis] for axis in range(3)], axis=1)
     return align(
-        matrix @ rest, weights, pairs, steps=iterations, precision=known, scale_range=scale_range
-    ).pose
-
-
-def source(
-    samples: SurfaceSamples, weight: FloatArray, landmarks: LandmarkPull | None
-) -> tuple[sparse.csr_matrix, FloatArray]:
-    """Return the matrix (N + L, C) from control points to samples and then landmarks, and their weights."""
-    if landmarks is None:
-        return samples.matrix, weight
-    matrix = sparse.vstack([samples.matrix, landmarks.matrix]).tocsr()
-    return matrix, np.concatenate([weight, np.ones(len(landmarks.targets))])
-
-
-def with_landmarks(
-    forces: ScanForces, samples: SurfaceSamples, pull: LandmarkPull | None, points: FloatArray, meter: Meter
-) -> Pairs | None:
-    """Return the pairs of forces and landmarks at `points` (N + L, 3), None without any; records them."""
-    meter.count()
-    meter.record(forces.mean_distance_mm(samples.area))
-    if not forces.weight.any():
-        return None
-    if pull is None:
-        return Pairs(forces.offset, forces.normal, forces.weight, forces.tangential, NOISE_MM)
-    offset = pull.seen_offsets(points[len(forces.weight) :])
-    return Pairs(
-        np.vstack([forces.offset, offset]),
-        np.vstack([forces.normal, np.zeros_like(offset)]),
-        np.concatenate([forces.weight, pull.person_weight(offset)]),
-        np.concatenate([np.full(len(forces.weight), forces.tangential), np.ones(len(offset))]),
-        NOISE_MM,
+        matrix @ control_points,
+        weights,
+        pairs,
+        steps=steps,
+        modes=moves,
+        precision=precision,
+        scale_range=scale_range,
     )
 
 
@@ -105,21 +106,26 @@ def proportioned(
     and the `_modes` move them onto the scan and to the `landmarks`.
     """
     modes, precision = _modes(reference)
-    steps = options.proportion_iterations
+    steps = 0 if meter.exhausted else options.proportion_iterations
 
-    def pairs(now: Alignment, points: FloatArray) -> Pairs | None:
-        if meter.exhausted:
-            return None
-        progress = now.steps / max(steps - 1, 1)
+    def gates(step: int) -> ForceGates:
+        progress = step / max(steps - 1, 1)
         gate_mm = between((GATE_MM[0], LAST_GATE_MM), progress)
-        gates = ForceGates(gate_mm, options.tangential, between(ROBUST_MM, progress))
-        on_face = points[: len(samples.area)]
-        forces = scan_forces(scan, on_face, samples.normals(on_face), gates, rim=samples.rim)
-        return with_landmarks(forces, samples, landmarks, points, meter)
+        return ForceGates(gate_mm, options.tangential, between(ROBUST_MM, progress))
 
-    matrix, weights = source(samples, samples.area * samples.rigidity, landmarks)
-    rest, moves = matrix @ reference, np.stack([matrix @ modes[:, axis] for axis in range(3)], axis=1)
-    found = align(rest, weights, pairs, steps=steps, modes=moves, precision=precision, scale_range=(1.0, 1.0))
+    found = aligned(
+        scan,
+        samples,
+        reference,
+        samples.area * samples.rigidity,
+        gates,
+        precision,
+        steps=steps,
+        meter=meter,
+        modes=modes,
+        landmarks=landmarks,
+        rim=samples.rim,
+    )
     return found.pose.apply(reference + modes @ found.coefficients)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from cholespy import CholeskySolverD, MatrixType
@@ -14,14 +13,6 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import FitError
 
 Springs = Callable[[FloatArray], FloatArray]
-
-
-@dataclass(frozen=True)
-class State:
-    """Displacement `q` (C, 3) of the control points and its `velocity` (C, 3) per unit of time."""
-
-    q: FloatArray
-    velocity: FloatArray
 
 
 class ImplicitSystem:
@@ -52,17 +43,18 @@ class ImplicitSystem:
         self._still = (sparse.diags(held) + stiffness).tocsr()
         self._precondition = factorized(self._still + force_stiffness)
 
-    def step(self, state: State, force: FloatArray, springs: Springs, iterations: int = 6) -> State:
-        """Return the state one time step later.
+    def step(
+        self, q: FloatArray, velocity: FloatArray, force: FloatArray, springs: Springs, iterations: int = 6
+    ) -> FloatArray:
+        """Return how far the control points move (C, 3) in a time step from displacement and velocity (C, 3).
 
-        `force` (C, 3) acts at `state`, `springs` maps x (C, 3) to H x. Conjugate gradients end after
+        `force` (C, 3) acts at `q`, `springs` maps x (C, 3) to H x. Conjugate gradients end after
         `iterations`, or when the residual has fallen to a tenth of the first.
         """
-        right = self._mass * state.velocity / self.time_step - self._stiffness @ state.q + force
-        moved = conjugate_gradients(
+        right = self._mass * velocity / self.time_step - self._stiffness @ q + force
+        return conjugate_gradients(
             lambda x: self._still @ x + springs(x), right, self._precondition, iterations, tolerance=0.1
         )
-        return State(state.q + moved, moved / self.time_step)
 
 
 def conjugate_gradients(

@@ -13,20 +13,18 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.fitting.alignment import proportioned, refine_similarity
+from scan2albedo.fitting.alignment import SIZE_SD, aligned, proportioned
 from scan2albedo.fitting.covers import Uncovered, uncovered
 from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates
 from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
-from scan2albedo.fitting.mouth_corners import corners_pulled
-from scan2albedo.fitting.mouth_opening import mouth_opened
+from scan2albedo.fitting.mouth_opening import corners_pulled, mouth_opened
 from scan2albedo.fitting.openings import openings
 from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.painted_features import painted_pull
 from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
-from scan2albedo.fitting.scan_surface import scan_near_model
+from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
-from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import invert_rigid, is_rigid, transform_points
 
 CROP_MARGIN = 0.35
@@ -99,31 +97,23 @@ def fit(
     if not is_rigid(pose, 1e-3):
         raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
     meter = Meter("fit", "mm", Budget.of(budget), on_progress)
-    low, high = model.control_vertices.min(0), model.control_vertices.max(0)
-    margin = CROP_MARGIN * float(np.max(high - low))
-    near = scan_near_model(scan.vertices, scan.faces, pose, low - margin, high + margin, chosen.smoothing_mm)
-    if near is None:
-        raise FitError(
-            f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "
-            "register the scan first, and check its unit"
-        )
-    points, faces = model.surface(0)
-    surface = near.turned_outward(points, vertex_normals(points, faces), GATE_MM[0])
+    samples = SurfaceSamples.of(model, model.control_vertices, 0)
+    surface = scan_beside(scan, samples, model.control_vertices, pose, chosen)
     placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)
     pull = seen if placed is None else placed.with_more(seen)
-    samples = SurfaceSamples.of(model, model.control_vertices, 0)
-    similarity = refine_similarity(
+    similarity = aligned(
         surface,
         samples,
         model.control_vertices,
         # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
         samples.area * samples.rigidity * samples.relief(samples.matrix @ model.control_vertices),
-        ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1]),
-        iterations=chosen.rigid_iterations,
+        lambda step: ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1]),
+        np.array([[SIZE_SD**-2]]),
+        steps=chosen.rigid_iterations,
         scale_range=chosen.scale_range,
         meter=meter,
         landmarks=pull,
-    )
+    ).pose
     hits = surface.nearest.query(similarity.apply(samples.matrix @ model.control_vertices))
     reached = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
     share = float(samples.area[reached].sum() / samples.area.sum())
@@ -173,3 +163,19 @@ def fit(
     return replace(
         fitted, covered_faces=covered if covered.any() else None, plan=Plan(tuple(steps)) + fitted.plan
     )
+
+
+def scan_beside(
+    scan: RawScan, samples: SurfaceSamples, control_points: FloatArray, pose: FloatArray, options: FitOptions
+) -> ScanSurface:
+    """Return the scan near control points (C, 3), in their frame, facing outward; FitError for none."""
+    low, high = control_points.min(0), control_points.max(0)
+    margin = CROP_MARGIN * float(np.max(high - low))
+    near = scan_near_model(scan.vertices, scan.faces, pose, low - margin, high + margin, options.smoothing_mm)
+    if near is None:
+        raise FitError(
+            f"{scan.name}: no part of the scan lies within {margin:.0f} mm of the model in the pose given; "
+            "register the scan first, and check its unit"
+        )
+    points = samples.matrix @ control_points
+    return near.turned_outward(points, samples.normals(points), GATE_MM[0])

@@ -30,24 +30,6 @@ _MIDDLE_MM, _END_MM = 1.5, 3.0
 """Standard deviations of the middle of a hole and its ends from those of the opening."""
 
 
-class _Hole:
-    """The hole with a border of edges (N, 2, 3); its `ends` (2, 3) are the subject's right and left."""
-
-    def __init__(self, border: FloatArray) -> None:
-        edges = np.linalg.norm(border[:, 1] - border[:, 0], axis=1)
-        self.middle = edges @ border.mean(1) / max(float(edges.sum()), 1e-12)
-        points = border.reshape(-1, 3)
-        self.ends = points[[np.argmin(points[:, 0]), np.argmax(points[:, 0])]]
-        self.size = np.ptp(points, axis=0)[:2]
-
-    def may_be(self, size: tuple[tuple[float, float], tuple[float, float]], place: FloatArray) -> bool:
-        """Whether width and height lie in their ranges, and the middle near a place."""
-        (least, lowest), (most, highest) = zip(*size, strict=True)
-        width, height = self.size
-        near = float(np.linalg.norm(self.middle - place)) < _REACH_MM
-        return least < width < most and lowest < height < highest and near
-
-
 def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     """Return the pull of lids and lips to the holes that they surround; None where the scan has none.
 
@@ -63,35 +45,44 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     edges = edges[faces_around % 2 == 1]
     links = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(scan.vertices),) * 2)
     label = connected_components(links, directed=False)[1][edges[:, 0]]
-    holes = [_Hole(scan.vertices[edges[label == one]]) for one in np.unique(label)]
+    # Of each hole its middle, its ends, the subject's right and left, and its width and height.
+    middles, ends, sizes = [], [], []
+    for one in np.unique(label):
+        border = scan.vertices[edges[label == one]]
+        lengths, points = np.linalg.norm(border[:, 1] - border[:, 0], axis=1), border.reshape(-1, 3)
+        middles.append(lengths @ border.mean(1) / max(float(lengths.sum()), 1e-12))
+        ends.append(points[[np.argmin(points[:, 0]), np.argmax(points[:, 0])]])
+        sizes.append(np.ptp(points, axis=0)[:2])
+    middle, end, size = np.reshape(middles, (-1, 3)), np.reshape(ends, (-1, 2, 3)), np.reshape(sizes, (-1, 2))
+
+    def holes(ranges: tuple[tuple[float, float], tuple[float, float]], place: FloatArray) -> list[int]:
+        """Return those whose width and height lie in their ranges, and the middle near a place."""
+        low, high = np.array(ranges).T
+        near = np.linalg.norm(middle - place, axis=1) < _REACH_MM
+        return np.flatnonzero(near & ((low < size) & (size < high)).all(1)).tolist()
+
     right_eye, left_eye = (landmarks[list(eye)].mean(0) for eye in EYES)
     pairs = []
-    for right, left in product(
-        (hole for hole in holes if hole.may_be(_EYE_MM, right_eye)),
-        (hole for hole in holes if hole.may_be(_EYE_MM, left_eye)),
-    ):
-        apart, up, _ = left.middle - right.middle
-        aside = (right.middle + left.middle)[0] / 2 - (right_eye + left_eye)[0] / 2
-        alike = np.maximum(right.size, left.size) < _ALIKE * np.minimum(right.size, left.size)
+    for right, left in product(holes(_EYE_MM, right_eye), holes(_EYE_MM, left_eye)):
+        apart, up, _ = middle[left] - middle[right]
+        aside = (middle[right] + middle[left])[0] / 2 - (right_eye + left_eye)[0] / 2
+        alike = np.maximum(size[right], size[left]) < _ALIKE * np.minimum(size[right], size[left])
         level = np.hypot(up / _LEVEL_MM, aside / _ASIDE_MM) < 1
         if _APART_MM[0] < apart < _APART_MM[1] and level and alike.all():
-            off = np.linalg.norm([right.middle - right_eye, left.middle - left_eye], axis=1).sum()
+            off = np.linalg.norm([middle[right] - right_eye, middle[left] - left_eye], axis=1).sum()
             pairs.append((float(off), right, left))
     lips = landmarks[list(INNER_LIPS)].mean(0)
-    mouths = [
-        hole
-        for hole in holes
-        if hole.may_be(_MOUTH_MM, lips)
-        and abs(hole.ends[:, 0].mean() - lips[0]) < _ASIDE_MM
-        and abs(hole.ends[1, 1] - hole.ends[0, 1]) < _LEVEL_MM
-    ]
+    aside, tilt = np.abs(end[:, :, 0].mean(1) - lips[0]), np.abs(np.ptp(end[:, :, 1], axis=1))
+    mouths = [k for k in holes(_MOUTH_MM, lips) if aside[k] < _ASIDE_MM and tilt[k] < _LEVEL_MM]
     # Of each opening the landmarks around it, the numbers of its two ends, and its hole.
     found = []
     if pairs:
-        _, right, left = min(pairs, key=lambda pair: pair[0])
-        found += [(eye, (eye[0], eye[3]), hole) for eye, hole in zip(EYES, (right, left), strict=True)]
+        both = min(pairs, key=lambda pair: pair[0])[1:]
+        found += [(eye, (eye[0], eye[3]), hole) for eye, hole in zip(EYES, both, strict=True)]
     if mouths:
-        found.append((INNER_LIPS, (INNER_LIPS[0], INNER_LIPS[4]), max(mouths, key=lambda hole: hole.size[0])))
+        found.append(
+            (INNER_LIPS, (INNER_LIPS[0], INNER_LIPS[4]), max(mouths, key=lambda hole: size[hole, 0]))
+        )
     if not found:
         return None
     weights = np.zeros((3 * len(found), 68))
@@ -102,7 +93,7 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
     return LandmarkPull(
         numbers=np.full(len(weights), SHOWN_BY_HOLE),
         matrix=(sparse.csr_matrix(weights) @ every).tocsr(),
-        targets=np.vstack([np.vstack([hole.middle, hole.ends]) for _, _, hole in found]),
+        targets=np.vstack([[middle[hole], *end[hole]] for _, _, hole in found]),
         sigma_mm=np.tile([_MIDDLE_MM, _END_MM, _END_MM], len(found)),
         wrong_mm=np.full(len(weights), 2 * _REACH_MM),
         # The border of a hole may lie deep between lids or lips.

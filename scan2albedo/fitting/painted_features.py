@@ -17,6 +17,7 @@ from functools import cache
 import numpy as np
 from numba import njit
 from scipy.linalg import block_diag
+from scipy.ndimage import gaussian_filter
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 from skimage.measure import points_in_poly
@@ -25,7 +26,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
-from scan2albedo.fitting.even_light import evenly_lit
+from scan2albedo.face_model.appearance import light_basis
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
 from scan2albedo.geometry.front_picture import FrontPicture, front_picture
 from scan2albedo.geometry.rasterization import polyline_distance
@@ -63,6 +64,11 @@ height above and below the feature's own line, and how far its ends rise (mm, _H
 shape alone puts eyes far better than brows and lips; the others are by eye."""
 _MIRROR = np.array([-1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
 _MOTIONS = len(_MIRROR)
+
+_SMOOTH_MM = 2.0
+"""Depth is smoothed by it before it is derived: scanners' noise tilts normals."""
+_DARKEST, _EVEN = 0.15, 0.02
+"""Least light, relative to the usual one, and a deviation that nothing has to explain."""
 
 
 @dataclass(frozen=True)
@@ -206,6 +212,35 @@ def painted_features(
             sigma_mm = np.sqrt(error * max(len(side.numbers) / _INDEPENDENT, 1))
             found.append(PaintedFeature(side.name, side.numbers, places.mean(axis=0), sigma_mm))
     return found
+
+
+def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
+    """Return brightness (H, W) without what the light did to it.
+
+    Of a matt surface it is about an albedo times a quadratic in the normal (Ramamoorthi and Hanrahan,
+    SIGGRAPH 2001), fitted robustly here.
+    """
+    # The slopes of the depth, smoothed over the squares that have one.
+    slopes, radius = [], _SMOOTH_MM / picture.step_mm
+    for axis in (1, 0):
+        known = picture.seen & np.roll(picture.seen, -1, axis) & np.roll(picture.seen, 1, axis)
+        rise = np.roll(picture.depth, -1, axis) - np.roll(picture.depth, 1, axis)
+        slope = gaussian_filter(np.where(known, rise / (2 * picture.step_mm), 0.0), radius)
+        slopes.append(slope / np.maximum(gaussian_filter(known.astype(float), radius), 1e-3))
+    normals = np.stack([-slopes[0], -slopes[1], np.ones_like(slopes[0])])
+    basis = light_basis(np.moveaxis(normals / np.linalg.norm(normals, axis=0), 0, -1))
+    used = np.zeros(picture.seen.shape, bool)
+    # Squares in each second row and column are enough.
+    used[::2, ::2] = picture.seen[::2, ::2]
+    rows, values = basis[used], np.minimum(brightness, np.percentile(brightness[used], 99))[used]
+    darkest = _DARKEST * max(float(np.median(values)), 1e-12)
+    weight = np.ones(len(values))
+    for _ in range(6):
+        weighted = rows * weight[:, None]
+        light = np.linalg.solve(weighted.T @ rows + 1e-4 * len(values) * np.eye(9), weighted.T @ values)
+        off = np.abs(values - rows @ light) / np.maximum(rows @ light, darkest)
+        weight = 1 / (1 + (off / max(1.5 * float(np.median(off)), _EVEN)) ** 2)
+    return np.asarray(np.where(picture.seen, brightness / np.maximum(basis @ light, darkest), 0.0))
 
 
 def _axes(name: str) -> FloatArray:

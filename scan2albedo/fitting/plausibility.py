@@ -6,7 +6,6 @@ Thresholds lie above what 324 fits to faces gave, of 164 synthetic and nine meas
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -58,13 +57,9 @@ def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
         reason = f"no scan near the {names} (a hole, glasses, a beard?): the shape there is the model's own"
         yield PlanStep.doubt("fit.missing", reason)
     found = asymmetry(fitted)
-    if found is not None and found.excess > 1:
+    if found is not None and found[0] > 1:
         reason = "asymmetry exceeds that of real faces; the scan may be merged from two people"
-        evidence = (
-            f"{found.upper_mm:.1f} mm in the upper part, {found.middle_mm:.1f} mm in the middle, "
-            f"{found.step_mm:.1f} mm beside the midline"
-        )
-        yield PlanStep.doubt("fit.asymmetry", reason, evidence)
+        yield PlanStep.doubt("fit.asymmetry", reason, found[1])
     if fitted.metrics["mirror_mm"] < SYMMETRIC_MM:
         reason = "one half of the scan may be a copy of the other: no face is so nearly its own mirror image"
         evidence = f"{fitted.metrics['mirror_mm']:.3f} mm from it, scanned faces 0.18 mm and more"
@@ -77,7 +72,9 @@ def face_coverage(fitted: FittedFace) -> float:
     if counted.all():
         return fitted.metrics["coverage"]
     area = face_areas(fitted.vertices, fitted.faces) * counted
-    return float(area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), 1e-300))
+    return float(
+        area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), np.finfo(float).tiny)
+    )
 
 
 def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
@@ -92,38 +89,17 @@ def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
 
     def covered(numbers: tuple[int, ...], radius_mm: float) -> float:
         near = np.linalg.norm(rest - landmarks[list(numbers)].mean(0), axis=1) < radius_mm
-        return float(area[near & seen].sum() / max(area[near].sum(), 1e-300))
+        return float(area[near & seen].sum() / max(area[near].sum(), np.finfo(float).tiny))
 
     return tuple(name for name, part in PARTS.items() if covered(*part) < LEAST_OF_A_PART)
 
 
-@dataclass(frozen=True)
-class Asymmetry:
-    """How the halves of a face differ, mm: RMS over patches of the mean distance to the mirror image.
+def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
+    """Return how the halves of a face differ, 1 for the most of real faces, and the evidence.
 
-    `upper_mm` of the upper face; `middle_mm` from the brows to the chin; `step_mm` beside the midline; 0
-    where too little is seen. `noise_mm` is the mean distance of the fit to the scan.
-    """
-
-    upper_mm: float
-    middle_mm: float
-    step_mm: float
-    noise_mm: float
-
-    @property
-    def excess(self) -> float:
-        """The asymmetry of both parts of the face, or of the step, relative to the most of real faces."""
-        noise_mm = max(self.noise_mm - CLEAN_MM, 0.0)
-        both_mm = min(self.upper_mm, self.middle_mm)
-        step_mm = self.step_mm if both_mm > 0 else 0.0
-        return max(both_mm / (UNLIKE_MM + 2 * noise_mm), step_mm / (UNLIKE_MM + 4 * noise_mm))
-
-
-def asymmetry(fitted: FittedFace) -> Asymmetry | None:
-    """Return how the halves of a fitted face differ; None where the model or the scan do not show it.
-
-    The face is laid on its mirror image by the vertices of the upper face that have scan near on both sides;
-    distances are measured along the normals. Only models that are their own mirror image are judged.
+    None where the model or the scan do not show it. The face is laid on its mirror image by the vertices of
+    the upper face that have scan near on both sides; distances are measured along the normals, averaged over
+    patches. Only models that are their own mirror image are judged.
     """
     model, landmarks = fitted.model, fitted.model.landmarks
     level, mirror = min(1, fitted.levels), np.array([-1.0, 1.0, 1.0])
@@ -155,7 +131,7 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
         patch = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
         whole, shown = area[half], area[half] * seen[half]
         known = np.bincount(patch, shown)
-        mean = np.bincount(patch, shown * distance[half]) / np.maximum(known, 1e-300)
+        mean = np.bincount(patch, shown * distance[half]) / np.maximum(known, np.finfo(float).tiny)
         used = known > LEAST_OF_A_PATCH * np.bincount(patch, whole)
         if known[used].sum() < LEAST_OF_A_REGION * whole.sum():
             return 0.0
@@ -165,12 +141,15 @@ def asymmetry(fitted: FittedFace) -> Asymmetry | None:
         return np.asarray((values > ends[0]) & (values < ends[1]))
 
     nose = _in_regions(model, level, "nose", "left_nostril", "right_nostril")
-    return Asymmetry(
-        unlike_mm(upper, UPPER_PATCH_MM),
-        unlike_mm(between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM), MIDDLE_PATCH_MM),
-        unlike_mm(between(height, MIDLINE_HEIGHT_MM) & between(side, MIDLINE_MM) & ~nose, UPPER_PATCH_MM),
-        fitted.metrics["residual_mean_mm"],
-    )
+    upper_mm = unlike_mm(upper, UPPER_PATCH_MM)
+    middle_mm = unlike_mm(between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM), MIDDLE_PATCH_MM)
+    strip = between(height, MIDLINE_HEIGHT_MM) & between(side, MIDLINE_MM) & ~nose
+    both_mm, step_mm = min(upper_mm, middle_mm), unlike_mm(strip, UPPER_PATCH_MM)
+    noise_mm = max(fitted.metrics["residual_mean_mm"] - CLEAN_MM, 0.0)
+    step = step_mm / (UNLIKE_MM + 4 * noise_mm) if both_mm > 0 else 0.0
+    parts = f"{upper_mm:.1f} mm in the upper part, {middle_mm:.1f} mm in the middle"
+    excess = max(both_mm / (UNLIKE_MM + 2 * noise_mm), step)
+    return excess, f"{parts}, {step_mm:.1f} mm beside the midline"
 
 
 def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:

@@ -90,7 +90,7 @@ def fitted_face(
         "residual_mean_mm": float(known.mean()),
         "residual_median_mm": float(np.median(known)),
         "residual_p95_mm": float(np.percentile(known, 95)),
-        "coverage": float(area[seen].sum() / max(area.sum(), 1e-300)),
+        "coverage": float(area[seen].sum() / max(area.sum(), np.finfo(float).tiny)),
         "imbalance_mm": imbalance_mm(deformation, q),
         "openings": 0.0 if held is None else float(held.openings),
         "painted_landmarks": 0.0 if held is None else float(held.painted),

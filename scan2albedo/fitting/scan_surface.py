@@ -6,11 +6,20 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.fitting.scan_smoothing import SurfaceAverages
-from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
+from scan2albedo.geometry.mesh import (
+    lengths,
+    neighbour_lists,
+    thinned,
+    usual_edge,
+    vertex_components,
+    vertex_normals,
+    without_unreferenced,
+)
+from scan2albedo.geometry.oriented_points import above_neighbours
 from scan2albedo.geometry.rigid import transform_points
 
 WELD_STEP_MM, CELL = 1e-3, 1.25
@@ -19,6 +28,18 @@ STRAY, TORN, MIN_COMPONENT = 5.0, 0.6, 0.005
 """Faces with a corner farther outside the box than STRAY times its sides are a scanner's error; a scan with a
 greater part of its vertices on borders than TORN is torn; loose parts with a smaller share of the faces
 float."""
+
+SPREAD_PER_PASS = 0.43
+"""Variance along each axis that one average over a vertex and its neighbours adds, per edge length^2."""
+REACH = 0.6
+"""Standard deviation of the neighbours' weight over distance, per scale (or usual edge, if longer).
+
+Without it a vertex whose neighbours are 8 mm away would be averaged with them as one 0.5 mm away is.
+"""
+SPIKE = 6.0
+"""Vertices this many times farther from their neighbours' mean than the median, and than any of them."""
+_NO_SHARE = 1e-9
+"""Sum of the shares below which nothing weighs in a vertex's mean."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +59,7 @@ class ScanSurface:
     @cached_property
     def edge_mm(self) -> float:
         """Median length of the edges."""
-        return mesh.usual_edge(self.vertices, self.faces)
+        return usual_edge(self.vertices, self.faces)
 
     def normals_at(self, hits: ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
@@ -83,21 +104,95 @@ def scan_near_model(
     near = faces[inside[faces].any(1) & ~stray[faces].any(1)]
     if len(near) == 0:
         return None
-    kept, index = mesh.without_unreferenced(xyz, near)
-    thin = mesh.thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
+    kept, index = without_unreferenced(xyz, near)
+    thin = thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
     if len(thin.faces) == 0:
         return None
     torn = float(thin.boundary.mean()) > TORN
     faces = thin.faces
     if not torn:
-        part = mesh.vertex_components(len(thin.vertices), faces)[faces[:, 0]]
+        part = vertex_components(len(thin.vertices), faces)[faces[:, 0]]
         share = np.bincount(part) / len(part)
         faces = faces[share[part] >= min(MIN_COMPONENT, share.max())]
-    kept, index = mesh.without_unreferenced(thin.vertices, faces)
+    kept, index = without_unreferenced(thin.vertices, faces)
     points, count = thin.vertices[kept], thin.count[kept]
     boundary = thin.boundary[kept] & (not torn)
-    averages = SurfaceAverages(points, index, boundary, count)
+    surface = points, index, boundary, count.astype(float), neighbour_lists(len(points), index)
     # Normals are taken over a wider surface than positions: noise turns them more.
-    fair = averages.smoothed(2 * smoothing_mm)
-    points = averages.smoothed(smoothing_mm, keep_curvature=True)
-    return ScanSurface(points, index, mesh.vertex_normals(fair, index), boundary)
+    normals = vertex_normals(smoothed(*surface, 2 * smoothing_mm), index)
+    return ScanSurface(smoothed(*surface, smoothing_mm, keep_curvature=True), index, normals, boundary)
+
+
+def smoothed(
+    vertices: FloatArray,
+    faces: IntArray,
+    boundary: BoolArray,
+    count: FloatArray,
+    joined: tuple[IntArray, IntArray],
+    scale_mm: float,
+    *,
+    keep_curvature: bool = False,
+) -> FloatArray:
+    """Return vertices (V, 3), but those on the `boundary` (V,), averaged over about `scale_mm` of surface.
+
+    That is a standard deviation; the number of averages follows from the length of the edges, 40 at most.
+    Every vertex is in a face and `joined` to its `neighbour_lists`; one that is the mean of `count` (V,)
+    measurements has that weight. Spikes move to the mean of their neighbours. With `keep_curvature`, the
+    difference that averages made is averaged as well and added back ("twicing", J. W. Tukey, "Exploratory
+    Data Analysis", 1977, section 16).
+    """
+    edge_mm = usual_edge(vertices, faces)
+    passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), 40)
+    if passes == 0:
+        return vertices
+    begins, neighbours = joined
+    gap = lengths(above_neighbours(vertices, begins, neighbours))
+    around = np.maximum.reduceat(gap[neighbours], begins[:-1])
+    spike = (gap > SPIKE * np.median(gap)) & (gap > around)
+    weight = np.where(spike, 0.0, count)
+    shares = _neighbour_shares(vertices, *joined, spike, weight, REACH * max(scale_mm, edge_mm))
+    points = vertices
+    for _ in range(passes):
+        points = _average(points, vertices, boundary, *joined, shares, weight)
+    if not keep_curvature:
+        return points
+    taken, still = vertices - points, np.zeros_like(points)
+    for _ in range(passes):
+        taken = _average(taken, still, boundary, *joined, shares, weight)
+    return points + taken
+
+
+@njit(cache=True, nogil=True)
+def _neighbour_shares(vertices, begins, neighbours, spike, weight, reach_mm):  # type: ignore[no-untyped-def]
+    """Return (N,) weights of each vertex's neighbours, equal ones for a spike."""
+    shares = np.empty(len(neighbours))
+    for v in range(len(vertices)):
+        for e in range(begins[v], begins[v + 1]):
+            n, near = neighbours[e], 1.0
+            if not spike[v]:
+                square = 0.0
+                for k in range(3):
+                    square += (vertices[n, k] - vertices[v, k]) ** 2
+                near = np.exp(-0.5 * square / reach_mm**2)
+            shares[e] = near * weight[n]
+    return shares
+
+
+@njit(cache=True, nogil=True)
+def _average(values, at_border, boundary, begins, neighbours, shares, weight):  # type: ignore[no-untyped-def]
+    """Return (V, 3) each vertex's mean over itself and its neighbours; `at_border` where it has none."""
+    result = np.empty_like(values)
+    for v in range(len(values)):
+        total = weight[v]
+        a, b, c = total * values[v, 0], total * values[v, 1], total * values[v, 2]
+        for e in range(begins[v], begins[v + 1]):
+            share, n = shares[e], neighbours[e]
+            total += share
+            a += share * values[n, 0]
+            b += share * values[n, 1]
+            c += share * values[n, 2]
+        if boundary[v] or total < _NO_SHARE:
+            result[v] = at_border[v]
+        else:
+            result[v, 0], result[v, 1], result[v, 2] = a / total, b / total, c / total
+    return result

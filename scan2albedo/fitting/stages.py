@@ -9,16 +9,15 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.fitting.dynamics import ImplicitSystem, State
-from scan2albedo.fitting.folds import FoldFinder, guarded
+from scan2albedo.fitting.dynamics import ImplicitSystem
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.mesh import vertex_areas
+from scan2albedo.geometry.mesh import neighbouring_faces, vertex_areas
 from scan2albedo.geometry.operators import bending, laplacian
 
 TIME_STEP, MASS, DAMPING = 10.0, 1.0, 0.1
@@ -34,6 +33,29 @@ TRIAL_LEVEL = 1
 """A trial's samples."""
 RESULT_LEVELS = 2
 """Loop refinements of the surface returned."""
+
+MIN_STEP_COSINE = 0.2
+"""A triangle whose normal turns further than that in one step counts as turning over."""
+FOLD_COSINE, FOLD_CHANGE_RAD = -0.866, np.pi / 4
+"""Neighbours more than 150 degrees apart: lips and nostrils crease by less, a fold-over by 180."""
+
+
+class FoldFinder:
+    """Finds triangles (F, 3) at edges of over 150 degrees, and 45 degrees more than at `rest` (V, 3)."""
+
+    def __init__(self, rest: FloatArray, faces: IntArray) -> None:
+        first, second, _ = neighbouring_faces(faces)
+        self._faces, self._pairs = faces, np.stack([first, second], 1)
+        angle = np.arccos(np.clip(self._cosine(rest), -1, 1))
+        self._least = np.minimum(FOLD_COSINE, np.cos(np.minimum(angle + FOLD_CHANGE_RAD, np.pi)))
+
+    def find(self, vertices: FloatArray) -> IntArray:
+        """Return the indices of the folded triangles at positions (V, 3)."""
+        return np.unique(self._pairs[self._cosine(vertices) < self._least])
+
+    def _cosine(self, vertices: FloatArray) -> FloatArray:
+        normals = surface_normals(vertices, self._faces)[1]
+        return np.asarray(np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]]))
 
 
 @dataclass(frozen=True)
@@ -54,6 +76,8 @@ class Deformation:
     jaw_deg: float = 0.0
     corners_mm: tuple[float, float] = (0.0, 0.0)
     covered_mm2: float = 0.0
+    coarse_from_rest: list[FloatArray] = field(init=False, repr=False, default_factory=list)
+    """The control points (C, 3) after the first stages from `reference`, once they were asked for."""
     _sampled: dict[int, tuple[SurfaceSamples, sparse.csr_matrix]] = field(
         init=False, repr=False, default_factory=dict
     )
@@ -72,11 +96,6 @@ class Deformation:
         """(C,) mm^2 around each control point, above 0."""
         area = vertex_areas(self.reference, self.model.control_faces)
         return np.maximum(area, 1e-6 * area.mean())
-
-    @cached_property
-    def coarse_from_rest(self) -> FloatArray:
-        """(C, 3) control points after the first stages from `reference`, with which trials are compared."""
-        return _coarsely_fitted(self, self.reference)
 
     @cached_property
     def folds(self) -> FoldFinder:
@@ -114,14 +133,14 @@ def run_stages(deformation: Deformation, count: int | None = None) -> tuple[Floa
     for index, level in enumerate(levels[:count]):
         if meter.exhausted and (index or not meter.out_of_time):
             return q, False
-        q = _run_stage(deformation, level, index / max(len(levels) - 1, 1), options.steps, q, None)
+        q = run_stage(deformation, level, index / max(len(levels) - 1, 1), options.steps, q, None)
     if count is not None:
         return q, not meter.exhausted
     q, stiffening = _mended(deformation, q, None, levels[-1], MENDING_ROUNDS)
     if finest > levels[-1] and not meter.exhausted:
         spacing_mm = float(np.sqrt(np.median(deformation.sampled(finest)[0].area)))
         if deformation.scan.edge_mm < spacing_mm:
-            finer = _run_stage(deformation, finest, 1.0, SHORT, q, stiffening)
+            finer = run_stage(deformation, finest, 1.0, SHORT, q, stiffening)
             finer, _ = _mended(deformation, finer, stiffening, finest, SHORT)
             # Around folds that are left the finest steps are taken back; all, where that does not end them.
             back = np.zeros((len(q), 1), bool)
@@ -135,17 +154,15 @@ def run_stages(deformation: Deformation, count: int | None = None) -> tuple[Floa
 
 def coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
     """Return the control points (C, 3) after the first stages from `reference`; counted, but not recorded."""
-    if reference is deformation.reference:
-        return deformation.coarse_from_rest
-    return _coarsely_fitted(deformation, reference)
-
-
-def _coarsely_fitted(deformation: Deformation, reference: FloatArray) -> FloatArray:
+    if reference is deformation.reference and len(deformation.coarse_from_rest):
+        return deformation.coarse_from_rest[0]
     # Longer trials choose no better.
     options = replace(deformation.options, steps=min(deformation.options.steps, 5))
     meter = deformation.meter.untraced()
     q, _ = run_stages(replace(deformation, reference=reference, options=options, meter=meter), 2)
     deformation.meter.count(meter.evaluations)
+    if reference is deformation.reference:
+        deformation.coarse_from_rest.append(reference + q)
     return reference + q
 
 
@@ -162,7 +179,7 @@ def _mended(
             break
         more = np.where(folded, 3.0, 1.0)
         stiffening = more if stiffening is None else stiffening * more
-        q = _run_stage(deformation, level, 1.0, SHORT, q, stiffening)
+        q = run_stage(deformation, level, 1.0, SHORT, q, stiffening)
     return q, stiffening
 
 
@@ -188,11 +205,11 @@ def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     normals, _ = surface_normals(points, samples.faces)
     forces = scan_forces(deformation.scan, points, normals, ForceGates.at(options, 1.0), rim=samples.rim)
     force, springs = forces.springs(samples.area, forces.mutual(points, samples.area))
-    moved = system.step(State(q, np.zeros_like(q)), samples.matrix.T @ force, samples.product(springs))
-    return float(samples.area @ np.linalg.norm(samples.matrix @ (moved.q - q), axis=1) / samples.area.sum())
+    moved = system.step(q, np.zeros_like(q), samples.matrix.T @ force, samples.product(springs))
+    return float(samples.area @ np.linalg.norm(samples.matrix @ moved, axis=1) / samples.area.sum())
 
 
-def _run_stage(
+def run_stage(
     deformation: Deformation, level: int, progress: float, steps: int, q: FloatArray, stiff: FloatArray | None
 ) -> FloatArray:
     """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
@@ -201,13 +218,12 @@ def _run_stage(
     area, stiffness = deformation.control_area, deformation.elasticity(progress, stiff)
     system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
     gates, faces = ForceGates.at(deformation.options, progress), deformation.model.control_faces
-    state = State(q, np.zeros_like(q))
-    errors: list[float] = []
+    velocity, errors = np.zeros_like(q), list[float]()
     forces: ScanForces | None = None
     for step in range(steps):
         if meter.exhausted and (step or not meter.out_of_time):
             break
-        points = samples.matrix @ (reference + state.q)
+        points = samples.matrix @ (reference + q)
         start = forces if forces is not None and step % 10 else None
         normals, face_normals = surface_normals(points, samples.faces)
         forces = scan_forces(deformation.scan, points, normals, gates, start, rim=samples.rim)
@@ -219,10 +235,38 @@ def _run_stage(
         force, springs = forces.springs(samples.area, mutual)
         push, product = samples.matrix.T @ force, samples.product(springs)
         if pull is not None:
-            push, product = push + pull.force(reference + state.q), pull.with_springs(product)
-        moved = system.step(state, push, product)
-        safe = guarded(reference + state.q, reference + moved.q, face_normals, samples, faces)
-        state = State(safe - reference, (safe - reference - state.q) / TIME_STEP)
+            push, product = push + pull.force(reference + q), pull.with_springs(product)
+        moved = q + system.step(q, velocity, push, product)
+        moved = guarded(reference + q, reference + moved, face_normals, samples, faces) - reference
+        q, velocity = moved, (moved - q) / TIME_STEP
         if len(errors) > 5 and not errors[-6] - errors[-1] > GAIN_TOLERANCE * errors[-6]:
             break
-    return state.q
+    return q
+
+
+def guarded(
+    before: FloatArray, after: FloatArray, normals: FloatArray, samples: SurfaceSamples, faces: IntArray
+) -> FloatArray:
+    """Return control points (C, 3) between `before` and `after` for which no triangle turns over.
+
+    The step is halved around each offending triangle up to seven times, then dropped there, then everywhere.
+    `normals` (F, 3) are unit normals of the sampled triangles at `before`, `faces` those of the control mesh.
+    """
+    fraction = np.ones((len(before), 1))
+    for attempt in range(9):
+        trial = before + fraction * (after - before)
+        bad = turned_faces(normals, samples.matrix @ trial, samples.faces, MIN_STEP_COSINE)
+        if len(bad) == 0:
+            return trial
+        corners = np.zeros(len(before), bool)
+        corners[faces[samples.parent[bad]]] = True
+        corners[faces[corners[faces].any(1)]] = True
+        fraction[corners] *= 0.5 if attempt < 7 else 0.0
+    return before
+
+
+def turned_faces(normals: FloatArray, points: FloatArray, faces: IntArray, min_cosine: float) -> IntArray:
+    """Return the faces whose normal, with vertices at `points`, turned too far from unit `normals` (F, 3)."""
+    turned = surface_normals(points, faces)[1]
+    cosine = np.einsum("ij,ij->i", normals, turned)
+    return np.flatnonzero((cosine < min_cosine) & normals.any(1) & turned.any(1))

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
@@ -122,6 +123,7 @@ def write_glb(
     texture_srgb: NDArray[np.uint8] | None = None,
     *,
     emissive: bool = False,
+    take: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> None:
     """Write a mesh with its base colour, atomically.
 
@@ -129,6 +131,9 @@ def write_glb(
     `texture_srgb` (H, W, 3); glTF counts from the top, and v is flipped here. Without a texture the mesh is
     grey. An `emissive` texture already contains its light, and viewers add none. Raises OutputError when the
     folder cannot be written; ValueError for a texture without `uv`, or wrong shapes.
+
+    The mesh of a `take` moves: at `time_s` (T,) the vertices V are R_t (V + sum_k w_tk D_k) + t_t, linear in
+    between, with `targets` D (K, V, 3), `weights` (T, K) and `pose` (T, 4, 4), mm.
     """
     points, triangles = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
@@ -151,7 +156,25 @@ def write_glb(
             material |= {"emissiveTexture": picture, "emissiveFactor": [1.0, 1.0, 1.0]}
         else:
             material["pbrMetallicRoughness"]["baseColorTexture"] = picture
-    file.write(path, [{"name": "face", "mesh": mesh}], [0], materials=[material])
+    lists = {"materials": [material]}
+    if take is not None:
+        pose, normals = take["pose"], vertex_normals(points, triangles)
+        curves = {"rotation": (Rotation.from_matrix(pose[:, :3, :3]).as_quat(), "VEC4")}
+        curves["translation"] = METRES_PER_MM * pose[:, :3, 3], "VEC3"
+        if len(take["targets"]):
+            curves["weights"] = take["weights"].ravel(), "SCALAR"
+            file.meshes[mesh]["weights"] = take["weights"][0].tolist()
+            file.meshes[mesh]["primitives"][0]["targets"] = targets = []
+            for move in take["targets"]:
+                turned = (vertex_normals(points + move, triangles) - normals).astype("f4")
+                place = file.add_array((METRES_PER_MM * move).astype("f4"), "VEC3", bounds=True)
+                targets.append({"POSITION": place, "NORMAL": file.add_array(turned, "VEC3")})
+        times = file.add_array(take["time_s"].astype("f4")[:, None], "SCALAR", bounds=True)
+        outputs = [file.add_array(values.astype("f4"), kind) for values, kind in curves.values()]
+        samplers = [{"input": times, "output": number} for number in outputs]
+        channels = [{"sampler": k, "target": {"node": 0, "path": p}} for k, p in enumerate(curves)]
+        lists["animations"] = [{"samplers": samplers, "channels": channels}]
+    file.write(path, [{"name": "face", "mesh": mesh}], [0], **lists)
 
 
 @dataclass(frozen=True)

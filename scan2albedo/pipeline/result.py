@@ -48,6 +48,7 @@ FILES = OwnFiles(
     (
         *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
         *("landmarks.json", "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
+        *("sequence.glb", "frames.npz"),
         *sorted(_LEFT_OUT),
         *(f"{mesh}{end}" for mesh in ("template", "unlit") for end in _MESH),
         *("template_normal.png", "template_normal.*.png", "unlit_confidence.png", "unlit_confidence.*.png"),
@@ -113,6 +114,9 @@ class ProcessResult:
         if self.albedo is None or self.albedo.expected_error is None:
             return None
         return float(np.median(self.albedo.expected_error[self.albedo.image.mask]))
+
+    def write_more(self, folder: Path, texture_srgb: NDArray[np.uint8] | None) -> None:
+        """Write what a scan alone has not; `texture_srgb` (H, W, 3) is the albedo as it is shown."""
 
     def metrics(self) -> dict[str, Any]:
         """Return the figures of each stage, for summaries and result.json."""
@@ -191,6 +195,7 @@ def write_result(
                 writer(staging.folder / name, *content, **options)
 
         write("trace.csv", result.trace.to_csv)
+        result.write_more(staging.folder, shown)
         for name, values in result.maps.items():
             write(name, write_png, _gray_bytes(values))
         write("geometry_image.npz", write_geometry_image, image)

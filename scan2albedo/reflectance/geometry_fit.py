@@ -16,7 +16,7 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
 from scan2albedo.geometry.rigid import compose, is_rigid, procrustes, rotation_from_vector, transform_points
-from scan2albedo.optimization import Damping, Descent
+from scan2albedo.optimization.least_squares import Damping, Descent
 from scan2albedo.reflectance import geometry_terms as terms
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.geometry_terms import GeometryObjective, GeometryState, PhotometricTerm

@@ -10,7 +10,7 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.optimization import Damping, Descent, NormalEquations, minimize
+from scan2albedo.optimization.least_squares import Damping, Descent, NormalEquations, minimize
 
 State = TypeVar("State")
 

@@ -10,7 +10,7 @@ from scan2albedo.core import Meter, PlanStep
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, rotation_from_vector
-from scan2albedo.optimization import simulated_annealing
+from scan2albedo.optimization.annealing import simulated_annealing
 from scan2albedo.registration.icp import rigid_distance_mm, shaped_icp, tightened
 from scan2albedo.registration.relief import LOOK_THROUGH_MM, DepthFrame, depth_image
 from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions

@@ -19,7 +19,10 @@ from scan2albedo.cli import commands as cli
 from scan2albedo.cli import doctor
 from scan2albedo.cli.commands import app
 from scan2albedo.cli.common import echo_json
-from scan2albedo.pipeline import validation
+from scan2albedo.core import Plan, PlanStep, RawScan
+from scan2albedo.pipeline import sequence, validation
+from scan2albedo.pipeline.sequence import SequenceResult
+from scan2albedo.sampling import geometry_image_of_scan
 from tests.io.meshes import write_square_obj
 
 COMMAND = [sys.executable, "-m", "scan2albedo"]
@@ -305,6 +308,35 @@ def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
     shown = capsys.readouterr().err
     assert shown.startswith(f"scan2albedo: error: {str(error) or type(error).__name__}")
     assert shown.count("\n") == 1
+
+
+def test_frames_of_a_take_are_followed_and_a_broken_one_fails_by_name(monkeypatch, tmp_path):
+    """The command says what the result does, and leaves options to the library."""
+    called = []
+
+    def follow(frames, out, *, name, fps, on_progress, **options):
+        called.append((frames, name, fps, options["quality"]))
+        figures = {"used": True, "found_again": False, "cpu_s": 0.5, "residual_mm": 0.25, "notes": ()}
+        rows = [{**figures, "file": str(frame)} for frame in frames]
+        rows[1] |= {"used": False, "notes": ("left out: it is empty",)}
+        plan = Plan((PlanStep.doubt("sequence.frame", "frame 2, b/scan.obj: left out: it is empty"),))
+        scan = RawScan(np.eye(3), [[0, 1, 2]], name=name)
+        whole = {"scan": scan, "geometry_image": geometry_image_of_scan(scan, 8), "plan": plan, "seed": 0}
+        absent = dict.fromkeys(("registration", "fitted", "albedo", "trace", "control_points", "poses"))
+        return SequenceResult(**whole, **absent, frames=tuple(rows), fps=fps, timings_s={}, options={})
+
+    monkeypatch.setattr(sequence, "process_sequence", follow)
+    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    frames = [Path(folder) / "scan.obj" for folder in "abc"]  # of one name: they get no folders
+    given = ("person", "smile", *frames, "-o", tmp_path, "--sequence", "--fps", 25, "--quality", "draft")
+    done = invoke(*given, "--json")
+    assert done.exit_code == 1, done.output
+    assert called == [(frames, "smile", 25.0, "draft")]
+    assert "followed through 2 of 3 frames; fit 0.25 mm mean" in done.stderr
+    assert "frame 2, b/scan.obj: left out: it is empty" in done.stderr
+    summary = json.loads(done.stdout)
+    assert [frame["used"] for frame in summary["frames"]] == [True, False, True]
+    assert invoke("person", "smile", *frames, "-o", tmp_path).exit_code == 2
 
 
 def test_a_person_of_no_usable_scan_is_one_line(tmp_path):

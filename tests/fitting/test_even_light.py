@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.fitting.even_light import evenly_lit
+from scan2albedo.fitting.painted_features import evenly_lit
 from scan2albedo.geometry.front_picture import FrontPicture
 
 STEP_MM = 0.8

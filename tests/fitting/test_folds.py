@@ -1,7 +1,7 @@
 import numpy as np
 
-from scan2albedo.fitting.folds import FoldFinder, guarded, turned_faces
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
+from scan2albedo.fitting.stages import FoldFinder, guarded, turned_faces
 from scan2albedo.geometry.mesh import face_normals, vertex_normals
 
 

@@ -1,34 +1,48 @@
 """The corners of the mouth are drawn back before the face bends."""
 
+from dataclasses import replace
 from importlib import import_module
 
 import numpy as np
 import pytest
 from benchmarks.raw_like import raw_like
 
-from scan2albedo.core import Budget
+from scan2albedo.core import Budget, Meter
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import fit
-from scan2albedo.fitting.mouth_corners import CORNERS, FIRST_MM, FURTHER_MM, MouthCorners, MouthScan
+from scan2albedo.fitting.mouth_opening import CORNERS, corner_moves
+from scan2albedo.fitting.options import FitOptions
+from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
+from scan2albedo.fitting.stages import Deformation
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 
-FIT = import_module("scan2albedo.fitting.fit")
+FIT, MOUTH = (import_module(f"scan2albedo.fitting.{name}") for name in ("fit", "mouth_opening"))
 
 RIGHT, LEFT = CORNERS
 
 
 def smiling(model, right_mm, left_mm):
-    return MouthCorners.of(model, model.control_vertices).pulled(model.control_vertices, (right_mm, left_mm))
+    return model.control_vertices + corner_moves(model, model.control_vertices) @ (right_mm, left_mm)
 
 
-def mouth_of(model, control_points):
+def scan_of(model, control_points):
     subdivision = model.subdivision(2)
     vertices = subdivision.matrix @ control_points
-    scan = scan_near_model(
+    return scan_near_model(
         vertices, subdivision.faces, np.eye(4), vertices.min(0) - 9, vertices.max(0) + 9, 0.8
     )
-    return MouthScan.of(model, model.control_vertices, scan, 1)
+
+
+def pulls_of(model, scan):
+    """What `corners_pulled` finds, each trial's coarse fit being the pulled model itself."""
+    deformation = Deformation(model, model.control_vertices, scan, FitOptions(), Meter("fit", "mm"))
+    return MOUTH.corners_pulled(deformation).corners_mm
+
+
+@pytest.fixture
+def no_fits(monkeypatch):
+    monkeypatch.setattr(MOUTH, "coarsely_fitted", lambda deformation, reference: reference)
 
 
 def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
@@ -46,40 +60,24 @@ def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
     assert np.linalg.norm(one_side[LEFT]) < 0.5
 
 
-def pulled_all(model):
-    """The model with both corners pulled by each length, as if a coarse fit had left it so."""
-    corners = MouthCorners.of(model, model.control_vertices)
-    every = (*FIRST_MM, *FURTHER_MM)
-    return {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in every}
-
-
 @pytest.mark.parametrize(
     "pulled", [(10.0, 10.0), (15.0, 15.0), (0.0, 15.0), (10.0, 0.0), (-7.0, -7.0), (-14.0, -14.0)]
 )
-def test_each_side_is_found_for_itself(model, pulled):
-    mouth = mouth_of(model, smiling(model, *pulled))
-    reached = pulled_all(model)
-    for further, mm in FURTHER_MM.items():
-        assert mouth.gains(reached, mm) or further not in pulled
-    assert mouth.chosen(reached) == pulled
+def test_each_side_is_found_for_itself(model, no_fits, pulled):
+    assert pulls_of(model, scan_of(model, smiling(model, *pulled))) == pulled
 
 
-def test_a_mouth_as_the_model_s_stays_so(model):
-    mouth, reached = mouth_of(model, model.control_vertices), pulled_all(model)
-    assert not any(mouth.gains(reached, mm) for mm in FURTHER_MM.values())
-    assert mouth.chosen(reached) == (0.0, 0.0)
+def test_a_mouth_as_the_model_s_stays_so(model, no_fits):
+    assert pulls_of(model, scan_of(model, model.control_vertices)) == (0.0, 0.0)
 
 
-def test_a_side_without_scan_stays(model):
-    control = smiling(model, 15, 15)
-    mouth = mouth_of(model, control)
-    right_only = MouthScan(
-        mouth.points[~mouth.left], mouth.normals[~mouth.left], mouth.left[~mouth.left], mouth.samples
-    )
-    assert np.isnan(right_only.distances(model.control_vertices)[1])
-    corners = MouthCorners.of(model, model.control_vertices)
-    reached = {mm: corners.pulled(model.control_vertices, (mm, mm)) for mm in (0.0, 15.0)}
-    assert right_only.chosen(reached) == (15.0, 0.0)
+def test_a_side_without_scan_stays(model, no_fits):
+    scan = scan_of(model, smiling(model, 15, 15))
+    middle = model.landmarks[list(CORNERS)].mean(0)
+    half = replace(scan, vertices=np.where(scan.vertices[:, :1] < middle[0], scan.vertices, 1e3))
+    samples = SurfaceSamples.of(model, model.control_vertices, 1)
+    assert np.isnan(MOUTH.mouth_distances(samples, half, middle, model.control_vertices)[1])
+    assert pulls_of(model, half) == (15.0, 0.0)
 
 
 @pytest.mark.slow
@@ -107,8 +105,8 @@ def test_nobody_smiles_who_does_not(ict, model, person, monkeypatch):
     vertices = ict.shapes[person]
     scan, scan_from_shape = raw_like(vertices, ict.faces, 1)
     chosen = []
-    choose = MouthScan.chosen
-    monkeypatch.setattr(MouthScan, "chosen", lambda *given: chosen.append(choose(*given)) or chosen[-1])
+    choose = MOUTH.chosen_pulls
+    monkeypatch.setattr(MOUTH, "chosen_pulls", lambda saved: chosen.append(choose(saved)) or chosen[-1])
     for template in (ict.model, model):
         pose = procrustes(vertices[ict.landmarks][17:], template.landmarks[17:]) @ invert_rigid(
             scan_from_shape
@@ -118,7 +116,7 @@ def test_nobody_smiles_who_does_not(ict, model, person, monkeypatch):
 
 
 def test_models_without_landmarks_have_no_corners(mask_model):
-    assert MouthCorners.of(mask_model, mask_model.control_vertices) is None
+    assert corner_moves(mask_model, mask_model.control_vertices) is None
 
 
 def test_a_budget_that_ends_in_the_search_leaves_the_mouth_as_it_is(model):

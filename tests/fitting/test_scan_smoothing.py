@@ -1,9 +1,15 @@
 import numpy as np
 import pytest
 
-from scan2albedo.fitting.scan_smoothing import SurfaceAverages
-from scan2albedo.geometry.mesh import boundary_vertex_mask
+from scan2albedo.fitting.scan_surface import smoothed
+from scan2albedo.geometry.mesh import boundary_vertex_mask, neighbour_lists
 from tests.fitting.conftest import mask_surface
+
+
+def smoothed_alone(vertices, faces, border, scale_mm, **options):
+    """As `smoothed`, each vertex a measurement."""
+    once, joined = np.ones(len(vertices)), neighbour_lists(len(vertices), faces)
+    return smoothed(vertices, faces, border, once, joined, scale_mm, **options)
 
 
 def noisy_plane(size: int, noise_mm: float):
@@ -15,12 +21,12 @@ def noisy_plane(size: int, noise_mm: float):
 
 def test_a_coarse_scan_stays_as_it_is():
     vertices, faces, border = noisy_plane(41, 0.3)
-    np.testing.assert_array_equal(SurfaceAverages(vertices, faces, border).smoothed(0.8), vertices)
+    np.testing.assert_array_equal(smoothed_alone(vertices, faces, border, 0.8), vertices)
 
 
 def test_noise_of_a_fine_scan_averages_out():
     vertices, faces, border = noisy_plane(161, 0.3)
-    fair = SurfaceAverages(vertices, faces, border).smoothed(2.0)
+    fair = smoothed_alone(vertices, faces, border, 2.0)
     assert fair[~border, 2].std() < 0.13
     np.testing.assert_array_equal(fair[border], vertices[border])
 
@@ -29,7 +35,7 @@ def test_a_spike_has_no_say_and_is_drawn_in():
     vertices, faces, border = noisy_plane(161, 0.1)
     spike = int(np.argmin(np.linalg.norm(vertices[:, :2], axis=1)))
     vertices[spike, 2] = 20.0
-    fair = SurfaceAverages(vertices, faces, border).smoothed(2.0)
+    fair = smoothed_alone(vertices, faces, border, 2.0)
     assert np.abs(fair[~border, 2]).max() < 0.4
 
 
@@ -38,7 +44,7 @@ def test_curvature_loses_no_more_than_theory_says(radius):
     vertices, faces, border = noisy_plane(161, 0.0)
     middle = np.linalg.norm(vertices[:, :2], axis=1) < 30
     vertices[:, 2] = -(vertices[:, :2] ** 2).sum(1) / (2 * radius)
-    fair = SurfaceAverages(vertices, faces, border).smoothed(1.0)
+    fair = smoothed_alone(vertices, faces, border, 1.0)
     assert np.abs(fair - vertices)[middle, 2].max() < 1.5 * 1.0**2 / radius
 
 
@@ -49,9 +55,7 @@ def test_curvature_stays_when_asked(radius):
     vertices[:, 2] = np.sqrt(np.maximum(radius**2 - distance**2, 0))
     cap = distance < 0.4 * radius
     lost, kept = (
-        np.abs(SurfaceAverages(vertices, faces, border).smoothed(1.5, keep_curvature=keep) - vertices)[
-            cap, 2
-        ].max()
+        np.abs(smoothed_alone(vertices, faces, border, 1.5, keep_curvature=keep) - vertices)[cap, 2].max()
         for keep in (False, True)
     )
     assert kept < 0.25 * lost
@@ -59,7 +63,7 @@ def test_curvature_stays_when_asked(radius):
 
 def test_noise_averages_out_with_curvature_kept():
     vertices, faces, border = noisy_plane(161, 0.3)
-    fair = SurfaceAverages(vertices, faces, border).smoothed(2.0, keep_curvature=True)
+    fair = smoothed_alone(vertices, faces, border, 2.0, keep_curvature=True)
     assert fair[~border, 2].std() < 0.17
 
 
@@ -69,5 +73,5 @@ def test_a_mesh_of_uneven_density_does_not_shrink():
     x, y = np.meshgrid(45 * u**3, 45 * u**3)
     dome = np.column_stack([x.ravel(), y.ravel(), np.sqrt(radius**2 - x.ravel() ** 2 - y.ravel() ** 2)])
     _, faces = mask_surface(size)
-    fair = SurfaceAverages(dome, faces, boundary_vertex_mask(len(dome), faces)).smoothed(0.8)
+    fair = smoothed_alone(dome, faces, boundary_vertex_mask(len(dome), faces), 0.8)
     assert np.abs(np.linalg.norm(fair, axis=1) - radius).max() < 3 * 0.8**2 / radius

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.core import Budget, Meter
-from scan2albedo.optimization import simulated_annealing
+from scan2albedo.optimization.annealing import simulated_annealing
 
 
 def rastrigin(x):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.core import Budget, Meter
-from scan2albedo.optimization import Damping, NormalEquations, damped_step, minimize
+from scan2albedo.optimization.least_squares import Damping, NormalEquations, damped_step, minimize
 
 
 @dataclass
