@@ -172,7 +172,7 @@ class ScanTruth:
             read_image_linear(folder / f"{name}_albedo.png").astype(np.float64),
             fields["scan_from_truth" if "scan_from_truth" in fields else "scan_from_canonical"],
             float(fields["unit_mm"]),
-            int(fields["lights"]) if "lights" in fields else len(fields["light_directions"]),
+            len(fields["light_directions"]) if "light_directions" in fields else int(fields["lights"]),
             fields.get("valid"),
         )
 
