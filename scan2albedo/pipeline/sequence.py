@@ -149,7 +149,7 @@ def process_sequence(
     arguments = chosen.arguments() | {"model": model}
     with compiled_beside():
         for number, source in enumerate(frames):
-            begin, face, again, notes = time.process_time(), None, False, list[str]()
+            begin, face, anew, notes = time.process_time(), None, False, list[str]()
             try:
                 if first is None:
                     first = process(source, name=name, on_progress=on_progress, **arguments)
@@ -157,19 +157,19 @@ def process_sequence(
                     tracker = FaceTracker(first.fitted, chosen.stages.fit, on_progress)
                     face = tracker.start
                 else:
-                    face, again = followed(source, first, tracker, found[-1], chosen)
+                    face, anew = followed(source, first, tracker, found[-1], chosen)
                 found.append(face)
             except Scan2AlbedoError as error:
                 if not found and number + 1 == len(frames):
                     raise
                 notes.append(f"left out, and filled in from the frames around it: {one_line(error)}")
-            if again:
+            if anew:
                 notes.append("the face was lost, and found again by a new registration")
             if face is not None and face.coverage < WHOLE_FACE:
                 near = f"only {100 * face.coverage:.0f} % of the face has scan near it"
                 notes.append(f"{near}, the rest is filled in from the frames around")
             row = {figure: getattr(face, figure, None) for figure in ("residual_mm", "coverage")}
-            row |= {"file": source.name if isinstance(source, RawScan) else str(source), "found_again": again}
+            row |= {"file": source.name if isinstance(source, RawScan) else str(source), "found_again": anew}
             row |= {"used": face is not None, "cpu_s": time.process_time() - begin, "notes": tuple(notes)}
             rows.append(row)
     assert first is not None

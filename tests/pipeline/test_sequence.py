@@ -10,10 +10,12 @@ from benchmarks.raw_like import raw_like
 from benchmarks.takes import SCRIPTS, take
 
 from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.fitting.tracking import FaceTracker
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, rotation_from_vector
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord
+from scan2albedo.pipeline.options import PRESETS
 from scan2albedo.pipeline.sequence import process_sequence
 from scan2albedo.synthetic.face_shape import person
 from tests.io.test_glb import moving
@@ -27,6 +29,10 @@ def turned(scan, degrees):
     center, rotation = scan.vertices.mean(0), rotation_from_vector([0, np.deg2rad(degrees), 0])
     pose = compose(rotation, center - rotation @ center)
     return replace(scan, vertices=scan.vertices @ pose[:3, :3].T + pose[:3, 3])
+
+
+def halved(scan):
+    return scan.without_faces(scan.vertices[scan.faces].mean(1)[:, 0] > scan.vertices[:, 0].mean())
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +71,9 @@ def damaged(frames, tmp_path_factory):
     broken = tmp_path_factory.mktemp("in") / "broken.obj"
     broken.write_text("v 1 2\nf 1 2 3\n")
     given = list(frames)
-    half = frames[HALF]
     given[LOST] = turned(frames[LOST], 60)
     given[BROKEN] = broken
-    given[HALF] = half.without_faces(half.vertices[half.faces].mean(1)[:, 0] > half.vertices[:, 0].mean())
+    given[HALF] = halved(frames[HALF])
     return process_sequence(given, name="damaged")
 
 
@@ -125,6 +130,16 @@ def test_a_lost_frame_is_found_again_and_told(whole, damaged):
     assert any(f"frame {LOST + 1}, " in step.reason for step in damaged.plan.doubts())
 
 
+def test_a_turn_of_forty_degrees_is_followed_there_and_back_on_half_a_face(frames, whole):
+    tracker = FaceTracker(whole.fitted, PRESETS["draft"].fit)
+    face, still = tracker.start, invert_rigid(tracker.start.model_from_scan)
+    for scan, degrees in ((frames[1], 0), (turned(frames[2], 40), 40), (halved(frames[3]), 0)):
+        face = tracker.follow(scan, face)
+        assert face.odds > 0
+        angle = rotation_angle_rad((face.model_from_scan @ still)[:3, :3])
+        assert np.rad2deg(angle) == pytest.approx(degrees, abs=2)
+
+
 def test_a_broken_file_is_named_left_out_and_filled_in(whole, damaged):
     frame = damaged.frames[BROKEN]
     assert not frame["used"]
@@ -145,13 +160,17 @@ def test_what_half_a_frame_does_not_show_follows_from_the_others(whole, damaged)
 
 
 def test_files_are_read_in_the_unit_of_the_first(frames, whole, tmp_path):
-    """Also where the first cannot be read: the next takes its place."""
+    """Also where the first cannot be read: the next takes its place; one without faces is left out."""
     paths = [tmp_path / "missing.obj"]
     for number, scan in enumerate(frames[:2]):
         paths.append(tmp_path / f"{number}.obj")
         write_obj(paths[-1], scan.vertices / 1000, scan.faces)
+    paths.insert(2, tmp_path / "empty.obj")
+    paths[2].write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
     found = process_sequence(paths, name="files")
-    assert [frame["used"] for frame in found.frames] == [False, True, True]
+    assert [frame["used"] for frame in found.frames] == [False, True, False, True]
+    assert [Path(file).name for file, _ in found.left_out] == ["missing.obj", "empty.obj"]
+    assert "empty.obj: holds a point cloud" in found.left_out[1][1]
     assert "missing.obj" in found.frames[0]["notes"][0]
     size = [np.ptp(points, axis=0) for points in (found.control_points[1], whole.control_points[0])]
     np.testing.assert_allclose(*size, atol=1.5)
