@@ -45,7 +45,7 @@ from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene, render
 
 SIZE, VIEW, VIEW_MM = 256, (192, 168), (160.0, 140.0)
 """Texels of a chart; pixels and extent of a photograph of the face."""
-SCAN_LIGHTS: tuple[tuple[int, ...], ...] = ((0, 1, 2), (0, 3, 4))
+SCAN_LIGHTS: tuple[tuple[int, ...], ...] = ((0, 1), (0, 3))
 VIEWED, VIEW_LIGHTS = "view", (10, 11, 12, 13, 14)
 """`SCAN_LIGHTS`, `VIEW_LIGHTS`: of each sitting, and of the photographs, whose light is one flash."""
 RELIEF_MM, SURFACE_MM, SLOPE = (4.0, 20.0), (25.0, 60.0), 0.08
@@ -69,7 +69,7 @@ def slopes(points: FloatArray, seed: list[int], lengths_mm: tuple[float, float])
     k = (
         2
         * np.pi
-        / np.exp(random.uniform(*np.log(lengths_mm), (waves, 1)))
+        / np.exp(random.uniform(np.log(lengths_mm[0]), np.log(lengths_mm[1]), (waves, 1)))
         * normalized(random.standard_normal((waves, 3)))
     )
     phase = points @ k.T + random.uniform(0, 2 * np.pi, waves)
@@ -197,7 +197,7 @@ def make_heads(folder: Path) -> None:
     files = face_data("heads/White_M_1.obj").parent.glob("*.obj")
     for name in sorted(file.stem for file in files):
         sitting, view = head(name)
-        for k, lights in (*enumerate(SCAN_LIGHTS), (VIEWED, VIEW_LIGHTS)):
+        for k, lights in (("0", SCAN_LIGHTS[0]), ("1", SCAN_LIGHTS[1]), (VIEWED, VIEW_LIGHTS)):
             left = [light for light in lights if not (folder / f"{name}_{k}_{light}.npz").is_file()]
             if not left:
                 continue

@@ -52,7 +52,7 @@ class Judged:
 
     def part(self, persons: Collection[str]) -> Judged:
         """Return those of some persons."""
-        kept = np.flatnonzero(np.isin(self.persons, list(persons)))
+        kept = np.flatnonzero(np.isin(self.persons, list(persons))).tolist()
         found = {kind: values[np.ix_(kept, kept)] for kind, values in self.similarities.items()}
         columns = self.persons, self.sittings, self.lights
         return Judged(found, *([column[k] for k in kept] for column in columns))
