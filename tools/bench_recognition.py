@@ -15,7 +15,8 @@ is the distance of the mean similarities, right person and others, over the root
 nine robust harmonics, multi-scale retinex, albedo, and fused; galleries of one lamp (all choices) and of
 random lamps; no number is learned from these people, whose data are free for research only. Shares of log
 odds above 0, pairs of one person and of two. --windows: the same for sizes and windows. --make: what
-`CALIBRATION` is learned from: sixteen MIT-licensed heads in many lights (FOLDER/heads) and synthetic people, processed
+`CALIBRATION` is learned from: sixteen MIT-licensed heads in many lights (FOLDER/heads) and synthetic
+people, processed
 (FOLDER/people). --calibrate: the numbers of `CALIBRATION`, and what a calibration by one half of the heads
 says of the other half. --pairs: one person or two, of all pairs of results PERSON_SCAN in a folder.
 """
