@@ -13,20 +13,25 @@ is the distance of the mean similarities, right person and others, over the root
 
 --lights: rank 1 of the six people in ../shared/data/yale, one photograph a person as gallery, by texture,
 nine robust harmonics, multi-scale retinex, albedo, and fused; galleries of one lamp (all choices) and of
-random lamps; fused also with the calibration of the other three people (all 20 choices; with --calibrate
-FOLDER). --windows: the same for sizes and windows. --make: synthetic people, processed. --calibrate: the
-numbers of `CALIBRATION`. --pairs: one person or two, of all pairs of results PERSON_SCAN in a folder.
+random lamps; no number is learned from these people, whose data are free for research only. Shares of log
+odds above 0, pairs of one person and of two. --windows: the same for sizes and windows. --make: what
+`CALIBRATION` is learned from: sixteen MIT-licensed heads in many lights (FOLDER/heads) and synthetic
+people, processed
+(FOLDER/people). --calibrate: the numbers of `CALIBRATION`, and what a calibration by one half of the heads
+says of the other half. --pairs: one person or two, of all pairs of results PERSON_SCAN in a folder.
 """
 
 from __future__ import annotations
 
 import argparse
-import itertools
 import time
 from pathlib import Path
 
 import numpy as np
+from benchmarks.lit_people import head_similarities, make_heads
 from benchmarks.people_in_lights import (
+    KINDS,
+    Judged,
     calibrated_on,
     light_similarities,
     make_people,
@@ -39,6 +44,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from scan2albedo.recognition import (
+    Calibration,
     TemplateOptions,
     Templates,
     albedo_templates,
@@ -148,9 +154,17 @@ def bench_faces(count: int, side: int = 256) -> None:
                 )
 
 
-def bench_lights(cache: Path, calibrate: Path | None, windows: bool) -> None:
+def print_shares(judged: Judged, calibration: Calibration) -> None:
+    """Print how many pairs of one person and of two have log odds above 0, by each kind and by all."""
+    kinds = [kind for kind in KINDS if kind in judged.similarities and kind != "shading"]
+    for name, cues in (*((kind, [kind]) for kind in kinds), ("fused", KINDS)):
+        same, other, own, others = verified(judged, cues, calibration)
+        print(f"  {name:10} above 0: one person {same:6.1%} of {own} pairs, two {other:6.1%} of {others}")
+
+
+def bench_lights(cache: Path, windows: bool) -> None:
     rows = photographs(cache)
-    people, lights = np.array([row["person"] for row in rows]), np.array([row["light"] for row in rows])
+    people, lights = [row["person"] for row in rows], [row["light"] for row in rows]
     for size, window in [(s, w) for s in (128, 256) for w in (3, 5, 7)] if windows else ():
         found = light_similarities(rows, ("texture", "albedo"), size, window)
         shown = rates(found, people, lights, CALIBRATION)
@@ -158,25 +172,23 @@ def bench_lights(cache: Path, calibrate: Path | None, windows: bool) -> None:
             f"{size} pixels, window {window}: " + ", ".join(f"{k} {one:.1%}" for k, (one, _) in shown.items())
         )
     found = light_similarities(rows, ("texture", "harmonics", "retinex", "albedo", "shading"))
-    print("rank 1: gallery in one lamp, in random lamps")
+    print("rank 1: gallery in one lamp, in random lamps; probes of one photograph, of three")
+    threes = rates(found, people, lights, CALIBRATION, together=3)
     for name, (one, mixed) in rates(found, people, lights, CALIBRATION).items():
-        print(f"  {name:10} {one:6.1%} {mixed:6.1%}")
-    if calibrate is None:
-        return
-    scans = pair_similarities(calibrate)
-    lit = {kind: found[kind] for kind in ("albedo", "texture", "shading")}
-    print(calibrated_on(lit, people, lights, *scans))
-    held: dict[str, list[tuple[float, float]]] = {}
-    for out in itertools.combinations(sorted(set(people)), 3):
-        kept, left = (np.flatnonzero(np.isin(people, out) == side) for side in (False, True))
-        of_kept, of_left = ({k: v[np.ix_(i, i)] for k, v in lit.items()} for i in (kept, left))
-        calibration = calibrated_on(of_kept, people[kept], lights[kept], *scans)
-        for name, rate in rates(of_left, people[left], lights[left], calibration, 20).items():
-            held.setdefault(name, []).append(rate)
-    print("three of the six people held out of the calibration")
-    for name, values in held.items():
-        one, mixed = np.mean(values, axis=0)
-        print(f"  {name:10} {one:6.1%} {mixed:6.1%}")
+        print(f"  {name:10} {one:6.1%} {mixed:6.1%} | {threes[name][0]:6.1%} {threes[name][1]:6.1%}")
+    print_shares(Judged(found, people, [f"{k}" for k in range(len(rows))], lights), CALIBRATION)
+
+
+def calibrate(folder: Path) -> None:
+    sets = head_similarities(folder / "heads", False), head_similarities(folder / "heads", True)
+    synthetic = pair_similarities(folder / "people")
+    print(calibrated_on([*sets, synthetic]))
+    heads = sorted(set(sets[0].persons))
+    for learned, left in ((heads[::2], heads[1::2]), (heads[1::2], heads[::2])):
+        calibration = calibrated_on([*(judged.part(learned) for judged in sets), synthetic])
+        for what, judged in zip(("scans", "views"), sets, strict=True):
+            print(f"{what} of {', '.join(left)}, calibrated without them")
+            print_shares(judged.part(left), calibration)
 
 
 def main() -> None:
@@ -188,20 +200,23 @@ def main() -> None:
     parser.add_argument("--faces", type=int, default=0, help="synthetic persons to identify")
     parser.add_argument("--lights", action="store_true", help="rank 1 over lights")
     parser.add_argument("--windows", action="store_true", help="rank 1 by size and window")
-    parser.add_argument("--make", type=Path, help="folder for synthetic people")
+    parser.add_argument("--make", type=Path, help="folder for heads and synthetic people")
     parser.add_argument("--persons", type=int, default=12)
     parser.add_argument("--seed", type=int, default=101)
-    parser.add_argument("--calibrate", type=Path, help="folder of synthetic people")
+    parser.add_argument("--calibrate", type=Path, help="folder that --make filled")
     parser.add_argument("--pairs", type=Path, nargs="+", default=[])
     parser.add_argument("--cache", type=Path, default=Path("lights_cache"), help="keeps the albedos")
     arguments = parser.parse_args()
     if arguments.make:
-        make_people(arguments.make, arguments.persons, arguments.seed)
+        make_heads(arguments.make / "heads")
+        make_people(arguments.make / "people", arguments.persons, arguments.seed)
     for folder in arguments.pairs:
-        same, other, own, others = verified(*pair_similarities(folder))
-        print(f"{folder}: one person {same:.1%} of {own} pairs right, two {other:.1%} of {others}")
-    if arguments.lights or arguments.windows or arguments.calibrate:
-        bench_lights(arguments.cache, arguments.calibrate, arguments.windows)
+        print(folder)
+        print_shares(pair_similarities(folder), CALIBRATION)
+    if arguments.calibrate:
+        calibrate(arguments.calibrate)
+    if arguments.lights or arguments.windows:
+        bench_lights(arguments.cache, arguments.windows)
     if arguments.make or arguments.pairs or arguments.lights or arguments.windows or arguments.calibrate:
         return
     for size in arguments.sizes:

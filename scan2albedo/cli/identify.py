@@ -31,6 +31,9 @@ def identify(
         "albedo,texture,shape", help="What is compared: albedo, texture, shape, or several of them."
     ),
     combine: str = typer.Option("mean", help="Of a person's several images in the gallery: best, or mean."),
+    together: bool = typer.Option(
+        False, "--together", help="Take probes that name one person as one probe of several scans."
+    ),
     size: int | None = typer.Option(
         None, help="Side that larger charts are averaged down to; 256, or that of the templates.", min=8
     ),
@@ -95,6 +98,7 @@ def identify(
             probes,
             use=kinds,
             combine=combine,  # type: ignore[arg-type]
+            together=together,
             on_count=progress.count,
         )
         for note in found.notes:

@@ -35,6 +35,9 @@ class Calibration:
     linear: sum_k a_k (s_k - (m_1k + m_2k) / 2) with slopes a = C^-1 (m_1 - m_2) (Fisher's discriminant).
     Where a kind is missing they are those of the others. How alike the shadings are says nothing of persons
     by itself, but how much of the texture's similarity to expect from the light: its slope is negative.
+    How alike all pairs are differs by population, camera and light: the variance of that level is part of C,
+    and makes log odds smaller than within one set of people. That of the shape, which a gallery shares, is
+    added where pairs are judged one by one.
     """
 
     kinds: tuple[Kind, ...]
@@ -45,35 +48,40 @@ class Calibration:
     two, and their covariance (K, K)."""
     shading_variance: float = 0.0
     """Of the shading's similarity over persons where all pairs have the same two lights."""
+    shape_variance: float = 0.0
+    """Of the level of the shape's similarity over populations."""
 
 
 CALIBRATION = Calibration(
     ("albedo", "texture", "shape", "shading"),
-    (0.8135, 0.8024, 0.8674, 0.7325),
-    (0.6418, 0.6549, 0.8133, 0.6552),
+    (0.7680, 0.7509, 0.8448, 0.6629),
+    (0.5465, 0.5616, 0.7521, 0.5799),
     (
-        (0.003886, 0.004409, 0.000153, 0.005006),
-        (0.004409, 0.006825, 0.000171, 0.008298),
-        (0.000153, 0.000171, 0.000105, 0.000210),
-        (0.005006, 0.008298, 0.000210, 0.011294),
+        (0.007828, 0.008886, 0.000176, 0.009256),
+        (0.008886, 0.011115, 0.000176, 0.012416),
+        (0.000176, 0.000176, 0.000250, 0.000214),
+        (0.009256, 0.012416, 0.000214, 0.015574),
     ),
-    0.001615,
+    0.001435,
+    0.003509,
 )
-"""Of the default templates, by photographs of six people under twelve lamps and three scans each of twelve
-synthetic people: `python tools/bench_recognition.py --calibrate FOLDER`."""
+"""Of the default templates, by scans and photographs of sixteen heads under rendered lights and three scans
+each of twelve synthetic people: `python tools/bench_recognition.py --calibrate FOLDER`."""
 
 
 def log_odds_by_kind(
-    similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION
+    similarities: Mapping[Kind, FloatArray], calibration: Calibration = CALIBRATION, shape_variance: float = 0
 ) -> dict[Kind, FloatArray]:
     """Return what each kind adds to the log odds (P, G) that both of a pair are one person; they are summed.
 
     `similarities` map kinds to (P, G), NaN where a pair lacks the kind; where it lacks all, the sum is NaN.
+    `shape_variance` is that of the level of the shape's similarity where pairs are not of one gallery.
     """
     kinds = [kind for kind in calibration.kinds if kind in similarities]
     index = [calibration.kinds.index(kind) for kind in kinds]
     same, other = np.array(calibration.same)[index], np.array(calibration.other)[index]
-    covariance = np.array(calibration.covariance)[np.ix_(index, index)]
+    levels = np.diag([(kind == "shape") * shape_variance for kind in calibration.kinds])
+    covariance = (np.array(calibration.covariance) + levels)[np.ix_(index, index)]
     values = np.stack([similarities[kind] for kind in kinds])
     known = ~np.isnan(values)
     found = np.where(known.any(axis=0), 0.0, np.nan) * np.ones_like(values)
@@ -146,7 +154,8 @@ def same_person_log_odds(a: Mapping[Kind, Templates], b: Mapping[Kind, Templates
             f"one set has templates of {' and '.join(a) or 'nothing'}, the other of "
             f"{' and '.join(b) or 'nothing'}; make both of one kind"
         )
-    parts = log_odds_by_kind({kind: comparable_similarities(a[kind], b[kind], WINDOW) for kind in kinds})
+    alike = {kind: comparable_similarities(a[kind], b[kind], WINDOW) for kind in kinds}
+    parts = log_odds_by_kind(alike, shape_variance=CALIBRATION.shape_variance)
     return np.nan_to_num(sum(parts.values()), nan=0.0)
 
 
@@ -175,6 +184,7 @@ def identify_results(
     *,
     use: Sequence[Kind] = DEFAULT_USE,
     combine: Combine = "mean",
+    together: bool = False,
     options: TemplateOptions | None = None,
     on_count: Callable[[str, int, int], None] | None = None,
 ) -> ResultIdentification:
@@ -196,6 +206,8 @@ def identify_results(
         without colour lacks the albedo, is compared by the others.
     combine : {"best", "mean"}
         A person's log odds are the best of, or the mean over, the images in the gallery.
+    together : bool
+        Whether probes that name one person are one probe of several scans, by the mean of their log odds.
     options : TemplateOptions, optional
         Those of a file of templates, otherwise the default ones, when omitted.
     on_count : callable, optional
@@ -240,12 +252,24 @@ def identify_results(
     compared = common_similarities(scores)
     parts = log_odds_by_kind(compared)
     total = np.asarray(sum(parts.values()))
-    persons = [person if person in known.persons else None for person in shown.persons]
     # A pair with nothing in common is as unlike as similarities of 0.
     unlike = sum(log_odds_by_kind({kind: np.zeros((1, 1)) for kind in kinds}).values())
     filled = np.where(np.isnan(total), unlike, total)
+    # Several scans of one person are one probe: the mean of its rows.
+    groups: dict[str | int, list[int]] = {}
+    for k, person in enumerate(shown.persons):
+        groups.setdefault((together and person) or k, []).append(k)
+
+    def mean(values: FloatArray) -> FloatArray:
+        return np.stack([values[group].mean(axis=0) for group in groups.values()])
+
+    labels = tuple(_few([shown.labels[k] for k in group]) for group in groups.values())
+    judged = replace(shown.select([group[0] for group in groups.values()]), labels=labels)
+    filled = mean(filled)
+    parts = {kind: mean(np.nan_to_num(part)) for kind, part in parts.items()}
+    persons = [person if person in known.persons else None for person in judged.persons]
     matches = identify_by_similarity(filled, names, persons, combine=combine)
-    by_kind = {kind: similarities_by_person(values, names, combine)[1] for kind, values in scores.items()}
+    by_kind = {kind: similarities_by_person(mean(s), names, combine)[1] for kind, s in scores.items()}
     if "shading" in parts:
         parts["texture"] = parts["texture"] + parts.pop("shading")
     decided_by = []
@@ -255,7 +279,7 @@ def identify_results(
             images = np.flatnonzero(np.array(names) == matches.persons[person])
             if combine == "best":
                 images = images[[filled[probe, images].argmax()]]
-            lead += sign * np.nan_to_num([part[probe, images].mean() for part in parts.values()])
+            lead += sign * np.array([part[probe, images].mean() for part in parts.values()])
         decided_by.append(list(parts)[lead.argmax()])
     # What limits the comparison. First probes that are compared by less than others are.
     notes = [*known.notes, *shown.notes]
@@ -292,7 +316,7 @@ def identify_results(
             f"{len(same)} of {len(shown)} probes are in the gallery themselves ({_few(same)}): that they are "
             "recognised means nothing"
         )
-    return ResultIdentification(known, shown, matches, by_kind, tuple(decided_by), tuple(notes))
+    return ResultIdentification(known, judged, matches, by_kind, tuple(decided_by), tuple(notes))
 
 
 def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> LabelledTemplates:

@@ -107,3 +107,11 @@ def test_the_calibration_in_use_is_one():
     assert (slopes[:3] > 0).all()
     assert slopes[3] < 0
     assert isinstance(CALIBRATION, Calibration)
+
+
+def test_pairs_of_no_one_gallery_know_no_level_of_the_shape():
+    alike = {"shape": np.array([[0.9]])}
+    within = log_odds_by_kind(alike, CALIBRATION)["shape"]
+    across = log_odds_by_kind(alike, CALIBRATION, CALIBRATION.shape_variance)["shape"]
+    share = CALIBRATION.covariance[2][2] / (CALIBRATION.covariance[2][2] + CALIBRATION.shape_variance)
+    np.testing.assert_allclose(across, share * within)

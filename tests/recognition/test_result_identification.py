@@ -298,3 +298,16 @@ def test_halves_of_faces_that_do_not_meet_count_as_unlike(people, stored, tmp_pa
 def test_what_to_use_is_checked(gallery, probes, use):
     with pytest.raises(ValueError, match="expected one or more of albedo, texture, shape"):
         identify_results(gallery, probes, use=use)
+
+
+def test_probes_of_one_person_are_one_probe(gallery, people, tmp_path):
+    rows = [("bob", people / "bob-2"), ("", people / "ann-2"), ("bob", people / "bob"), ("", people / "cy-2")]
+    probes = listed(tmp_path, rows, "several.csv")
+    alone, together = (identify_results(gallery, probes, options=OPTIONS, together=t) for t in (False, True))
+    assert together.probes.labels[0] == f"{people / 'bob-2'}, {people / 'bob'}"
+    assert together.probes.persons == ("bob", None, None)
+    odds = alone.matches.similarities
+    np.testing.assert_allclose(together.matches.similarities, [odds[[0, 2]].mean(0), odds[1], odds[3]])
+    np.testing.assert_allclose(together.by_kind["albedo"][0], alone.by_kind["albedo"][[0, 2]].mean(0))
+    assert together.matches.predicted == ("bob", "ann", "cy")
+    assert len(together.decided_by) == 3

@@ -4,8 +4,8 @@ people."""
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from recognition_experiment.population import Population, population_scan, random_lights
@@ -13,7 +13,7 @@ from recognition_experiment.population import Population, population_scan, rando
 from benchmarks.light_normalization import multi_scale_retinex
 from benchmarks.scan_files import face_data
 from scan2albedo import GeometryImage, estimate_albedo, process
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.recognition import (
     Calibration,
@@ -29,6 +29,33 @@ from scan2albedo.recognition.similarity import WINDOW
 from scan2albedo.recognition.templates import Kind
 
 KINDS: tuple[Kind, ...] = ("albedo", "texture", "shape", "shading")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """`similarities` (N, N) of all pairs of N scans or photographs by kind; of each the `persons`, the
+    `sittings`, pairs of one of which tell nothing, and the `lights`."""
+
+    similarities: Mapping[Kind, FloatArray]
+    persons: Sequence[str]
+    sittings: Sequence[str]
+    lights: Sequence[str]
+
+    @property
+    def pairs(self) -> tuple[tuple[IntArray, IntArray], BoolArray]:
+        """Rows and columns of the pairs, and which are of one person."""
+        who, sitting = np.array(self.persons), np.array(self.sittings)
+        rows, columns = np.triu_indices(len(who), 1)
+        told = sitting[rows] != sitting[columns]
+        rows, columns = rows[told], columns[told]
+        return (rows, columns), who[rows] == who[columns]
+
+    def part(self, persons: Collection[str]) -> Judged:
+        """Return those of some persons."""
+        kept = np.flatnonzero(np.isin(self.persons, list(persons))).tolist()
+        found = {kind: values[np.ix_(kept, kept)] for kind, values in self.similarities.items()}
+        columns = self.persons, self.sittings, self.lights
+        return Judged(found, *([column[k] for k in kept] for column in columns))
 
 
 def robust_harmonics(normals: FloatArray, values: FloatArray) -> FloatArray:
@@ -105,10 +132,13 @@ def rates(
     lights: Sequence[str],
     calibration: Calibration,
     draws: int = 60,
+    together: int = 1,
+    best: bool = False,
 ) -> dict[str, tuple[float, float]]:
     """Return rank 1 by each kind and fused: gallery of one lamp (all choices), and of random lamps.
 
-    One photograph a person is the gallery; the probes are all others of these people.
+    One photograph a person is the gallery; the probes are all others of these people, `together` at a time by
+    the mean of what they say, or the best.
     """
     who, lamp = np.array(people), np.array(lights)
     galleries = [(0, np.flatnonzero(lamp == one)) for one in sorted(set(lights))]
@@ -124,8 +154,13 @@ def rates(
         scores = {name: values[np.ix_(probes, gallery)] for name, values in similarities.items()}
         cues = {kind: scores[kind] for kind in calibration.kinds if kind in scores}
         scores["fused"] = fused(cues, calibration)
+        shuffled = random.permutation(len(probes)) if together > 1 else np.arange(len(probes))
+        of_person = [shuffled[who[probes[shuffled]] == one] for one in sorted(set(who[probes]))]
+        groups = [one[k : k + together] for one in of_person for k in range(0, len(one), together)]
+        shown = np.array([who[probes[group[0]]] for group in groups])
         for name, values in scores.items():
-            right.setdefault(name, ([], []))[which].extend(who[gallery[values.argmax(1)]] == who[probes])
+            said = np.stack([values[group].max(0) if best else values[group].mean(0) for group in groups])
+            right.setdefault(name, ([], []))[which].extend(who[gallery[said.argmax(1)]] == shown)
     return {name: (float(np.mean(one)), float(np.mean(mixed))) for name, (one, mixed) in right.items()}
 
 
@@ -148,68 +183,64 @@ def make_people(folder: Path, persons: int, seed: int, sessions: Sequence[int] =
                 print(f"{name}: {error}")
 
 
-def pair_similarities(results: Path) -> tuple[dict[Kind, FloatArray], list[str]]:
-    """Return (N, N) similarities of all results PERSON_SCAN in a folder, and their persons."""
+def pair_similarities(results: Path) -> Judged:
+    """Return the pairs of all results PERSON_sSESSION in a folder; sessions 0 and 1 have one light."""
     table = results / "pairs.csv"
     folders = sorted(one.parent.name for one in results.glob("*/albedo.exr"))
     lines = [f"{name.split('_')[0]},{name}" for name in folders]
     table.write_text("\n".join(["person,result", *lines]) + "\n")
     read = read_labelled_templates(table)
     found = {kind: similarity_matrix(made, made) for kind, made in read.sets.items()}
-    return found, [str(person) for person in read.persons]
+    lights = ["studio" if name.endswith(("_s0", "_s1")) else name for name in folders]
+    return Judged(found, [str(person) for person in read.persons], folders, lights)
 
 
-def calibrated_on(
-    lit: Mapping[str, FloatArray],
-    people: Sequence[str],
-    lights: Sequence[str],
-    scans: Mapping[Kind, FloatArray],
-    persons: Sequence[str],
-) -> Calibration:
-    """Return the calibration by photographs of the six people and by synthetic people's scans.
+def calibrated_on(sets: Sequence[Judged]) -> Calibration:
+    """Return the calibration by sets of people, each weighing as much.
 
-    Differences of the means, and covariances, are those of both sets, each weighing as much; shape is of the
-    scans alone, and so is the level half-way between the means.
+    How alike strangers are differs by population, chart and camera. The covariance is the mean of those of
+    pairs of one person and of two within the sets, and that of the levels half-way between their means over
+    the sets: what a pair's set adds is not known of a new one. The shape's level is that of the population,
+    so its variance stands apart.
     """
-
-    def moments(
-        of: Mapping[Any, FloatArray], same: BoolArray, kinds: Sequence[str]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        pairs = np.triu_indices(len(same), 1)
-        values, own = np.stack([of[kind][pairs] for kind in kinds]), same[pairs]
-        spread = np.mean([np.cov(values[:, which]) for which in (own, ~own)], axis=0)
-        return values[:, own].mean(1), values[:, ~own].mean(1), spread
-
-    who, names, lamp = np.array(people), np.array(persons), np.array(lights)
-    same, other, covariance = moments(scans, names[:, None] == names, KINDS)
-    there = [k for k, kind in enumerate(KINDS) if kind in lit]
-    of_lit = moments(lit, who[:, None] == who, [KINDS[k] for k in there])
-    middle, apart = (same + other) / 2, same - other
-    apart[there] = (apart[there] + of_lit[0] - of_lit[1]) / 2
-    block = np.ix_(there, there)
-    covariance[block] = (covariance[block] + of_lit[2]) / 2
-    variances = []
-    for a in sorted(set(lights)):
-        for b in sorted(set(lights)):
-            rows, columns = np.flatnonzero(lamp == a), np.flatnonzero(lamp == b)
-            strangers = lit["shading"][np.ix_(rows, columns)][who[rows][:, None] != who[columns]]
-            variances += [strangers.var()] if len(strangers) > 2 else []
+    means, spreads, variances = [], [], []
+    for judged in sets:
+        pairs, own = judged.pairs
+        missing = np.full((len(judged.persons),) * 2, np.nan)
+        values = np.stack([judged.similarities.get(kind, missing)[pairs] for kind in KINDS])
+        means.append([values[:, own].mean(1), values[:, ~own].mean(1)])
+        spreads.append(np.mean([np.cov(values[:, own]), np.cov(values[:, ~own])], axis=0))
+        who, lamp, cells = np.array(judged.persons), np.array(judged.lights), []
+        for a in sorted(set(judged.lights)):
+            for b in sorted(set(judged.lights)):
+                rows, columns = np.flatnonzero(lamp == a), np.flatnonzero(lamp == b)
+                alike = judged.similarities["shading"][np.ix_(rows, columns)]
+                strangers = alike[who[rows][:, None] != who[columns]]
+                shared = min(len(rows), len(columns)) > 2  # a light of several people's
+                cells += [strangers.var()] if shared and len(strangers) > 2 else []
+        variances += [np.mean(cells)] if len(cells) > 1 else []  # one shared light tells of no others
+    (same, other), level = np.nanmean(means, axis=0), np.ma.masked_invalid(np.mean(means, axis=1))
+    over_sets = np.ma.cov(level, rowvar=False).filled(0.0)
+    shape = KINDS.index("shape")
+    apart = np.where(np.arange(len(KINDS)) == shape, 0.0, 1.0)
+    covariance = np.nanmean(spreads, axis=0) + over_sets * np.outer(apart, apart)
     return Calibration(
         KINDS,
-        tuple(np.round(middle + apart / 2, 4).tolist()),
-        tuple(np.round(middle - apart / 2, 4).tolist()),
+        tuple(np.round(same, 4).tolist()),
+        tuple(np.round(other, 4).tolist()),
         tuple(map(tuple, np.round(covariance, 6).tolist())),
         float(np.round(np.mean(variances), 6)),
+        float(np.round(over_sets[shape, shape], 6)),
     )
 
 
 def verified(
-    similarities: Mapping[Kind, FloatArray], persons: Sequence[str], calibration: Calibration = CALIBRATION
+    judged: Judged, kinds: Sequence[Kind] = KINDS, calibration: Calibration = CALIBRATION
 ) -> tuple[float, float, int, int]:
-    """Return the shares of pairs of one person and of two that log odds judge rightly, and their numbers."""
-    odds, names = sum(log_odds_by_kind(similarities, calibration).values()), np.array(persons)
-    pairs = np.triu_indices(len(names), 1)
-    same = names[:, None] == names
-    right, own = ((odds > 0) == same)[pairs], same[pairs]
-    shares = (float(right[which].mean()) if which.any() else 1.0 for which in (own, ~own))
+    """Return the shares above 0 of the log odds of pairs of one person and of two, and their numbers."""
+    found = {kind: judged.similarities[kind] for kind in kinds if kind in judged.similarities}
+    pairs, own = judged.pairs
+    odds = log_odds_by_kind(found, calibration, shape_variance=calibration.shape_variance)
+    above = np.asarray(sum(odds.values()))[pairs] > 0
+    shares = (float(above[which].mean()) if which.any() else 0.0 for which in (own, ~own))
     return *shares, int(own.sum()), int((~own).sum())  # type: ignore[return-value]
