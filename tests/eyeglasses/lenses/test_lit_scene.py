@@ -173,7 +173,7 @@ def test_what_is_no_surface_is_refused():
         Surface(np.full((3, 3), np.nan), [[0, 1, 2]])
     with pytest.raises(EyeglassesError, match="albedo_linear"):
         Surface(triangle, [[0, 1, 2]], albedo_linear=[np.nan, 0, 0])
-    with pytest.raises(ValueError, match="0 to 2"):
+    with pytest.raises(ValueError, match="0 to 3 of 3"):
         Surface(triangle, [[0, 1, 3]])
     with pytest.raises(ValueError, match="integers"):
         Surface(triangle, [[0.0, 1, 2]])
