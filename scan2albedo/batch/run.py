@@ -131,8 +131,8 @@ def _tasks(
     if options.model not in ("default", "none"):
         options = replace(options, model=str(Path(options.model).absolute()))
     if options.landmarks is not None and options.landmarks != AUTO:
-        folder = options.landmarks
-        if not isinstance(folder, str) or (len(manifest.scans) > 1 and not Path(folder).is_dir()):
+        folder, several = options.landmarks, sum(len(scan.members) or 1 for scan in manifest.scans) > 1
+        if not isinstance(folder, str) or (several and not Path(folder).is_dir()):
             raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")
         options = replace(options, landmarks=str(Path(folder).absolute()))
     if options.textures is not None:

@@ -15,7 +15,7 @@ import numpy as np
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
 from scan2albedo.core import GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.first_run import compiled_beside
-from scan2albedo.core.raw_scan import is_folder_name, scan_name
+from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
 from scan2albedo.fitting import FittedFace, PersonShape, common_shape
 from scan2albedo.io.atomic import check_writable
@@ -173,6 +173,11 @@ def process_person(
             reason = f"the two scans rather show two people (log odds {odds.max():.1f})"
             plan.append(PlanStep.doubt("person.people", reason))
         plan += [PlanStep.doubt("person.scan", f"{one} is left out: {why}") for one, why in left_out]
+        for one in spool.names:
+            result = spool.read(one)
+            lost = lost_texture(result.scan.notes)
+            told = ([lost] if lost else []) + [step.text for step in result.plan.doubts()]
+            plan += [PlanStep.doubt("person.scan", f"{one}: {note}") for note in told]
         person = _assembled(name, spool, shape, common, chosen, plan)
         person = replace(
             person,

@@ -80,6 +80,8 @@ def test_other_landmarks_do_their_scan_again(scans_in, tmp_path, no_workers):
     one = ProcessOptions(**(TINY.arguments() | {"landmarks": marks / "a.csv"}))
     with pytest.raises(ValueError, match="a folder with files named after the scans"):
         run_batch(scans_in("a", "b"), tmp_path / "new", options=one)
+    with pytest.raises(ValueError, match="a folder with files named after the scans"):
+        run_batch(scans_in("a", "b", person=["ann"] * 2), tmp_path / "new", options=one)
 
 
 def test_another_scan_of_a_person_does_all_of_them_again(scans_in, tmp_path, no_workers):

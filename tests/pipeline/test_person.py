@@ -50,12 +50,15 @@ def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path: Path) -> No
     third, stranger = scanned(3, 2, "frown")[0], scanned(8, 2, "neutral")[0]
     broken = tmp_path / "broken.obj"
     broken.write_text("no mesh\n")
+    lost = "texture skin.png is missing: went on without it"
+    second = replace(second, notes=(*second.notes, lost))
     scans = [first, second, third, replace(stranger, name="stranger"), broken]
     person = process_person(scans, tmp_path, name="ann", quality="draft")
     assert person.members == ("scan0", "scan1", "scan2")
     assert [name for name, _ in person.left_out] == ["broken", "stranger"]
     assert "another person" in dict(person.left_out)["stranger"]
     assert {"broken", "stranger"} <= {word for note in person.notes for word in note.split()}
+    assert f"scan1: {lost}" in " ".join(person.notes)
     common, shape = person.common, person.shape
     assert common is not None
     assert shape is not None
