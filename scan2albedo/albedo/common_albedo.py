@@ -146,7 +146,8 @@ def estimate_common_albedo(
             estimate = divided(scene, light_on_texels(scene, alone), alone, Plan(), seed)
             assert estimate.expected_error is not None
             light = np.maximum(estimate.shading.mean(-1), TINY)
-            dark = deviation_of_light(light[mask], float(np.median(light[scene.usable])))
+            # Light that no part stands for is a share of the lamps': an image that is mostly dark knows less.
+            dark = deviation_of_light(light[mask], float(np.quantile(light[scene.usable], 0.98)))
             logs.append(np.log(np.maximum(estimate.albedo_linear[mask], FAINT)).astype(np.float32))
             known = np.where(scene.usable[mask], 1.0, TINY)
             weights.append(known / (estimate.expected_error[mask] ** 2 + dark**2))

@@ -94,9 +94,9 @@ class NodeField:
         return np.asarray(np.outer(size, size) * np.exp(-apart / _REACH) + TINY * np.eye(len(at)))
 
 
-def deviation_of_light(light: FloatArray, median: float) -> FloatArray:
+def deviation_of_light(light: FloatArray, usual: float) -> FloatArray:
     """Return the standard deviation of the log of light that no part stands for, beside (N,) `light`."""
-    return np.minimum(UNMODELLED * median / light, _UNKNOWN)
+    return np.minimum(UNMODELLED * usual / light, _UNKNOWN)
 
 
 def posterior_factor(nodes: sparse.csr_matrix, weight: FloatArray, precision: FloatArray) -> FloatArray:
