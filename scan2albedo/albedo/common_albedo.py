@@ -201,9 +201,11 @@ def _averaged(
     for _ in range(_PASSES if len(logs) > 1 else 1):
         total = robust.sum(0)
         mean = np.einsum("kn,knc->nc", robust, logs) / total[:, None]
-        system = np.diag(robust.sum(1)) - robust @ (robust / total).T
-        right = robust @ mean - np.einsum("kn,knc->kc", robust, logs)
-        gains = np.linalg.lstsq(system, right, rcond=1e-9)[0]
+        share = robust.sum(1)
+        # The last term holds the mean gain, which nothing tells, at 0.
+        system = np.diag(share) - robust @ (robust / total).T + np.outer(share, share) / share.sum()
+        right = np.array([weight @ (mean - log) for weight, log in zip(robust, logs, strict=True)])
+        gains = np.linalg.solve(system, right)
         mean += np.einsum("kn,kc->nc", robust / total, gains)
         square = np.array(
             [((log + gain - mean) ** 2).mean(-1) for log, gain in zip(logs, gains, strict=True)]
