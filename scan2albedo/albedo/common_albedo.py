@@ -138,6 +138,7 @@ def estimate_common_albedo(
         plan += [PlanStep("albedo.shared", len(best) > 1, reason, f"{len(best)} image(s)")]
         estimates = list[AlbedoEstimate]()
         logs, weights = list[NDArray[np.float32]](), list[FloatArray]()
+        errors = list[NDArray[np.float32]]()
         for k, (image, found, point) in enumerate(zip(images, searched, best, strict=True)):
             scene, _ = scene_of(image)
             mask, alone = image.mask, found
@@ -151,13 +152,14 @@ def estimate_common_albedo(
             logs.append(np.log(np.maximum(estimate.albedo_linear[mask], FAINT)).astype(np.float32))
             known = np.where(scene.usable[mask], 1.0, TINY)
             weights.append(known / (estimate.expected_error[mask] ** 2 + dark**2))
+            errors.append(estimate.expected_error[mask])
             if on_estimate is None:
                 estimates.append(estimate)
             else:
                 on_estimate(k, estimate)
     mean, gains, weight, chi = _averaged(np.array(logs), np.array(weights))
     fields = dict[str, NDArray[Any]]()
-    error = 1 / weight.sum(0)
+    error = ((weight * errors) ** 2).sum(0) / weight.sum(0) ** 2
     if light_sd is not None:
         error += cell_field(*light_sd, mask)[:, 0] ** 2
     shown = (np.array(weights) > 1.0).sum(0)

@@ -209,7 +209,7 @@ def person(
 
     stop_cleanly_on_interrupt(out)
     with removed_if_empty(out), ProgressLines(name) as progress:
-        progress.say(f"{name}: {len(scans)} scans")
+        progress.say(f"{name}: {len(scans)} {'frames' if sequence else 'scans'}")
         run = partial(process_sequence, fps=fps) if sequence else process_person
         result = run(scans, out, name=name, on_progress=progress.update, **options)
         for note in result.notes:

@@ -255,7 +255,7 @@ def _assembled(
     plan: Sequence[PlanStep],
 ) -> PersonResult:
     """Return the neutral face as a result like that of a scan."""
-    near, first = np.full(len(shape.vertices), np.inf), next(spool.fits())
+    near, first = np.full(len(shape.vertices), np.nan), next(spool.fits())
     for fit in spool.fits():
         near = np.fmin(near, fit.residual_mm)
     neutral = replace(
@@ -265,20 +265,38 @@ def _assembled(
         control_points=shape.control_points,
         landmarks=shape.landmarks,
         template_vertices=shape.model.template_of(shape.control_points),
-        residual_mm=np.where(np.isinf(near), np.nan, near),
+        residual_mm=near,
+        metrics={
+            "residual_mean_mm": float(np.nanmean(near)),
+            "residual_median_mm": float(np.nanmedian(near)),
+            "residual_p95_mm": float(np.nanpercentile(near, 95)),
+            "coverage": float(np.mean(~np.isnan(near))),
+        },
         model_from_scan=np.eye(4),
     )
     image, estimate, rows = geometry_image(neutral, None, chosen.texels), None, [*plan]
     maps = dict[str, Any]()
     if common is not None:
-        mask, lit = image.mask, next(r.albedo for r in map(spool.read, spool.names) if r.albedo is not None)
-        source, seen = lit.image, common.coverage > 0
+        mask, seen = image.mask, common.coverage > 0
+        found = (one.albedo for one in map(spool.read, spool.names) if one.albedo is not None)
+        lit = next(found)
+        skin, labels, shown = lit.image.skin, lit.image.labels, lit.image.seen
+        for other in (one.image for one in found):
+            more = other.seen & ~shown
+            if (
+                skin is not None
+                and labels is not None
+                and other.skin is not None
+                and other.labels is not None
+            ):
+                skin, labels = np.where(more, other.skin, skin), np.where(more, other.labels, labels)
+            shown = shown | more
         image = replace(
             image,
             texture_linear=common.albedo_linear,
             texture_valid=seen & mask,
-            skin=source.skin,
-            labels=source.labels,
+            skin=skin,
+            labels=labels,
         )
         rows += common.plan
         maps = {"coverage.png": common.coverage / len(spool.names), "disagreement.png": common.disagreement}

@@ -144,7 +144,10 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
     for first in folders(folder):
         if holds_result(first):
             person = first.name if named is None else named.get(first.name)
-            entries.append(ManifestEntry(person or None, first.name, first))
+            # A scan whose cell is empty stays alone: in a gallery it is called by its folder.
+            entries.append(
+                ManifestEntry(person or (first.name if persons_required else None), first.name, first)
+            )
             continue
         for second in filter(holds_result, folders(first)):
             entries.append(ManifestEntry(first.name, f"{first.name}/{second.name}", second))
@@ -152,11 +155,6 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
         raise RecognitionError(
             f"{folder}: holds no folder of a processed scan, neither SCAN nor PERSON/SCAN; process scans "
             "with -o, or give a CSV file"
-        )
-    if persons_required and (nameless := [entry.result for entry in entries if entry.person is None]):
-        raise RecognitionError(
-            f"{catalogue}: names no person for {', '.join(nameless[:5])}; fill the column "
-            "person of the batch's manifest"
         )
     return Manifest(folder, tuple(entries))
 
@@ -226,8 +224,9 @@ def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
         raise NothingToCompareError(f"{folder}: has no {kind}, for the scan has no colour; compare by shape")
     image, albedo = read_image_and_albedo(folder)
     values: NDArray[np.floating] | None = albedo if kind == "albedo" else image.texture_linear
-    if values is None:
-        raise NothingToCompareError(f"{folder}: has no texture; compare by albedo and shape")
+    # The common albedo of a person's scans is in no light: its texture is the albedo once more.
+    if values is None or (kind != "albedo" and np.allclose(values, albedo, rtol=1e-2, atol=1e-3)):
+        raise NothingToCompareError(f"{folder}: has no texture of its own; compare by albedo and shape")
     if kind == "shading":
         values = np.divide(values, albedo, out=np.zeros(albedo.shape), where=albedo > 0)
     known = image.seen.astype(np.float64)

@@ -7,7 +7,11 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
+from scan2albedo.io.geometry_image_files import (
+    read_geometry_image,
+    read_image_and_albedo,
+    write_geometry_image,
+)
 from scan2albedo.io.images import read_image_linear, write_exr
 from scan2albedo.recognition import (
     TemplateOptions,
@@ -20,6 +24,7 @@ from scan2albedo.recognition import (
     similarity_matrix,
     write_labelled_templates,
 )
+from scan2albedo.recognition.templates import NothingToCompareError
 from scan2albedo.synthetic import face
 
 OPTIONS = TemplateOptions(size=64)
@@ -223,8 +228,18 @@ def test_persons_of_a_batch_come_from_its_catalogue(people, tmp_path):
     parquet.write_table(pyarrow.table(rows), folder / "catalogue.parquet")
     probes = read_manifest(folder, persons_required=False)
     assert [entry.person for entry in probes.entries] == ["Ann", "Ann", "Bob", None, None, None]
-    with pytest.raises(RecognitionError, match="names no person for bob-2, cy, cy-2"):
-        read_manifest(folder)
+    gallery = read_manifest(folder)
+    assert [entry.person for entry in gallery.entries] == ["Ann", "Ann", "Bob", "bob-2", "cy", "cy-2"]
+
+
+def test_a_persons_common_albedo_has_no_texture(people, tmp_path):
+    folder = shutil.copytree(people / "ann", tmp_path / "out" / "ann")
+    image, albedo = read_image_and_albedo(folder)
+    write_geometry_image(folder / "geometry_image.npz", replace(image, texture_linear=albedo))
+    assert read_face(folder, "albedo").values.shape == albedo.shape
+    for kind in ("texture", "shading"):
+        with pytest.raises(NothingToCompareError, match="has no texture of its own"):
+            read_face(folder, kind)
 
 
 def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery):
