@@ -148,6 +148,7 @@ def estimate_common_albedo(
             assert estimate.expected_error is not None
             light = np.maximum(estimate.shading.mean(-1), TINY)
             # Light that no part stands for is a share of the lamps': an image that is mostly dark knows less.
+            # The brightest texels, but for those of bad normals.
             dark = deviation_of_light(light[mask], float(np.quantile(light[scene.usable], 0.98)))
             logs.append(np.log(np.maximum(estimate.albedo_linear[mask], FAINT)).astype(np.float32))
             known = np.where(scene.usable[mask], 1.0, TINY)

@@ -283,13 +283,10 @@ def _assembled(
         skin, labels, shown = lit.image.skin, lit.image.labels, lit.image.seen
         for other in (one.image for one in found):
             more = other.seen & ~shown
-            if (
-                skin is not None
-                and labels is not None
-                and other.skin is not None
-                and other.labels is not None
-            ):
-                skin, labels = np.where(more, other.skin, skin), np.where(more, other.labels, labels)
+            if skin is not None and other.skin is not None:
+                skin = np.where(more, other.skin, skin)
+            if labels is not None and other.labels is not None:
+                labels = np.where(more, other.labels, labels)
             shown = shown | more
         image = replace(
             image,

@@ -202,9 +202,10 @@ def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:
 
 
 def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
-    model = None  # unknown in a folder of images without a record
+    model, common = None, False  # unknown in a folder of images without a record
     if (folder / RESULT_FILE).is_file():
-        model = str(read_record(folder / RESULT_FILE, ResultRecord).options.get("model", "none"))
+        record = read_record(folder / RESULT_FILE, ResultRecord)
+        model, common = str(record.options.get("model", "none")), "person" in record.metrics
     elif (folder / APPLICATION_FILE).is_file():
         model = read_record(folder / APPLICATION_FILE, ApplicationRecord).model
     elif not (folder / IMAGE_FILE).is_file():
@@ -225,7 +226,7 @@ def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
     image, albedo = read_image_and_albedo(folder)
     values: NDArray[np.floating] | None = albedo if kind == "albedo" else image.texture_linear
     # The common albedo of a person's scans is in no light: its texture is the albedo once more.
-    if values is None or (kind != "albedo" and np.allclose(values, albedo, rtol=1e-2, atol=1e-3)):
+    if values is None or (common and kind != "albedo"):
         raise NothingToCompareError(f"{folder}: has no texture of its own; compare by albedo and shape")
     if kind == "shading":
         values = np.divide(values, albedo, out=np.zeros(albedo.shape), where=albedo > 0)
