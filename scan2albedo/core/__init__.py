@@ -7,16 +7,6 @@ from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.raw_scan import RawScan
 
 __all__ = [
-    "Budget",
-    "EnvironmentLight",
-    "GeometryImage",
-    "Meter",
-    "Plan",
-    "PlanStep",
-    "PointLight",
-    "ProgressCallback",
-    "RawScan",
-    "Trace",
-    "TraceRow",
-    "checked_seed",
-]
+    "Budget", "EnvironmentLight", "GeometryImage", "Meter", "Plan", "PlanStep", "PointLight",
+    "ProgressCallback", "RawScan", "Trace", "TraceRow", "checked_seed",
+]  # fmt: skip
