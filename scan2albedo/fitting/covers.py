@@ -18,7 +18,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.fitting.forces import ForceGates, scan_forces
-from scan2albedo.fitting.openings import EYES
+from scan2albedo.fitting.landmark_pull import EYES
 from scan2albedo.fitting.options import between
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface

@@ -16,9 +16,8 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import SIZE_SD, aligned, proportioned
 from scan2albedo.fitting.covers import Uncovered, uncovered
 from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates
-from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull
+from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull, openings
 from scan2albedo.fitting.mouth_opening import corners_pulled, mouth_opened
-from scan2albedo.fitting.openings import openings
 from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.painted_features import painted_pull
 from scan2albedo.fitting.result import FittedFace, fitted_face

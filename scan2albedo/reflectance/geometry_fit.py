@@ -16,13 +16,12 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
 from scan2albedo.geometry.rigid import compose, is_rigid, procrustes, rotation_from_vector, transform_points
-from scan2albedo.optimization.least_squares import Damping, Descent
+from scan2albedo.optimization.least_squares import Damping, Descent, MapPoint, most_probable
 from scan2albedo.reflectance import geometry_terms as terms
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.geometry_terms import GeometryObjective, GeometryState, PhotometricTerm
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
 from scan2albedo.reflectance.linear_model import checked_coefficients, require_one_topology
-from scan2albedo.reflectance.map_fit import MapPoint, most_probable
 from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 

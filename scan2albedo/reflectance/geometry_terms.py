@@ -17,9 +17,9 @@ from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobia
 from scan2albedo.geometry.pinhole import camera_centers, project, projected
 from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.optimization.least_squares import LocalTerm
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
 from scan2albedo.reflectance.image_fit import photometric_penalty
-from scan2albedo.reflectance.map_fit import LocalTerm
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility

@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.optimization.least_squares import LocalTerm, MapPoint, most_probable
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import require_one_topology
-from scan2albedo.reflectance.map_fit import LocalTerm, MapPoint, most_probable
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import among_all

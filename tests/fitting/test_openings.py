@@ -7,7 +7,7 @@ import pytest
 from benchmarks.raw_like import raw_like
 
 from scan2albedo import fit
-from scan2albedo.fitting.openings import EYES, INNER_LIPS, openings
+from scan2albedo.fitting.landmark_pull import EYES, INNER_LIPS, openings
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points

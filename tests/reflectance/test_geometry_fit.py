@@ -16,6 +16,7 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.lighting.harmonics import project_environment
+from scan2albedo.optimization.least_squares import MapPoint
 from scan2albedo.reflectance import (
     MorphableShapeModel,
     VertexReflectance,
@@ -30,7 +31,6 @@ from scan2albedo.reflectance.geometry_terms import (
     PhotometricTerm,
     SmoothImage,
 )
-from scan2albedo.reflectance.map_fit import MapPoint
 from scan2albedo.synthetic import face_shape
 
 SHAPE = (260, 220)

@@ -15,7 +15,7 @@ from benchmarks.landmark_cases import INNER, LightStage, cases, expressions_of_l
 from benchmarks.raw_like import raw_like
 from scan2albedo.errors import NoFaceError
 from scan2albedo.fitting import FitOptions
-from scan2albedo.fitting.openings import EYES
+from scan2albedo.fitting.landmark_pull import EYES
 from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import transform_points
