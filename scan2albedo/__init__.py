@@ -9,8 +9,6 @@ Examples
 (68, 3)
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

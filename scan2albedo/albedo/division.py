@@ -1,7 +1,5 @@
 """From light to albedo: M_A = (M_T - I_s) / (I_d + I_a), its noise drawn toward the neighbourhood."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`estimate_albedo`: find the light in a geometry image and divide it out."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Exemplar synthesis of texels whose colour a highlight has wiped out."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """The image at several sizes: texels averaged into cells, with weights and partitions into blocks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What is known of light before a picture is seen: one named distribution a parameter."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The search for the light: lamps by the evidence for each number of them, beside soft light."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What is known, at the nodes of an albedo's prior, of log albedo and of light that no part stands for."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Noise apart from texture: it is white in space, not quite shared by channels, blind to the light."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Settings of the albedo stage."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 OPTIONAL_STEPS = (

@@ -1,7 +1,5 @@
 """The search of Toderici et al., section 3.2: the deviation of the albedo from its block means, annealed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 

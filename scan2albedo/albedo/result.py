@@ -1,7 +1,5 @@
 """`AlbedoEstimate`: the unlit texture, the light that was removed, how it was found; an albedo's error."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Repair of saturated texels: lost channels from those that survived, texture where none did."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cast shadows in the search for the light: whether there are any, and where, continuous in the light."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Soft light in the search: ambient occlusion, an environment in harmonics, one bounce; with derivatives."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

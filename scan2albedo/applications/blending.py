@@ -1,7 +1,5 @@
 """`blend_faces`: a face between two."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

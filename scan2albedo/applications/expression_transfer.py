@@ -1,7 +1,5 @@
 """One person's expression on another person's face, and a face model in one person's shape."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 

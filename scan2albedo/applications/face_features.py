@@ -1,7 +1,5 @@
 """Which texels are eyes, brows, nostrils, mouth or hair, and what two albedos differ by beside the skin."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """`unlit_scan`: the scan as it came, its vertices, coordinates and texels, without its light and outlines."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable

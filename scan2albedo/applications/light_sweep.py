@@ -1,7 +1,5 @@
 """A light that moves around a face: frames, and an animation of them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from io import BytesIO

@@ -1,7 +1,5 @@
 """`relight`: a processed face under other light, on its chart and in pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`template_texture`: colours and fine shape of an unlit scan on the coordinates of anyone's template."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Integral
 

@@ -1,7 +1,5 @@
 """`swap_texture`: one face's shape with another's skin, continued where it was badly seen."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Run tasks in workers, local or of a cluster, also when workers die, and as many as memory carries."""
 
-from __future__ import annotations
-
 import os
 import queue
 import re

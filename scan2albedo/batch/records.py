@@ -1,7 +1,5 @@
 """Records of a batch, its scans and its report, the columns of its catalogue, and where all files are."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """`run_batch`: many scans, each in a worker, with a catalogue of the outcomes."""
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import json

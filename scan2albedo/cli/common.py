@@ -1,7 +1,5 @@
 """What the commands share: exit statuses, flags, one line an error, a clean end on Ctrl-C and SIGTERM."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """What is missing on this machine, and the command that mends it."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

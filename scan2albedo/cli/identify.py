@@ -1,7 +1,5 @@
 """The command `identify`: which persons of a gallery of processed scans other processed scans show."""
 
-from __future__ import annotations
-
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """The command `relight`: a processed face under other light, as a picture, a GLB or a sweep."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """What callers hand over by mistake: other objects than expected, and colours that are not linear."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

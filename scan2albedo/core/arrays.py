@@ -1,7 +1,5 @@
 """Types of arrays in annotations, whose shapes stand in docstrings; arrays of a mesh; a smooth step."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

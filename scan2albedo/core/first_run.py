@@ -4,8 +4,6 @@ Numba compiles one kernel at a time in a process and keeps it on disk, where the
 compiled meanwhile. What they have not compiled in time, it compiles itself.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import importlib

@@ -1,7 +1,5 @@
 """`GeometryImage`: a face sampled on a regular grid over its UV chart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from numbers import Integral
 

@@ -1,7 +1,5 @@
 """A mesh and its key points in a lattice: every part that can be is connected to a key point."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Key points of frames: the pose, size and unit they fix, their mean, and frames unlike the others."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

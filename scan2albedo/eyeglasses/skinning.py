@@ -1,7 +1,5 @@
 """Linear blend skinning, and the transforms of key points that it blends (supplement, section S2)."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike

@@ -1,7 +1,5 @@
 """A frame without its bends, in its own shape and size: rims move rigidly, temples keep their lengths."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Bounded biharmonic weights of key points on any triangle mesh."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 On disk it is `afm.json` with the annotation, and an .npz beside it with the arrays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache

@@ -1,7 +1,5 @@
 """How people's faces differ from the model: bumps around landmarks, and modes of shape made of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

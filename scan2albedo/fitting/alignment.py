@@ -3,8 +3,6 @@
 Closest points alone let the sheet slide along a face whose eyes, nose and mouth stand at other heights.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

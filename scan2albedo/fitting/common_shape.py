@@ -1,7 +1,5 @@
 """One neutral shape of a person from several fitted scans, and how each scan differs from it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

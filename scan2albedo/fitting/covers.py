@@ -6,8 +6,6 @@ eye is a cover or not by one sum of log odds: ends like a thing's speak for it, 
 how rare covers are against it. A cover leaves a hole, over which the model keeps its own shape.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """M q'' + D q' + K q = f, backward Euler, one sparse factorisation for all steps of a stage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Deform the model onto a registered scan."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Protocol
 

@@ -1,7 +1,5 @@
 """Everything that can be set about the fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import inf
 

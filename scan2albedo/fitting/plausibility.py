@@ -3,8 +3,6 @@
 Thresholds lie above what 324 fits to faces gave, of 164 synthetic and nine measured people.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the fit returns, and how it is assembled: residuals, coverage, metrics."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

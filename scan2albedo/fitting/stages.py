@@ -1,7 +1,5 @@
 """The coarse-to-fine schedule: which samples, how stiff, how far the forces reach."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 

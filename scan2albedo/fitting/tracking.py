@@ -1,7 +1,5 @@
 """Fit the frames of one take, each from where the face was in the one before, and smooth what was found."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

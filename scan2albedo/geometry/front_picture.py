@@ -1,7 +1,5 @@
 """The picture of a coloured scan as seen along -z: one colour for each square of the x-y plane."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

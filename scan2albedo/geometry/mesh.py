@@ -1,7 +1,5 @@
 """Elementary quantities of a triangle mesh: normals, areas, boundaries, neighbours, components, thinning."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Sparse operators on a triangle mesh: Laplacians, their energies, diffusion, derivatives of normals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

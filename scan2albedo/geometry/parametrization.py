@@ -1,7 +1,5 @@
 """One flip-free chart of a disc-like surface in the unit square: Tutte, SLIM, xatlas."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu

@@ -1,7 +1,5 @@
 """Pinhole cameras as (3, 4) projection matrices: pixels (column, row), centres of pixels at integers."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

@@ -1,7 +1,5 @@
 """Triangles to pixels and back: which face covers each pixel; images between pixels, and made smaller."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """Ray casting with embree: occlusion and first hits, centred before float32, on all cores."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Meshes with texture coordinates: split at seams, and the frames in which normal maps are written."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files and result folders appear whole or not at all."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

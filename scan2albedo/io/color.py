@@ -1,7 +1,5 @@
 """sRGB and linear light (IEC 61966-2-1), exact piecewise curves."""
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

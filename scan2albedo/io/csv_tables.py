@@ -1,7 +1,5 @@
 """Lists and CSV tables that people write, read so that every fault is named with its place."""
 
-from __future__ import annotations
-
 import csv
 from io import StringIO
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Geometry images as NumPy archives (complete, exact) and as multi-layer EXR (for other programs)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Meshes, also those that joints move, as binary glTF 2.0 files that any viewer opens."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Mapping, Sequence

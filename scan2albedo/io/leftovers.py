@@ -1,7 +1,5 @@
 """What killed processes leave: files under hidden names, and publications that ended between two renames."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -4,8 +4,6 @@ Within these limits a scan is read in about 2 GB of memory and 20 seconds. What 
 head of 0.1 mm resolution has five million triangles, and a geometry image of it at most 16384 x 16384 texels.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import stat

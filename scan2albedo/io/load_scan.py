@@ -1,7 +1,5 @@
 """`load_scan`: any supported scan file as a checked `RawScan` in mm and linear colour; and its hash."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os

@@ -1,7 +1,5 @@
 """NPZ files: written whole, and read with one error that names the file, whatever is wrong with it."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Collection, Mapping

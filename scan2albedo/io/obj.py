@@ -1,7 +1,5 @@
 """Wavefront OBJ files: faces share vertices, texture coordinates belong to corners."""
 
-from __future__ import annotations
-
 import codecs
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`ParsedMesh`, what a reader hands to `load_scan`, its materials (MTL, pictures), and polygons cut up."""
 
-from __future__ import annotations
-
 import codecs
 import re
 from collections.abc import Iterable

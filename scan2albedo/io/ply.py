@@ -1,7 +1,5 @@
 """PLY scans with colours or textures; STL scans; OFF scans, ASCII, with vertex colours when they are COFF."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from pathlib import Path

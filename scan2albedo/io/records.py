@@ -1,7 +1,5 @@
 """Records: JSON files with a schema, written whole and checked when they are read."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Mapping

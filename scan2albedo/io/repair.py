@@ -1,7 +1,5 @@
 """Harmless repairs of raw meshes, each with a note, and errors for what cannot be repaired."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

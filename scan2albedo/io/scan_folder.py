@@ -1,7 +1,5 @@
 """Which files a scan may refer to, and how they are found: one rule for MTL, PLY and glTF."""
 
-from __future__ import annotations
-
 import os
 import unicodedata
 from dataclasses import dataclass

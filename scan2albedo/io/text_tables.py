@@ -1,7 +1,5 @@
 """Numba kernels that read lines of numbers straight from the bytes of a text mesh file."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One texture out of several materials, with coordinates inside it, and which colours a picture showed."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

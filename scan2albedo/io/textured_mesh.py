@@ -1,7 +1,5 @@
 """Meshes with pictures on their own texture coordinates, as OBJ with MTL and as GLB."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Millimetres, centimetres or metres: decided from the size of a head, or of a pair of glasses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray

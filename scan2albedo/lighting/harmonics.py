@@ -1,7 +1,5 @@
 """Real spherical harmonics of any order, with gradients, as polynomials without poles; and light in them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

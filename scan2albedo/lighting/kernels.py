@@ -1,7 +1,5 @@
 """Compiled shading of many surface points under a few lights, with and without derivatives."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -1,7 +1,5 @@
 """The analytical skin reflectance model: ambient, diffuse and specular light of several point lights."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Simulated annealing over a box with steps that adapt to each coordinate."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

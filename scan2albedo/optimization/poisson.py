@@ -1,7 +1,5 @@
 """Fields rebuilt from gradients inside a region, agreeing with what surrounds it."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu

@@ -1,7 +1,5 @@
 """The demo: a synthetic raw scan through the whole pipeline, compared with its ground truth."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Landmarks that MediaPipe's network finds in pictures of a registered scan: the extra [landmarks]."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The pose of a scan that may be inside out, and whose unit nobody may have given."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace

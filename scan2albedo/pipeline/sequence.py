@@ -1,7 +1,5 @@
 """`process_sequence`: the frames of one take, the same vertices throughout."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The paper's validation, computed again on synthetic scenes: the tables behind `scan2albedo validate`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """White balance: one factor for each channel of a scan, so that grey, or skin, has its colour."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

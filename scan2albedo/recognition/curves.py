@@ -1,7 +1,5 @@
 """Cumulative match and receiver operating characteristics, with their intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Closed-set identification: which person of a gallery each probe resembles most."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Results and the persons they show, from a CSV file or a folder; their albedos and surfaces."""
 
-from __future__ import annotations
-
 import unicodedata
 from dataclasses import dataclass
 from pathlib import Path

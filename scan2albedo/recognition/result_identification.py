@@ -1,7 +1,5 @@
 """`identify_results`: which persons of a gallery of processed scans other processed scans show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Complex wavelet structural similarity (CW-SSIM): of two images, and of all pairs of two template sets."""
 
-from __future__ import annotations
-
 from numbers import Integral
 from typing import Any
 

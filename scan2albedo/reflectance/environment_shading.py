@@ -1,7 +1,5 @@
 """Radiance of vertices under light from everywhere, and its derivatives by normals and directions of view."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal

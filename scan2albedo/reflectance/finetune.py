@@ -1,7 +1,5 @@
 """Improve a morphable reflectance model with plain images of other faces."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Refine a face's pose and shape from one image, by its landmarks and its colours."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace

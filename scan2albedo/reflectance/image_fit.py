@@ -1,7 +1,5 @@
 """Find a face's reflectance and the light of one image with morphable models of both."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """`LinearModel`: a mean and directions of change, learned from samples; of reflectance, shape and light."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One light at a time: the flash's light alone, from pictures with the flash and with the room's light."""
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections import Counter

@@ -1,7 +1,5 @@
 """`ImageObservation`: colours of one image at the vertices of a face; how to get it from a photograph."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Radiance of a vertex of unit albedo, and of unit weight of each lobe, under a point light."""
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike

@@ -1,7 +1,5 @@
 """Reflectance of a mesh's vertices as NPZ files with a header."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

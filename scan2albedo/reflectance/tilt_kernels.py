@@ -8,8 +8,6 @@ with the slopes p_i = e_i.l / n.l and q_i = e_i.h / n.h of `lobe_slopes`. Lobes 
 their powers, so the turned ones need no geometry, whatever the lobes are in units of.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

@@ -1,7 +1,5 @@
 """Albedo and highlights of each vertex from pictures lit by one flash each; how well they predict others."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 

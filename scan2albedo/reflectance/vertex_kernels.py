@@ -8,8 +8,6 @@ over the pairs j. With a Gaussian prior N(m, diag(q)^-1) the diffuse albedos are
 and the rest is 3 x 3, M w = r with M = sum_k (G_k - d_k d_k^T / a_k) + diag(q_w): G_k alone where c_k is 0.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 

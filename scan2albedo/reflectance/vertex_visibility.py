@@ -1,7 +1,5 @@
 """Which vertices cameras see and flashes light, away from edges, and what pictures show of them."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether the best candidate is accepted as a face: refusals with their figures, and doubts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import lru_cache
 from importlib.resources import as_file, files

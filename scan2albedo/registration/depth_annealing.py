@@ -1,7 +1,5 @@
 """Simulated annealing of the pose on the derivatives of depth images (Toderici et al., section 3.1.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Robust ICP of the face model: pose, the face's size and, where asked, a person's shape."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

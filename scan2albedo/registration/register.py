@@ -1,7 +1,5 @@
 """Rigid registration: find the face in a raw scan, in any pose, without landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

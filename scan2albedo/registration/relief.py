@@ -1,7 +1,5 @@
 """How much a posed scan looks like a face: its depth image, and the relief that scan and model share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

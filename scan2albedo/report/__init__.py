@@ -1,7 +1,5 @@
 """Overview pictures of results, and `write_report`: an HTML page about a scan or a batch."""
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:

@@ -1,7 +1,5 @@
 """Pictures of reflectances: albedo, weights of the lobes, which of them is identified, and faces relit."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

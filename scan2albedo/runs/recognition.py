@@ -1,7 +1,5 @@
 """The files of an identification: a table, all similarities, curves and a record, all of them or none."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import asdict
 from io import StringIO

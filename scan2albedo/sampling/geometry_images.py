@@ -1,7 +1,5 @@
 """Geometry images: of a fitted face on its model's chart, and of any scanned object on charts of xatlas."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

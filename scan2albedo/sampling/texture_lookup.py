@@ -1,7 +1,5 @@
 """Colour of a raw scan at given surface points, whether each was well seen, and by which camera."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Synthetic cameras: where they stand around a head, and what they store of light."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Shapes of random people: identity and expression as bumps on the model, sampled over its chart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 

@@ -1,7 +1,5 @@
 """Synthetic eyeglasses with key points, lenses and a known bend, mirrored from their left half."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

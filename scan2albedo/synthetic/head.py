@@ -1,7 +1,5 @@
 """What surrounds a synthetic face: skull and neck, hair, clothes; floating crumbs and holes."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import gaussian_filter
 

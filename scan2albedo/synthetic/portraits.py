@@ -1,7 +1,5 @@
 """Pictures of a person: lit by one flash at a time, or from all around; with everything known about them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

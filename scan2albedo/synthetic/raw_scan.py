@@ -1,7 +1,5 @@
 """Raw scans of a synthetic person by a two-pod stereo scanner with flash photographs, and their truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

@@ -3,8 +3,6 @@
 It shares neither shading nor shadow code with the estimators, so that an error in one of them shows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Synthetic scenes: a geometry image, its true albedo, and everything that lit it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

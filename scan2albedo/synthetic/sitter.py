@@ -1,7 +1,5 @@
 """A synthetic person in front of the scanner: face, head and neck, hair, clothes, each with its albedo."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum

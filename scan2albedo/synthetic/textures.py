@@ -1,7 +1,5 @@
 """Procedural albedo at any texture coordinates: wood, plain, skin, and a face with brows, lips and eyes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A synthetic person who wears glasses, seen by calibrated cameras, with everything known about it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

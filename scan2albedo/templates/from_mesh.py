@@ -1,7 +1,5 @@
 """An annotated surface out of anyone's dense template (`AnnotatedFaceModel.from_mesh`)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Lenses that fill the rims of a frame, the glass that makes room for them, and rays on their way through."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 

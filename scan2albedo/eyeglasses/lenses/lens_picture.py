@@ -1,7 +1,5 @@
 """Lenses put into a pair of glasses, seen by a camera: under distant lights, or in a photograph."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What one lens does to a ray: refraction by its power, mirroring by its front, tint and reflection."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

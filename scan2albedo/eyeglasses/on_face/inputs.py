@@ -1,7 +1,5 @@
 """Settings, checked inputs and result of `register_on_face`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any

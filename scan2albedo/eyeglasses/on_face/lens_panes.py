@@ -1,7 +1,5 @@
 """Lenses in the masks and lenses in the mesh: what covers the rims' openings in each view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

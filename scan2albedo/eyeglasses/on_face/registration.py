@@ -1,7 +1,5 @@
 """Glasses registered on a face from key points and masks in calibrated views (supplement, section S3)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """How well the pictures fix a frame, where they contradict it, and the result in the caller's unit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page's section about a batch: one row a scan, its table, distributions, and which scans come first."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

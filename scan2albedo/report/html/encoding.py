@@ -1,7 +1,5 @@
 """What the viewer of a scan needs, in few bytes: 16 bits a number, shared triangles, PNG or JPEG textures."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import io

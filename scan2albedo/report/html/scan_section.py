@@ -1,7 +1,5 @@
 """The page's section about one scan."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterable, Mapping

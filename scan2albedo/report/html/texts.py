@@ -1,7 +1,5 @@
 """Numbers, names and units as a person reads them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

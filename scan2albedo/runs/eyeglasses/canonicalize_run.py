@@ -1,7 +1,5 @@
 """Frames of eyeglasses from files to canonical space, and the files of the result."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

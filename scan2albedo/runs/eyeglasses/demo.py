@@ -1,7 +1,5 @@
 """The demo of glasses: a synthetic frame registered on its wearer's fitted face, compared with the truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What the commands for glasses are given: frames, cameras and the rest of their files, in millimetres."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Lenses in a registered frame, over a head, for one camera or more: the run, and its files."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace

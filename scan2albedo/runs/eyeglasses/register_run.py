@@ -1,7 +1,5 @@
 """A frame registered on a face: the run, and the files of the result."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass

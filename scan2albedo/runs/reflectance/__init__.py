@@ -1,7 +1,5 @@
 """Runs and files of the `reflectance` commands: each writes one folder, the record last."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

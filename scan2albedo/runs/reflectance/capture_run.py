@@ -1,7 +1,5 @@
 """From a capture file to light of single flashes and to reflectance, and their files."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The demo of reflectance: synthetic people photographed, fitted, modelled, and compared with the truth."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

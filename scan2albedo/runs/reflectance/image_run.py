@@ -1,7 +1,5 @@
 """From photographs in any light to reflectance and light, or to a finer model, and their files."""
 
-from __future__ import annotations
-
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Morphable models of reflectance learned from files, samples of them, and their files."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Sequence
