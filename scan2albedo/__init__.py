@@ -41,35 +41,21 @@ if TYPE_CHECKING:
 __version__ = VERSION
 
 _HOMES = {
-    "AlbedoEstimate": "albedo",
-    "AnnotatedFaceModel": "templates",
-    "Budget": "core",
-    "CommonAlbedo": "albedo",
-    "EnvironmentLight": "core",
-    "FittedFace": "fitting",
-    "GeometryImage": "core",
-    "PointLight": "core",
-    "PersonResult": "pipeline.person",
-    "ProcessResult": "pipeline.result",
-    "Quality": "pipeline.options",
-    "RawScan": "core",
-    "Region": "face_model",
-    "Registration": "registration",
-    "Scan2AlbedoError": "errors",
-    "SequenceResult": "pipeline.sequence",
-    "Trace": "core",
-    "albedo_error": "albedo",
-    "estimate_albedo": "albedo",
-    "estimate_common_albedo": "albedo",
-    "fit": "fitting",
-    "geometry_image": "sampling",
-    "geometry_image_of_scan": "sampling",
-    "load_scan": "io",
-    "process": "pipeline.process",
-    "process_person": "pipeline.person",
-    "process_sequence": "pipeline.sequence",
-    "read_geometry_image": "io.geometry_image_files",
-    "register": "registration",
+    "albedo": ("AlbedoEstimate", "CommonAlbedo", "albedo_error", "estimate_albedo", "estimate_common_albedo"),
+    "core": ("Budget", "EnvironmentLight", "GeometryImage", "PointLight", "RawScan", "Trace"),
+    "errors": ("Scan2AlbedoError",),
+    "face_model": ("Region",),
+    "fitting": ("FittedFace", "fit"),
+    "io": ("load_scan",),
+    "io.geometry_image_files": ("read_geometry_image",),
+    "pipeline.options": ("Quality",),
+    "pipeline.person": ("PersonResult", "process_person"),
+    "pipeline.process": ("process",),
+    "pipeline.result": ("ProcessResult",),
+    "pipeline.sequence": ("SequenceResult", "process_sequence"),
+    "registration": ("Registration", "register"),
+    "sampling": ("geometry_image", "geometry_image_of_scan"),
+    "templates": ("AnnotatedFaceModel",),
 }
 _SUBPACKAGES = ("applications", "batch", "eyeglasses", "recognition", "reflectance", "report", "synthetic")
 
@@ -86,12 +72,13 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name in _SUBPACKAGES:
         return import_module(f"{__name__}.{name}")
-    if name not in _HOMES:
+    home = next((home for home, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    value = getattr(import_module(f"{__name__}.{home}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_HOMES, *_SUBPACKAGES})
+    return sorted({*globals(), *__all__})

@@ -34,7 +34,7 @@ from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, random_rotation, transform_points
-from scan2albedo.synthetic.head import grid_faces, join
+from scan2albedo.synthetic.sitter import grid_faces, join
 
 PEERS = Path(fit_peers.__file__)
 SHAPES = (

@@ -41,7 +41,7 @@ from scan2albedo.geometry.rigid import (
 from scan2albedo.io.units import millimetres_per_unit
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import Template
 
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 FACE_PART = 6706

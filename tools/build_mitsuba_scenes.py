@@ -34,7 +34,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import linear_to_srgb
 from scan2albedo.synthetic import face, hemisphere, light_at, with_normal_error
-from scan2albedo.synthetic.camera import auto_exposure, photograph
+from scan2albedo.synthetic.renderer import auto_exposure, photograph
 
 SIZE = 128
 DEPTH = 6

@@ -50,8 +50,7 @@ from scan2albedo.geometry.rigid import (
 from scan2albedo.registration.candidates import ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.evidence import ColourScorer
-from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
 
 SIGNS = {"relief": 1, "distance": -1, "share": 1}
 RIGHT_DEG, RIGHT_MM = 10.0, 15.0

@@ -31,8 +31,7 @@ from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_point
 from scan2albedo.io.npz import write_npz
 from scan2albedo.registration.acceptance import NAMES
 from scan2albedo.registration.icp import FEW, loosely_shaped, shaped_icp
-from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
 from scan2albedo.synthetic.face_shape import person
 
 SYNTHETIC, SYNTHETIC_SHARE = 164, 1 / 2

@@ -18,7 +18,7 @@ from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.lighting.kernels import log_rows, shade_with_derivatives
+from scan2albedo.lighting.shading import log_rows, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
 
 FREEDOM = 4.0

@@ -19,21 +19,12 @@ NO_CAMERA = 255
 Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 ARRAYS = {
-    "position": (np.float64, 3),
-    "normal": (np.float64, 3),
-    "mask": (np.bool_, None),
-    "region": (np.uint8, None),
-    "texture_linear": (np.float32, 3),
-    "texture_valid": (np.bool_, None),
-    "specular_scale": (np.float32, None),
-    "inpaint": (np.bool_, None),
-    "skin": (np.float32, None),
-    "labels": (np.uint8, None),
-    "camera": (np.uint8, None),
-    "face_chart": (np.float32, 2),
-    "filled": (np.bool_, None),
-    "on_face": (np.bool_, None),
-}
+    "position": (np.float64, 3), "normal": (np.float64, 3), "mask": (np.bool_, None),
+    "region": (np.uint8, None), "texture_linear": (np.float32, 3), "texture_valid": (np.bool_, None),
+    "specular_scale": (np.float32, None), "inpaint": (np.bool_, None), "skin": (np.float32, None),
+    "labels": (np.uint8, None), "camera": (np.uint8, None), "face_chart": (np.float32, 2),
+    "filled": (np.bool_, None), "on_face": (np.bool_, None),
+}  # fmt: skip
 """Type and channels, None for a plain (H, W), of the arrays that have a value a texel."""
 
 _LENGTH = 0.01

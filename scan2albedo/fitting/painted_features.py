@@ -28,8 +28,7 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.face_model.appearance import light_basis
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
-from scan2albedo.geometry.front_picture import FrontPicture, front_picture
-from scan2albedo.geometry.rasterization import polyline_distance
+from scan2albedo.geometry.rasterization import FrontPicture, front_picture, polyline_distance
 
 _STEP_MM, _SPACING_MM, _MARGIN_MM = 0.8, 1.5, 25.0
 """Of the picture's squares, of a template's points, and of the picture around the inner landmarks: a feature

@@ -23,8 +23,7 @@ from scan2albedo.io import limits
 from scan2albedo.io.color import decode_picture
 from scan2albedo.io.glb import glb_bytes
 from scan2albedo.io.images import picture_pixels
-from scan2albedo.io.parsed_mesh import Material, ParsedMesh
-from scan2albedo.io.scan_folder import ScanFolder
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh, ScanFolder
 
 if TYPE_CHECKING:
     import trimesh

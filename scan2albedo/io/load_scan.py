@@ -17,8 +17,7 @@ from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
 from scan2albedo.core.raw_scan import RawScan, scan_name
 from scan2albedo.errors import ScanError, TooLargeError, memory_errors_named, one_line
 from scan2albedo.io import limits
-from scan2albedo.io.parsed_mesh import ParsedMesh
-from scan2albedo.io.scan_folder import ScanFolder
+from scan2albedo.io.parsed_mesh import ParsedMesh, ScanFolder
 
 READERS = {
     ".obj": ("scan2albedo.io.obj:read_obj", "scan2albedo.io.obj:files_of_obj"),

@@ -12,8 +12,7 @@ from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import linear_of_srgb_numbers
-from scan2albedo.io.parsed_mesh import Material, MaterialText, ParsedMesh, ScanPictures, decoded
-from scan2albedo.io.scan_folder import ScanFolder
+from scan2albedo.io.parsed_mesh import Material, MaterialText, ParsedMesh, ScanFolder, ScanPictures, decoded
 
 
 class ObjLines:

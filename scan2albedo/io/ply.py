@@ -14,8 +14,7 @@ from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.obj import ObjLines
-from scan2albedo.io.parsed_mesh import MaterialText, ParsedMesh, ScanPictures, damaged
-from scan2albedo.io.scan_folder import ScanFolder
+from scan2albedo.io.parsed_mesh import MaterialText, ParsedMesh, ScanFolder, ScanPictures, damaged
 from scan2albedo.io.text_tables import NumberLines, byte_ranges, number_lines, walk_rows
 
 _TYPES = {

@@ -9,7 +9,6 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rays import blocks, each_block
-from scan2albedo.reflectance import tilt_kernels
 from scan2albedo.reflectance import vertex_kernels as kernels
 from scan2albedo.reflectance.point_light_lobes import turn_lobes
 from scan2albedo.reflectance.vertex_reflectance import BLOCK
@@ -147,7 +146,7 @@ class RobustFit:
             kernels.solve_free(normal, data.mean, data.prior, self.center[block], deviation)
             if self.tilting:
                 tilts, variance = self._tilt_equations(part), self.tilt_variance[block]
-                tilt_kernels.deviations_with_tilts(normal, *tilts, part, deviation, variance)
+                kernels.deviations_with_tilts(normal, *tilts, part, deviation, variance)
 
         each_block(posterior, blocks(size, BLOCK))
         return self
@@ -166,8 +165,8 @@ class RobustFit:
             self.estimate[part] = found
             if self.tilting:
                 tilts, unused = self._tilt_equations(part), np.empty(len(part))
-                tilt_kernels.deviations_with_tilts(normal, *tilts, part, deviation[block], unused)
-                tilt_kernels.step_tilts(normal, *tilts, self.damping, part, self.estimate, self.tilt)
+                kernels.deviations_with_tilts(normal, *tilts, part, deviation[block], unused)
+                kernels.step_tilts(normal, *tilts, self.damping, part, self.estimate, self.tilt)
                 turn_lobes(data.lobes, data.slopes, self.tilt, part, self.lobes)
 
         each_block(work, blocks(len(rows), BLOCK))
@@ -196,7 +195,7 @@ class RobustFit:
         equations, data = np.empty((len(part), 17)), self.data
         assert data.tilt_sigma is not None
         seen = self.lobes, data.bounce, data.slopes, self.weight, self.estimate, self.tilt
-        tilt_kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
+        kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
         square = (self.tilt**2).sum(1)
         return equations, data.prior, (TILT_FREEDOM + 2) / (TILT_FREEDOM * data.tilt_sigma**2 + square)
 

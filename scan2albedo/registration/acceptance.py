@@ -18,8 +18,7 @@ from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidate
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.evidence import Evidence
 from scan2albedo.registration.icp import loosely_shaped, residuals, shaped_icp
-from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions, box_text
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template, box_text
 
 LEAST_PROBABILITY = 0.4
 """Of a face, below which a scan is refused: 2 or 3 of 100 scraps of heads reach it."""

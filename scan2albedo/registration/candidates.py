@@ -18,9 +18,8 @@ from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import PlacedPose, Poses
 from scan2albedo.registration.evidence import ColourScorer, Evidence, evidence
 from scan2albedo.registration.icp import FEW, icp, residuals, rigid_distance_mm
+from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template
 from scan2albedo.registration.relief import ReliefAgreement, normal_relief
-from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions
-from scan2albedo.registration.template import Template
 
 CONVINCING = 4.0
 """Log odds of a face (98 %) beyond which no other pose is refined."""

@@ -13,8 +13,7 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.alignment import align_on_grid
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, procrustes, super_fibonacci_rotations, transform_points
-from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template
 
 
 @dataclass(frozen=True)

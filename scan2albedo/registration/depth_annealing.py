@@ -10,9 +10,8 @@ from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, rotation_from_vector
 from scan2albedo.optimization.annealing import simulated_annealing
 from scan2albedo.registration.icp import rigid_distance_mm, shaped_icp, tightened
+from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template
 from scan2albedo.registration.relief import LOOK_THROUGH_MM, DepthFrame, depth_image
-from scan2albedo.registration.scan_preparation import PreparedScan, RegistrationOptions
-from scan2albedo.registration.template import Template
 
 _REACH = np.array([np.deg2rad(8.0)] * 3 + [8.0] * 2)
 """Half widths of the box: turns in radians, and mm."""

@@ -12,15 +12,13 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.appearance import appearance
 from scan2albedo.geometry.closest_points import NearestSurface
-from scan2albedo.geometry.front_picture import scan_colors
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
-from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.geometry.rasterization import interpolate, rasterize_uv, scan_colors
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
 from scan2albedo.registration.icp import residuals, shaped_icp
+from scan2albedo.registration.inputs import PreparedScan, Template
 from scan2albedo.registration.relief import ReliefAgreement
-from scan2albedo.registration.scan_preparation import PreparedScan
-from scan2albedo.registration.template import Template
 
 _MOST_RMS_MM, _LEAST = 10.0, 0.02
 """Bounds of what is weighed: distances, and 1 - r^2 and the share before their logarithm."""

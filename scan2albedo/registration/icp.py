@@ -12,7 +12,7 @@ from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import Template
 
 _SCALE_SD = 0.1
 _SHAPED_MM, TIGHT_MM = (4.0, 3.0), 0.35

@@ -19,8 +19,7 @@ from scan2albedo.registration.coarse_search import PlacedPose, coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.evidence import ColourScorer
 from scan2albedo.registration.icp import rms_mm, tightened
-from scan2albedo.registration.scan_preparation import SPACING_MM, RegistrationOptions, prepared_scan
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import SPACING_MM, RegistrationOptions, Template, prepared_scan
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,11 @@
 """Synthetic scenes with ground truth."""
 
-from scan2albedo.synthetic.camera import Portrait
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
 from scan2albedo.synthetic.glossy_person import GlossyFace, population_reflectance
 from scan2albedo.synthetic.portraits import FacePhotograph, FlashCapture, face_photograph, flash_capture
 from scan2albedo.synthetic.raw_scan import Scanner, SyntheticTruth, raw_scan
-from scan2albedo.synthetic.renderer import Material
+from scan2albedo.synthetic.renderer import Material, Portrait
 from scan2albedo.synthetic.scenes import (
     SyntheticScene,
     TextureName,

@@ -8,8 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.camera import TARGET_MM, Portrait, refuse_outside, toward
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
+from scan2albedo.synthetic.renderer import TARGET_MM, Portrait, refuse_outside, toward
 
 _ROOM_COLOR = np.array([1.0, 0.93, 0.82])
 _LEAST_GAIN = 0.1

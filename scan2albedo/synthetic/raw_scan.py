@@ -14,12 +14,18 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry import rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
-from scan2albedo.synthetic.camera import auto_exposure, photograph, toward
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
-from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, crumb_meshes, join, nose_tip
-from scan2albedo.synthetic.renderer import Material, RayScene, render
+from scan2albedo.synthetic.renderer import Material, RayScene, auto_exposure, photograph, render, toward
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
-from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
+from scan2albedo.synthetic.sitter import (
+    HEAD_AXIS_FROM_NOSE_MM,
+    BodyPart,
+    Sitter,
+    crumb_meshes,
+    join,
+    nose_tip,
+    sit_down,
+)
 
 _BACKDROP = np.array([0.010, 0.016, 0.030])
 _LEAST_COSINE = 0.12

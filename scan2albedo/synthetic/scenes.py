@@ -13,9 +13,8 @@ from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import PointLight
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.synthetic.camera import auto_exposure, photograph
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, face_surface, person
-from scan2albedo.synthetic.renderer import Material, RayScene, render
+from scan2albedo.synthetic.renderer import Material, RayScene, auto_exposure, photograph, render
 from scan2albedo.synthetic.textures import paint_face, painter, smooth_noise
 
 TextureName = Literal["plain", "skin", "wood"]

@@ -9,12 +9,10 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import default_model
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.synthetic.camera import toward
 from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
-from scan2albedo.synthetic.head import compact, join
-from scan2albedo.synthetic.renderer import RayScene
-from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
+from scan2albedo.synthetic.renderer import RayScene, toward
+from scan2albedo.synthetic.sitter import BodyPart, Sitter, compact, join, sit_down
 
 _FAR_MM = 300.0
 _CLEARANCE_MM = 0.4

@@ -17,7 +17,7 @@ from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic.face_shape import face_surface, person
-from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.sitter import join
 
 BY_EYES_MM = 25.0
 

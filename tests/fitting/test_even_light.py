@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.fitting.painted_features import evenly_lit
-from scan2albedo.geometry.front_picture import FrontPicture
+from scan2albedo.geometry.rasterization import FrontPicture
 
 STEP_MM = 0.8
 SIDE = 120

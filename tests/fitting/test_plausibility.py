@@ -12,7 +12,7 @@ from scan2albedo.fitting import FitOptions, fit
 from scan2albedo.fitting.plausibility import PARTS, asymmetry, doubts, face_coverage, missing_parts
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.synthetic.face_shape import person
-from scan2albedo.synthetic.head import compact
+from scan2albedo.synthetic.sitter import compact
 
 QUICK = FitOptions(levels=(0, 0), finest_level=0)
 

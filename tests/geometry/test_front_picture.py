@@ -3,7 +3,7 @@
 import numpy as np
 
 from scan2albedo import RawScan
-from scan2albedo.geometry.front_picture import front_picture
+from scan2albedo.geometry.rasterization import front_picture
 
 SQUARE = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -8,7 +8,7 @@ import trimesh
 
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import face_lists, far_faces, neighbour_lists
-from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.sitter import join
 
 
 def test_area_and_normals_of_a_sphere():

@@ -7,8 +7,7 @@ from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import load_scan
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import read_obj, write_obj
-from scan2albedo.io.parsed_mesh import parse_mtl
-from scan2albedo.io.scan_folder import ScanFolder
+from scan2albedo.io.parsed_mesh import ScanFolder, parse_mtl
 from tests.io.meshes import (
     CORNER_LINEAR,
     SQUARE_MM,

@@ -5,8 +5,7 @@ import pytest
 
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.lighting.kernels import shade_with_derivatives
-from scan2albedo.lighting.shading import shade_rows
+from scan2albedo.lighting.shading import shade_rows, shade_with_derivatives
 
 RADIUS_MM = 80.0
 VIEW = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])

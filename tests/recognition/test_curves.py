@@ -6,7 +6,7 @@ from scipy.stats import binomtest, mannwhitneyu
 
 from scan2albedo.recognition import cmc_curve, identify_by_similarity, roc_curve
 from scan2albedo.recognition.curves import _rates_of_draw
-from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
+from scan2albedo.runs.recognition import cmc_figure, roc_figure
 
 
 def build_identification(seed=0, persons=20, each=2, separation=1.5, decimals=9):

@@ -19,8 +19,8 @@ from scan2albedo.geometry.rigid import (
 from scan2albedo.registration import register
 from scan2albedo.registration.candidates import Candidate, ScanTarget, rescored
 from scan2albedo.registration.evidence import ColourScorer, Evidence
+from scan2albedo.registration.inputs import RegistrationOptions, prepared_scan
 from scan2albedo.registration.relief import ReliefAgreement
-from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
 
 
 def test_it_refines_and_repeats_its_bits(model):

@@ -12,8 +12,7 @@ from scan2albedo.registration.depth_annealing import (
     annealed,
 )
 from scan2albedo.registration.icp import rigid_distance_mm
-from scan2albedo.registration.scan_preparation import prepared_scan
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import Template, prepared_scan
 
 REST = Similarity(np.eye(3), np.zeros(3))
 

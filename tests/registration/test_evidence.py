@@ -10,8 +10,7 @@ from scan2albedo import RawScan
 from scan2albedo.core import Meter
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
 from scan2albedo.registration.evidence import evidence
-from scan2albedo.registration.scan_preparation import RegistrationOptions, prepared_scan
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, random_rotation, rotation_angle_rad, rotation_from_vector
 from scan2albedo.registration.icp import icp, residuals, rigid_distance_mm
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import Template
 
 
 @pytest.fixture(scope="module")

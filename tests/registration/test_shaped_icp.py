@@ -8,7 +8,7 @@ from scan2albedo.face_model.variation import STRETCHES, shape_modes
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import Similarity, rotation_angle_rad, rotation_from_vector
 from scan2albedo.registration.icp import residuals, shaped_icp
-from scan2albedo.registration.template import Template
+from scan2albedo.registration.inputs import Template
 
 
 @pytest.fixture(scope="module")

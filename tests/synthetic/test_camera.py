@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.io.color import linear_to_srgb
-from scan2albedo.synthetic.camera import auto_exposure, photograph
+from scan2albedo.synthetic.renderer import auto_exposure, photograph
 
 
 def shoot(radiance, **options):

@@ -10,9 +10,8 @@ from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_components
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import Material, Scanner, light_at, raw_scan
-from scan2albedo.synthetic.head import head_around
 from scan2albedo.synthetic.raw_scan import flash_pictures, two_pods
-from scan2albedo.synthetic.sitter import BodyPart, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, head_around, sit_down
 
 SMALL = Scanner(picture_size=400, size=128, spacing_mm=3.5)
 

@@ -14,8 +14,7 @@ from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.io import load_scan
-from scan2albedo.synthetic.head import Mesh, compact, grid_faces, join, shoulder_sheet
-from scan2albedo.synthetic.sitter import BodyPart, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, Mesh, compact, grid_faces, join, shoulder_sheet, sit_down
 
 Maker = Callable[[], Mesh]
 

@@ -17,7 +17,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.geometry.mesh import boundary_loops
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-from scan2albedo.synthetic.head import Mesh, grid_faces, hair_shell, join
+from scan2albedo.synthetic.sitter import Mesh, grid_faces, hair_shell, join
 
 UNSEEN = 100_000
 """Added to the number of every scan: no calibration draws from there on."""

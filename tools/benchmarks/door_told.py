@@ -21,7 +21,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
 from scan2albedo.synthetic import Scanner, raw_scan
-from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.sitter import join
 
 STRETCHES = (1.5, 0.67)
 NOSE_HOLE_MM = 26.0

@@ -25,10 +25,8 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directio
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.synthetic import GlassesShape, eyeglasses
-from scan2albedo.synthetic.camera import toward
-from scan2albedo.synthetic.head import join
-from scan2albedo.synthetic.renderer import RayScene
-from scan2albedo.synthetic.sitter import BodyPart, sit_down
+from scan2albedo.synthetic.renderer import RayScene, toward
+from scan2albedo.synthetic.sitter import BodyPart, join, sit_down
 from scan2albedo.synthetic.textures import smooth_noise
 
 SIDE = 2

@@ -22,8 +22,8 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directio
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.synthetic import GlassesShape, eyeglasses
-from scan2albedo.synthetic.head import join
 from scan2albedo.synthetic.renderer import RayScene
+from scan2albedo.synthetic.sitter import join
 
 _YAWS = (-0.65, 0.0, 0.65)
 _DISTANCE_MM = 600.0

@@ -7,8 +7,8 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import GlassesShape, eyeglasses
-from scan2albedo.synthetic.head import Mesh, join
 from scan2albedo.synthetic.renderer import RayScene
+from scan2albedo.synthetic.sitter import Mesh, join
 from scan2albedo.synthetic.wearer import fit_temples, seat
 
 

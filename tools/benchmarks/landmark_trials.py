@@ -21,7 +21,7 @@ from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import raw_scan
 from scan2albedo.synthetic.face_shape import Expression
-from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.sitter import join
 
 SHUT = ("cheek_puff", "mouth_frown", "mouth_pucker", "mouth_roll_lower", "mouth_roll_upper", "mouth_upper_up")
 """Expressions that leave the jaw shut; lips may part by some mm."""

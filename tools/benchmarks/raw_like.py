@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.synthetic.head import (
+from scan2albedo.synthetic.raw_scan import capture, disturbed, random_pose, two_pods
+from scan2albedo.synthetic.sitter import (
     HEAD_AXIS_FROM_NOSE_MM,
     Mesh,
     compact,
@@ -18,7 +19,6 @@ from scan2albedo.synthetic.head import (
     nose_tip,
     shoulder_sheet,
 )
-from scan2albedo.synthetic.raw_scan import capture, disturbed, random_pose, two_pods
 
 
 def raw_like(

@@ -18,7 +18,13 @@ from scan2albedo.face_model.variation import EXPRESSION_BUMPS
 from scan2albedo.geometry.mesh import normalized, vertex_components, vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
 from scan2albedo.synthetic.face_shape import Expression
-from scan2albedo.synthetic.head import (
+from scan2albedo.synthetic.raw_scan import (
+    capture,
+    disturbed,
+    portrait_pods,
+    random_pose,
+)
+from scan2albedo.synthetic.sitter import (
     HEAD_AXIS_FROM_NOSE_MM,
     Mesh,
     compact,
@@ -26,14 +32,8 @@ from scan2albedo.synthetic.head import (
     grid_faces,
     join,
     nose_tip,
+    sit_down,
 )
-from scan2albedo.synthetic.raw_scan import (
-    capture,
-    disturbed,
-    portrait_pods,
-    random_pose,
-)
-from scan2albedo.synthetic.sitter import sit_down
 
 FEATURES = ("glasses", "open mouth", "beard", "fringe", "half face", "no neck")
 """What may hide or change a face, and the `_CHANCES` of each."""

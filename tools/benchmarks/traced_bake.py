@@ -13,7 +13,7 @@ from benchmarks.traced_people import Part, bsdf_of
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic.camera import photograph, toward
+from scan2albedo.synthetic.renderer import photograph, toward
 
 DEPTH = 6
 """Longest path in edges: four bounces between a lamp and the camera, and the camera's own edge."""

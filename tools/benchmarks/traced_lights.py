@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, smoothstep
-from scan2albedo.synthetic.camera import toward
+from scan2albedo.synthetic.renderer import toward
 
 Color = tuple[float, float, float]
 WHITE: Color = (1.0, 1.0, 1.0)

@@ -21,11 +21,10 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.synthetic.camera import toward
-from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
 from scan2albedo.synthetic.raw_scan import Pod, RangeMesh, Scanner, assembled, beside, capture, random_pose
+from scan2albedo.synthetic.renderer import toward
 from scan2albedo.synthetic.scenes import texel_coordinates
-from scan2albedo.synthetic.sitter import BodyPart, Sitter
+from scan2albedo.synthetic.sitter import HEAD_AXIS_FROM_NOSE_MM, BodyPart, Sitter, nose_tip
 
 CAMERAS_DEG: dict[int, list[tuple[float, float]]] = {
     2: [(35, 5), (-35, 5)],

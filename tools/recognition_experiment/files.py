@@ -13,7 +13,7 @@ from recognition_experiment.report import RecognitionReport
 from recognition_experiment.sessions import TEXTURE, cached_session
 from scan2albedo.io.atomic import atomic_path, make_folder, write_text
 from scan2albedo.io.records import plain_json
-from scan2albedo.report.recognition_figures import cmc_figure, roc_figure
+from scan2albedo.runs.recognition import cmc_figure, roc_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

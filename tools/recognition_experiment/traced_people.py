@@ -24,9 +24,9 @@ from scipy.ndimage import map_coordinates
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic.head import HEAD_AXIS_FROM_NOSE_MM, nose_tip
 from scan2albedo.synthetic.raw_scan import Pod, RangeMesh, Scanner, assembled, capture, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
+from scan2albedo.synthetic.sitter import HEAD_AXIS_FROM_NOSE_MM, nose_tip
 from scan2albedo.synthetic.textures import HEMOGLOBIN, PaintedFeatures, paint_face, smooth_noise
 
 SESSIONS = (

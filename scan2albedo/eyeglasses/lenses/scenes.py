@@ -46,7 +46,7 @@ class Surface:
     """Oren and Nayar's sigma; 0 is Lambert."""
     specular: float = 0.0
     shininess: float = 32.0
-    """`specular` and `shininess` are strength and exponent of Phong's highlight, as in `lighting.kernels`."""
+    """`specular` and `shininess` are strength and exponent of Phong's highlight, as in `lighting.shading`."""
     one_sided: bool = False
     """Whether rays see only the side to which the faces run counterclockwise; both cast shadows."""
 
