@@ -253,8 +253,8 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     Minnaert's exponent), strength of the highlight and the logarithm of its exponent.
 
     `position`, `normal`, `minnaert`, `roughness`, `exponent` are as in `fill_lamp_factors`. `lights` (L, 5)
-    hold unit direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) the derivatives
-    of each direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N)
+    hold unit direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) derivatives of
+    each direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N)
     float32 its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is
     unit, `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
     `light_out`, `specular_out` (N,), `light_slope`, `specular_slope` (N, >= P), all float64, are filled.
