@@ -12,8 +12,6 @@ from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _SCALES = (3, 5)
 """Sides, in texels, of the neighbourhoods toward whose means a noisy texel is drawn."""
-_EDGE = 3.0
-"""Standard deviations of noise at which a neighbour counts a quarter: it differs."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,8 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> Float
     known = weight > 0
     whole = np.where(known, field, window_mean(field, known.astype(np.float64), 3))
     guide = median_filter(whole, 3, mode="nearest")
-    reach = np.maximum(_EDGE**2 * noise_here, 1e-12)
+    # A neighbour that differs by three standard deviations of noise counts a quarter.
+    reach = np.maximum(3.0**2 * noise_here, 1e-12)
     finer, finer_share = field, np.ones(field.shape)
     result, own, variance = np.zeros(field.shape), np.zeros(field.shape), np.zeros(field.shape)
     for window in _SCALES:

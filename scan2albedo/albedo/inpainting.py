@@ -8,8 +8,6 @@ from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.optimization.poisson import integrate_gradients
 
-_COMPARED = 14
-"""Neighbours of a texel that are compared, and random places where they are."""
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
 RADIUS = 40 / 512
@@ -67,7 +65,7 @@ def resynthesize(
         around,
         offsets,
         np.argwhere(copies),
-        rng.integers(-radius, radius + 1, (len(order), _COMPARED, 2), np.int32),
+        rng.integers(-radius, radius + 1, (len(order), 14, 2), np.int32),  # places, and neighbours compared
         np.float32(1 / max(field[copies].var(0).mean(), 1e-6)),
         rng,
     )

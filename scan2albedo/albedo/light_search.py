@@ -32,10 +32,6 @@ _CAUTION = 0.1
 _STEPS, _FLAT = 4, 0.5
 """Evaluations of a descent between two estimates of the scales, and the rise of the log evidence in one after
 which there are no more."""
-_HOPELESS = 8.0
-"""Log odds against one lamp more at which no further ones are tried."""
-_RADII_DEG = 6.0, 12.0, 20.0, 30.0
-"""Angular radii of lamps that are tried: a softbox of 0.5 m at 1.2 m has 12 degrees."""
 
 
 class LightSearch:
@@ -63,7 +59,8 @@ class LightSearch:
                 break
             points = self._with_one_more(base)
             best_of[count], base = self._best([*points, *self._variants(points[0])])
-            if lights is None and best_of[count] < max(best_of.values()) - _HOPELESS:
+            # With log odds of 8 against one lamp more no further ones are tried.
+            if lights is None and best_of[count] < max(best_of.values()) - 8:
                 break
         ranked = sorted(self.found, key=lambda pair: -pair[0])
         wanted = [pair for pair in ranked if lights is None or pair[1].model.lights == base.model.lights]
@@ -130,7 +127,8 @@ class LightSearch:
         if not point.model.lights or self.scene.shadows[0] is None:
             return point, PlanStep(stage, False, "no lamp that casts shadows", "not judged")
         best = point
-        for radius in _RADII_DEG:
+        # A softbox of 0.5 m at 1.2 m has 12 degrees.
+        for radius in (6.0, 12.0, 20.0, 30.0):
             model = replace(point.model, radius_deg=radius)
             known = point.problem.started(point.known.scales, point.robust)
             tried = descend(Point(point.problem, model, point.x, known), _STEPS, self.meter)

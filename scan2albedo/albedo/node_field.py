@@ -16,8 +16,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 UNMODELLED, _REACH = 0.06, 0.12
 """Standard deviation of light that no part stands for, as a part of the median light, and its correlation
 length as a part of the chart's side."""
-_UNKNOWN = 2.0
-"""Log light is never less known than this: an ambient light of a tenth remains anywhere."""
 TINY, FAINT = 1e-6, 1e-4
 """Parts of the median below which weights, and V, count as none."""
 
@@ -94,7 +92,8 @@ class NodeField:
 
 def deviation_of_light(light: FloatArray, usual: float) -> FloatArray:
     """Return the standard deviation of the log of light that no part stands for, beside (N,) `light`."""
-    return np.minimum(UNMODELLED * usual / light, _UNKNOWN)
+    # Never more: an ambient light of a tenth remains anywhere.
+    return np.minimum(UNMODELLED * usual / light, 2.0)
 
 
 def posterior_factor(nodes: sparse.csr_matrix, weight: FloatArray, precision: FloatArray) -> FloatArray:

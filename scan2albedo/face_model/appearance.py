@@ -48,8 +48,6 @@ _FEWEST_TEXELS, _DARKEST, _GRAIN_MM, _FAINT = 64, 1e-3, 7.0, 0.004
 _CLOSE_MM, _FAR_MM, _RELIEF_MM, _SMOOTH_MM = 1.0, 3.0, 12.0, 0.05
 """Residuals of a good fit, and of hair or glasses over it; side of the squares over which they are averaged
 to relief, and that of skin without noise."""
-_TOLERATED_RELIEF, _PER_RELIEF = 1.5, 2.0
-"""What skin itself shows, relative to its median, and the log odds against skin of what goes beyond."""
 
 Image = NDArray[np.float32]
 
@@ -144,7 +142,8 @@ def appearance(
             rough = local_mean(error_mm, grid.part, odd_side(_RELIEF_MM / grid.texel_mm))
             likely = known & (prior[0] >= np.median(prior[0][known]))
             usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
-            told[0] -= _PER_RELIEF * np.maximum(rough / usual_mm - _TOLERATED_RELIEF, 0)
+            # Skin itself shows up to 1.5 times its median.
+            told[0] -= 2.0 * np.maximum(rough / usual_mm - 1.5, 0)
     # The shares of the classes, for neighbours that likely agree: log odds of 2 for the class of all of them.
     logs = log_prior + told
     shares = np.exp(logs - np.logaddexp.reduce(logs))

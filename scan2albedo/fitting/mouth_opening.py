@@ -55,8 +55,6 @@ measure its distance to the scan."""
 
 CORNERS = (48, 54)
 """iBUG-68 indices of the corners of the mouth, the subject's right side first."""
-BESIDE_MM, ABOVE_MM = 15.0, 14.0
-"""How far beside and above the corners the skin follows them (standard deviations)."""
 FIRST_MM = (0.0, -7.0, 10.0)
 FURTHER_MM = {-14.0: -7.0, 15.0: 10.0}
 """Pulls in mm, above 0 back and below 0 together: those tried on every scan, and those tried when the pull
@@ -265,8 +263,9 @@ def corner_moves(model: AnnotatedSurface, control_points: FloatArray) -> FloatAr
     middle, half_width = corners.mean(0), 0.5 * max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6)
     across, above = (control_points - middle)[:, :2].T
     beside = np.maximum(np.abs(across) - half_width, 0)
-    share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / BESIDE_MM) ** 2)
-    share = share * np.exp(-0.5 * (above / ABOVE_MM) ** 2)
+    # The skin beside and above the corners follows them, with standard deviations of 15 and 14 mm.
+    share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / 15) ** 2)
+    share = share * np.exp(-0.5 * (above / 14) ** 2)
     toward = normalized(landmarks[[0, 16]] - corners)
     return np.asarray((share * [across < 0, across > 0]).T[:, None] * toward.T)
 

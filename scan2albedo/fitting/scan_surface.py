@@ -36,8 +36,6 @@ REACH = 0.6
 
 Without it a vertex whose neighbours are 8 mm away would be averaged with them as one 0.5 mm away is.
 """
-SPIKE = 6.0
-"""Vertices this many times farther from their neighbours' mean than the median, and than any of them."""
 _NO_SHARE = 1e-9
 """Sum of the shares below which nothing weighs in a vertex's mean."""
 
@@ -148,7 +146,8 @@ def smoothed(
     begins, neighbours = joined
     gap = lengths(above_neighbours(vertices, begins, neighbours))
     around = np.maximum.reduceat(gap[neighbours], begins[:-1])
-    spike = (gap > SPIKE * np.median(gap)) & (gap > around)
+    # Six times farther from the neighbours' mean than the median, and than any of them.
+    spike = (gap > 6 * np.median(gap)) & (gap > around)
     weight = np.where(spike, 0.0, count)
     shares = _neighbour_shares(vertices, *joined, spike, weight, REACH * max(scale_mm, edge_mm))
     points = vertices

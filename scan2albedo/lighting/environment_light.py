@@ -23,8 +23,8 @@ _DIRECTIONS = 128
 """Rays from each patch."""
 _CELLS = 24
 """Patches along the longest side of the points, of which they are chosen: some 900 on a face."""
-_NEIGHBOURS, SMALLEST_MM = 4, 0.5
-"""Points that a value is interpolated from, and the distance below which all weigh the same."""
+SMALLEST_MM = 0.5
+"""Distance below which all points weigh the same that a value is interpolated from."""
 
 
 def open_transfer(normal: FloatArray) -> FloatArray:
@@ -105,7 +105,7 @@ def surface_weights(known: FloatArray, wanted: FloatArray) -> sparse.csr_matrix:
 
     Values come from along the surface: none leaks to the other side of a fold.
     """
-    count = min(_NEIGHBOURS, len(known))
+    count = min(4, len(known))
     far, index = cKDTree(known).query(wanted, range(1, count + 1))
     weight = 1 / (far + SMALLEST_MM) ** 2
     weight /= weight.sum(1, keepdims=True)

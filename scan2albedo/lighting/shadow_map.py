@@ -14,8 +14,6 @@ from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
-_DISC = 16
-"""Points that stand for a lamp of some size."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ class ShadowMap:
         direction: ArrayLike,
         distance_mm: float = math.inf,
         radius_deg: float = 0.0,
-        points: int = _DISC,
+        points: int = 16,
     ) -> NDArray:
         """Return (N,) the part of a lamp that reaches each point: uint8 of a point, else float32 in [0, 1].
 

@@ -15,8 +15,6 @@ from scan2albedo.lighting.harmonics import row_projection
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
 
-_WHITE = np.sqrt(4 * np.pi)
-"""First coefficient of light whose mean radiance is 1."""
 SHAPE = (32, 64)
 """Rows and columns: finer than harmonics of order 8 resolve."""
 
@@ -63,7 +61,7 @@ class LightingModel(LinearModel):
         bad = ~(np.isfinite(samples).all((1, 2)) & (samples[:, 0] > 0).all(1))
         if bad.any():
             raise ReflectanceError(f"light {np.flatnonzero(bad)[0]} has NaN or a dark channel; leave it out")
-        spread = samples * (_WHITE / samples[:, :1])
+        spread = samples * (np.sqrt(4 * np.pi) / samples[:, :1])  # to a mean radiance of 1
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
         weights, _ = principal_directions(off, components, size=float(np.sum(spread**2)))

@@ -24,8 +24,8 @@ MIN_DENSITY = 0.1
 """Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
 CROP_MARGIN = 0.1
 """Faces are searched in the queried points' box, enlarged by this part of its size."""
-FEWEST_TAPS, MOST_TAPS, TAPS_PERCENTILE = 3, 64, 95
-"""Bilinear samples along each side of a texel's footprint: one a pixel, for this part of the texels."""
+FEWEST_TAPS = 3
+"""Bilinear samples along each side of a texel's footprint."""
 MOVES = {
     "as it is": (1, 1, 0.0, 0.0),
     "with V flipped": (1, -1, 0.0, 1.0),
@@ -165,10 +165,10 @@ def _photograph(
         hat = np.cross(cross, corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]) / squared[:, None]
         gradient += scan.uv[near, k, :, None] * hat[:, None, :]
     footprint = np.einsum("nck,nkd->ncd", gradient[hits.face], steps) * to_pixels[:, None]
-    # So many that no pixel between them is left out.
+    # So many that no pixel between them is left out, in 95 of 100 texels.
     sides = np.linalg.norm(footprint, axis=1).max(1)
-    longest = float(np.percentile(sides, TAPS_PERCENTILE)) if len(sides) else 0.0
-    taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
+    longest = float(np.percentile(sides, 95)) if len(sides) else 0.0
+    taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, 64))
     if scan.color_seen is None:
         color = mean_over_footprints(scan.texture_linear, center, footprint, taps)
         return color, inside, np.ones(len(color), bool), center

@@ -15,7 +15,7 @@ from scan2albedo.geometry.rigid import compose
 
 MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
 """A template with fewer vertices is refused, and one that is a surface only without more of its faces."""
-HEAD_SIZE_MM, _TRIM_PERCENT = (80.0, 600.0), 0.5
+HEAD_SIZE_MM = (80.0, 600.0)
 _BACK_OF_HEAD = 0.35
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}
 
@@ -51,7 +51,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     used = np.unique(index)
     if len(used) < MIN_VERTICES:
         raise ModelError(f"{name}: only {len(used)} vertices in faces, at least {MIN_VERTICES} needed")
-    low, high = np.percentile(given[used], [_TRIM_PERCENT, 100 - _TRIM_PERCENT], axis=0)
+    low, high = np.percentile(given[used], [0.5, 99.5], axis=0)
     size = float(np.max(high - low))
     least, most = HEAD_SIZE_MM
     unit = next((unit for unit, factor in UNITS_MM.items() if least <= size * factor <= most), None)
