@@ -1,9 +1,8 @@
 """The colours of a light's parts, from how the ratios of the channels change over the surface."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor
@@ -51,7 +50,7 @@ class LightColours:
     ratio: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
 
     @classmethod
-    def white(cls, lamps: int, reason: str = "white", evidence: str = "", nodes: int = 1) -> LightColours:
+    def white(cls, lamps: int, reason: str = "white", evidence: str = "", nodes: int = 1) -> Self:
         """Return white light of so many lamps, and why it is white."""
         return cls(np.ones((lamps, 3)), PlanStep(STAGE, False, reason, evidence), cast=np.zeros((nodes, 3)))
 

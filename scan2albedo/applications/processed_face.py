@@ -1,10 +1,9 @@
 """`ProcessedFace`: what the applications need of a processed scan, and whether faces share one chart."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,7 +37,7 @@ class FaceMesh:
     """The texels themselves are the vertices (`GeometryImage.triangulated`)."""
 
     @classmethod
-    def of_chart(cls, image: GeometryImage) -> FaceMesh:
+    def of_chart(cls, image: GeometryImage) -> Self:
         """Return the texel grid as a mesh, for images whose fitted surface is not known."""
         vertices, faces = image.triangulated()
         row, column = np.nonzero(image.mask)
@@ -126,7 +125,7 @@ class ProcessedFace:
         reflectance: Reflectance = Reflectance("lambert"),
         lights: Sequence[PointLight] = (),
         model_name: str = NO_MODEL,
-    ) -> ProcessedFace:
+    ) -> Self:
         """Return a face of a geometry image and its albedo (H, W, 3), from wherever they come.
 
         Parameters
@@ -153,7 +152,7 @@ class ProcessedFace:
         lit = value[value > 0]
         return float(np.exp(np.mean(np.log(lit, dtype=np.float64)))) if len(lit) else 0.0
 
-    def reshaped(self, mesh: FaceMesh, position: FloatArray, name: str) -> ProcessedFace:
+    def reshaped(self, mesh: FaceMesh, position: FloatArray, name: str) -> Self:
         """Return this face with other geometry: vertices of `mesh`, `position` (N, 3) of the masked texels.
 
         Normals are those of the new mesh plus the detail by which the image's differed from the old one's.

@@ -1,9 +1,8 @@
 """`PointLight`, near or distant, and `EnvironmentLight`, soft light from all around a face."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +94,7 @@ class EnvironmentLight:
         object.__setattr__(self, "coefficients", given)
 
     @classmethod
-    def constant(cls) -> EnvironmentLight:
+    def constant(cls) -> Self:
         """Return white light of 1 from everywhere that nothing hides: the paper's ambient light."""
         coefficients = np.zeros((9, 3))
         coefficients[0] = 1.0

@@ -1,13 +1,12 @@
 """`RawScan`: a textured triangle mesh as a scanner delivers it, in millimetres and linear colour."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,15 +176,15 @@ class RawScan:
         object.__setattr__(self, field, array)
         return array
 
-    def inside_out(self) -> RawScan:
+    def inside_out(self) -> Self:
         """Return the scan with every triangle reversed."""
         return replace(self, faces=self.faces[:, ::-1], uv=None if self.uv is None else self.uv[:, ::-1])
 
-    def without_faces(self, gone: NDArray[np.bool_]) -> RawScan:
+    def without_faces(self, gone: NDArray[np.bool_]) -> Self:
         """Return the scan without the faces marked in `gone` (F,); vertices stay."""
         return replace(self, faces=self.faces[~gone], uv=None if self.uv is None else self.uv[~gone])
 
-    def scaled(self, factor: float) -> RawScan:
+    def scaled(self, factor: float) -> Self:
         """Return the scan `factor` times as large; a unit of its file is as many mm more."""
         landmarks = None if self.landmarks is None else self.landmarks.scaled(factor)
         mm_per_unit = self.mm_per_unit * factor

@@ -1,10 +1,8 @@
 """Frames without pose and bend: each in its own shape, or with all key points on the mean's."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -259,7 +257,7 @@ class _Frame:
     width: float = np.nan
 
     @classmethod
-    def checked(cls, number: int, mesh: Any, keypoints: ArrayLike, weights: ArrayLike | None) -> _Frame:
+    def checked(cls, number: int, mesh: Any, keypoints: ArrayLike, weights: ArrayLike | None) -> Self:
         """Return what a caller gave as one frame; raises ValueError for shapes and numbers not finite."""
         vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
         xyz = np.asarray(vertices, np.float64)
@@ -270,7 +268,7 @@ class _Frame:
         marks = checked_keypoints(f"keypoints {number}", keypoints)
         return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, np.int64), marks, shares)
 
-    def weighted(self, spacing: str | float, left: int, meter: Meter) -> _Frame:
+    def weighted(self, spacing: str | float, left: int, meter: Meter) -> Self:
         """Return it with weights, solved, unless given, in an even share of the budget for `left` frames."""
         if self.weights is not None:
             return self

@@ -1,8 +1,7 @@
 """Lattice cells around a surface and their nodes: interpolation, the Laplacian, bridges between parts."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numba import njit
@@ -34,7 +33,7 @@ class Lattice:
     corners: IntArray
 
     @classmethod
-    def of_cells(cls, cells: IntArray) -> Lattice:
+    def of_cells(cls, cells: IntArray) -> Self:
         """Return the lattice of distinct cells (C, 3) in lexicographic order."""
         low = cells.min(0)
         shape = tuple(cells.max(0) - low + 2)

@@ -1,11 +1,9 @@
 """Pinhole cameras, labels of key points in their pictures, and masks of glasses, as files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -82,7 +80,7 @@ class CameraEntry(BaseModel):
     )
 
     @model_validator(mode="after")
-    def _usable(self) -> CameraEntry:
+    def _usable(self) -> Self:
         self.camera(1.0)
         return self
 
@@ -102,7 +100,7 @@ class CamerasFile(Record):
     cameras: tuple[CameraEntry, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _names_differ(self) -> CamerasFile:
+    def _names_differ(self) -> Self:
         require_distinct_names(camera.name for camera in self.cameras)
         return self
 
@@ -206,7 +204,7 @@ class LabelsFile(Record):
     )
 
     @model_validator(mode="after")
-    def _cameras_differ(self) -> LabelsFile:
+    def _cameras_differ(self) -> Self:
         require_distinct_names(self.views)
         return self
 

@@ -1,8 +1,7 @@
 """Forces from the scan on samples of the model's surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numba import njit
@@ -30,7 +29,7 @@ class ForceGates:
     min_robust_mm: float
 
     @classmethod
-    def at(cls, options: FitOptions, progress: float) -> ForceGates:
+    def at(cls, options: FitOptions, progress: float) -> Self:
         """Return the gates at `progress` 0 (first stage) ... 1 (last)."""
         return cls(between(GATE_MM, progress), options.tangential, between(MIN_ROBUST_MM, progress))
 

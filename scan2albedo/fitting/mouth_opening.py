@@ -6,11 +6,10 @@ film, the part of the surface from lip to lip; then smiling ones, chosen, each s
 coarse fit reaches into the crease of the cheek.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from scipy import sparse
@@ -103,7 +102,7 @@ class JawHinge:
     limit: sparse.csr_matrix
 
     @classmethod
-    def of(cls, model: AnnotatedSurface, control_points: FloatArray) -> JawHinge | None:
+    def of(cls, model: AnnotatedSurface, control_points: FloatArray) -> Self | None:
         """Return the hinge of an annotated model at `control_points`; None without landmarks.
 
         The weight is 1 at chin and lower lip, 0 at the upper face and the neck, harmonic in between.

@@ -8,11 +8,10 @@ then the likelihood is 1 wherever it is. Brows and eyes of both sides have one n
 of their motions pulls landmarks, the more the narrower it is beside the prior, and nowhere at even colours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Self
 
 import numpy as np
 from numba import njit
@@ -88,7 +87,7 @@ class _Places:
     up: FloatArray
 
     @classmethod
-    def of(cls, points: FloatArray, line: FloatArray) -> _Places:
+    def of(cls, points: FloatArray, line: FloatArray) -> Self:
         """Return points (N, 2) by a line (K, 2)."""
         height = np.interp(points[:, 0], *line[np.argsort(line[:, 0])].T)
         return cls(np.stack([points[:, 0], height], axis=1), points[:, 1] - height)

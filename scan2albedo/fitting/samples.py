@@ -1,9 +1,8 @@
 """Samples of the model's limit surface on which forces act."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numba import njit
@@ -40,7 +39,7 @@ class SurfaceSamples:
     rim: FloatArray
 
     @classmethod
-    def of(cls, model: AnnotatedSurface, control_points: FloatArray, level: int) -> SurfaceSamples:
+    def of(cls, model: AnnotatedSurface, control_points: FloatArray, level: int) -> Self:
         """Sample `model` at the limit vertices of `level` refinements, areas taken at `control_points`."""
         subdivision = model.subdivision(level)
         points = subdivision.matrix @ control_points

@@ -1,9 +1,8 @@
 """Align a surface with another: robust Gauss-Newton over pose, size and modes of shape."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numba import njit
@@ -127,7 +126,7 @@ class NearestGrid:
     cell: float
 
     @classmethod
-    def of(cls, samples: OrientedPoints, *, cell: float, margin: float) -> NearestGrid:
+    def of(cls, samples: OrientedPoints, *, cell: float, margin: float) -> Self:
         """Build the grid over the samples' box widened by `margin`; huge boxes get larger cells."""
         low, high = samples.points.min(0) - margin, samples.points.max(0) + margin
         cell = max(cell, float(np.cbrt(np.prod(high - low) / 1_500_000)))

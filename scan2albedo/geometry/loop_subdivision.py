@@ -1,8 +1,7 @@
 """Loop subdivision as sparse matrices: refinement, limit positions, points on the limit surface."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy import sparse
@@ -37,7 +36,7 @@ class LoopSubdivision:
     levels: int
 
     @classmethod
-    def of(cls, vertex_count: int, faces: IntArray, levels: int) -> LoopSubdivision:
+    def of(cls, vertex_count: int, faces: IntArray, levels: int) -> Self:
         """Build the matrices for a control mesh with `vertex_count` vertices."""
         matrix = sparse.identity(vertex_count, format="csr")
         refined = np.asarray(faces, np.int64)

@@ -1,12 +1,10 @@
 """Landmarks as files: those of a fitted face, and those placed on a scan (CSV, JSON, MeshLab)."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 from xml.etree import ElementTree
 
 import numpy as np
@@ -56,9 +54,7 @@ class LandmarksRecord(Record):
     landmarks: tuple[LandmarkRecord, ...] = Field(min_length=68, max_length=68)
 
     @classmethod
-    def of(
-        cls, model_mm: FloatArray, scan: FloatArray, deviation_mm: FloatArray, mm_per_unit: float
-    ) -> LandmarksRecord:
+    def of(cls, model_mm: FloatArray, scan: FloatArray, deviation_mm: FloatArray, mm_per_unit: float) -> Self:
         """Return the record of landmarks (68, 3) in both frames with their deviations (68,)."""
         parts = [part for part, numbers in PARTS.items() for _ in numbers]
         columns = (range(COUNT), parts, model_mm.tolist(), scan.tolist(), deviation_mm.tolist())

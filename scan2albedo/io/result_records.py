@@ -1,12 +1,10 @@
 """Records of processed faces: `result.json`, `registration.json` and `application.json`."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
@@ -30,7 +28,7 @@ class InputRecord(Record):
     texture_size: tuple[int, int] | None = Field(None, description="Width and height in texels.")
 
     @classmethod
-    def of(cls, scan: RawScan, file: Path | None, sha256: str | None) -> InputRecord:
+    def of(cls, scan: RawScan, file: Path | None, sha256: str | None) -> Self:
         """Return the record of a scan that was read from `file` of this hash; without one, of its arrays."""
         texture = scan.texture_linear
         return cls(

@@ -1,9 +1,7 @@
 """Environment maps as sums of distant lights."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,7 +44,7 @@ class DistantLights:
     @classmethod
     def from_environment(
         cls, environment_linear: ArrayLike, count: int = 64, spread: LightSpread = "even"
-    ) -> DistantLights:
+    ) -> Self:
         """Return `count` lights that together shine like an environment map (H, W, 3).
 
         Parameters

@@ -1,8 +1,7 @@
 """What a surface that shadows itself receives of an `EnvironmentLight`, and what it sends onto itself."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy import sparse
@@ -143,7 +142,7 @@ class Patches:
     factors: FloatArray
 
     @classmethod
-    def among(cls, shadows: ShadowMap) -> Patches:
+    def among(cls, shadows: ShadowMap) -> Self:
         """Return the patches around some of the points of `shadows`, evenly spread; they have a caster."""
         assert shadows.caster is not None
         position, normal = shadows.position, shadows.normal
@@ -154,7 +153,7 @@ class Patches:
         return cls.of(shadows.caster, position[some], normal[some], shadows.offset_mm)
 
     @classmethod
-    def of(cls, caster: RayCaster, position: FloatArray, normal: FloatArray, offset_mm: float) -> Patches:
+    def of(cls, caster: RayCaster, position: FloatArray, normal: FloatArray, offset_mm: float) -> Self:
         """Return the patches around points (M, 3): a ray counts for the patch nearest to where it hits."""
         origin = position + shadow_offset_mm(caster.size, offset_mm) * normal
         nearest, factors = cKDTree(position), np.zeros((len(position), len(position)))

@@ -1,11 +1,9 @@
 """Templates of many results by albedo and by shape, the origin and person of each, and their files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -57,7 +55,7 @@ class LabelledTemplates:
         """The templates of the first kind."""
         return next(iter(self.sets.values()))
 
-    def select(self, indices: ArrayLike) -> LabelledTemplates:
+    def select(self, indices: ArrayLike) -> Self:
         """Return the results of the given indices, ascending."""
         chosen = np.asarray(indices, np.int64)
         sets, rows = {}, {}

@@ -1,12 +1,10 @@
 """`capture.json`, pictures of a face lit by flashes, and `photograph.json`, one in any light."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +55,7 @@ class FacePhotographFile(_Part):
     )
 
     @model_validator(mode="after")
-    def _complete(self) -> FacePhotographFile:
+    def _complete(self) -> Self:
         if self.mesh is None and self.landmarks is None:
             raise ValueError("there is neither a mesh nor landmarks; give one of them")
         if self.landmarks is not None and len(self.landmarks) != LANDMARKS:
@@ -195,7 +193,7 @@ class FlashCaptureFile(_Part):
     pictures: tuple[PairEntry, ...] = Field(min_length=1)
 
     @model_validator(mode="after")
-    def _complete(self) -> FlashCaptureFile:
+    def _complete(self) -> Self:
         names = [pose.name for pose in self.poses]
         if len(set(names)) < len(names):
             raise ValueError("two poses have one name; give each a name of its own")

@@ -1,10 +1,9 @@
 """Reflectance of an unknown face from one photograph, believed only where parts left out are predicted."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -345,7 +344,7 @@ class ShadingDivided:
         model: MorphableReflectanceModel,
         reflectance: VertexReflectance,
         light: FloatArray,
-    ) -> ShadingDivided:
+    ) -> Self:
         """Divide an image by a reflectance under a light (81, 3)."""
         used = np.flatnonzero(np.asarray(observation.seen) & model.known)
         response = observation.response(used)

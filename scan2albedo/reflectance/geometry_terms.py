@@ -1,10 +1,9 @@
 """The terms of a geometry fit: landmarks and colours as functions of the vertices' positions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -226,7 +225,7 @@ class GeometryState:
     @classmethod
     def from_pose(
         cls, model: MorphableShapeModel, scene_from_model: FloatArray, coefficients: FloatArray
-    ) -> GeometryState:
+    ) -> Self:
         """Return the state of a shape in a pose."""
         vertices = transform_points(scene_from_model, model.at(coefficients))
         return cls(scene_from_model, coefficients, vertices)

@@ -1,11 +1,9 @@
 """`MorphableReflectanceModel`: faces' reflectance as a mean and a few directions of change."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -100,7 +98,7 @@ class MorphableReflectanceModel:
         components: int | None = None,
         least_support: float = 0.5,
         weights: Sequence[ArrayLike] | None = None,
-    ) -> MorphableReflectanceModel:
+    ) -> Self:
         """Learn a model from K reflectances of one topology.
 
         The directions are those of the albedo's deviations from its mean (`principal_directions`); the
@@ -160,7 +158,7 @@ class MorphableReflectanceModel:
         )
 
     @classmethod
-    def load(cls, path: str | Path) -> MorphableReflectanceModel:
+    def load(cls, path: str | Path) -> Self:
         """Read a model that `save` wrote; raises `ReflectanceError`, naming the file, for anything else."""
         header, arrays = read_npz_record(
             path,
@@ -219,7 +217,7 @@ class MorphableReflectanceModel:
         """(N,) shares of the albedo's variance that the directions hold one by one."""
         return self.deviation**2 / max(self.total_variance, np.finfo(float).tiny)
 
-    def mean_only(self, factors: ArrayLike = 1.0) -> MorphableReflectanceModel:
+    def mean_only(self, factors: ArrayLike = 1.0) -> Self:
         """Return the model without its directions, with factors (3,) on the channels of the mean albedo."""
         parts = self.diffuse, self.total, self.share
         diffuse, total, share = (LinearModel(part.mean, part.basis[:0]) for part in parts)

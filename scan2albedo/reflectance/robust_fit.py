@@ -1,8 +1,7 @@
 """Settings of `fit_reflectance`, and its reweighted bounded least squares of all vertices at once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -77,7 +76,7 @@ class Observations:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
 
-    def of_vertices(self, rows: IntArray) -> Observations:
+    def of_vertices(self, rows: IntArray) -> Self:
         """Return the observations of some vertices (N,)."""
         names = ("observed", "precision", "lobes", "slopes", "bounce")
         given = {name: array for name in names if (array := getattr(self, name)) is not None and len(array)}
@@ -110,7 +109,7 @@ class RobustFit:
         self.scale, self.loss, self.damping = np.full(count, np.inf), np.zeros(count), np.zeros(count)
         self.misfit, self.tilt = np.zeros((count, 2)), np.zeros((count, 2))
 
-    def fit(self, rows: IntArray, meter: Meter) -> RobustFit:
+    def fit(self, rows: IntArray, meter: Meter) -> Self:
         """Fit the vertices `rows` (N,): least squares, then weights by residuals and tilts until none moves.
 
         Converged vertices are left out of further steps. The step in which the budget ends is the last.

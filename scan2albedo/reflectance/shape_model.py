@@ -1,10 +1,8 @@
 """`MorphableShapeModel`: faces' shapes as a mean and directions of identity and expression."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,7 +78,7 @@ class MorphableShapeModel(LinearModel):
         expression_offsets: ArrayLike | None,
         faces: ArrayLike,
         landmark_vertices: ArrayLike,
-    ) -> MorphableShapeModel:
+    ) -> Self:
         """Learn a model from shapes of one topology, rigidly aligned to each other.
 
         The directions are the principal ones, 80 and 64 at most, of the neutral faces' deviations from their
@@ -117,7 +115,7 @@ class MorphableShapeModel(LinearModel):
         )
 
     @classmethod
-    def load(cls, path: str | Path) -> MorphableShapeModel:
+    def load(cls, path: str | Path) -> Self:
         """Read a model that `save` wrote; raises `ReflectanceError`, naming the file, for anything else."""
         header, arrays = read_npz_record(
             path,

@@ -1,9 +1,8 @@
 """`CaptureRig`, from where pictures were taken and lit, and `VertexSamples`, what they show of V vertices."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -173,7 +172,7 @@ class VertexSamples:
         """(V,) pictures with an observation of a vertex."""
         return np.asarray(self.valid.any(-1).sum(0), np.int64)
 
-    def of_pairs(self, pairs: ArrayLike) -> VertexSamples:
+    def of_pairs(self, pairs: ArrayLike) -> Self:
         """Return the samples of some pictures: indices, or a mask (J,)."""
         names = ("observed_linear", "sigma", "valid", "lobes", "light", "slopes")
         given = {name: array for name in names if (array := getattr(self, name)) is not None}

@@ -1,8 +1,7 @@
 """What speaks for a face at a pose: its shape, once the template has it, and the places of its features."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -107,7 +106,7 @@ class ColourScorer:
         self._place = interpolate(raster, faces, np.column_stack([1 - refined[:, 1], refined[:, 0]]))
 
     @classmethod
-    def of(cls, scan: RawScan, model: AnnotatedSurface) -> ColourScorer | None:
+    def of(cls, scan: RawScan, model: AnnotatedSurface) -> Self | None:
         """Prepare a scan (mm)."""
         if not scan.has_color or model.face_uv is None:
             return None

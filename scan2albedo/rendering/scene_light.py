@@ -1,10 +1,9 @@
 """Light of a scene, and what each point of a surface that shadows itself gets of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,7 +42,7 @@ class SceneLight:
         *,
         ambient: float = 0.0,
         soft: EnvironmentLight | None = None,
-    ) -> SceneLight:
+    ) -> Self:
         """Return lamps and the distant lights that stand for an environment map.
 
         A cell of the sphere over which the map's radiance L integrates to w gives a facing surface the

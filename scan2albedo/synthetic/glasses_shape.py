@@ -1,8 +1,7 @@
 """Measures of a synthetic frame, the curves that follow from them, and a known smooth bend."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -47,7 +46,7 @@ class GlassesShape:
     """By which the temple bends behind the ear."""
 
     @classmethod
-    def drawn(cls, rng: np.random.Generator) -> GlassesShape:
+    def drawn(cls, rng: np.random.Generator) -> Self:
         """Return measures in the range that opticians sell."""
         return cls(
             lens_width=rng.uniform(46, 56),

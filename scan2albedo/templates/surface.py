@@ -1,8 +1,7 @@
 """The surface of anyone's face template: unit, seams, main part, which side is out; and as a disc."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numba import njit
@@ -33,7 +32,7 @@ class TemplateSurface:
     template_from_surface: FloatArray
     notes: tuple[str, ...] = ()
 
-    def turned(self, rotation: FloatArray) -> TemplateSurface:
+    def turned(self, rotation: FloatArray) -> Self:
         """Return the surface turned by a (3, 3) rotation about its origin."""
         back = self.template_from_surface @ compose(rotation.T, np.zeros(3))
         return replace(self, vertices=self.vertices @ rotation.T, template_from_surface=back)

@@ -1,10 +1,8 @@
 """The inner rim of a frame around a lens centre: by rays, from its key points, as pictures show it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -65,7 +63,7 @@ class LensPlane:
     normal: FloatArray
 
     @classmethod
-    def at(cls, center: FloatArray, normal: FloatArray) -> LensPlane:
+    def at(cls, center: FloatArray, normal: FloatArray) -> Self:
         """Return the plane across `normal` (3,) of any length."""
         axis = normalized(normal)
         if not np.isfinite(axis).all() or not axis.any():

@@ -1,11 +1,10 @@
 """Where colours come from: surfaces under distant lights, with shadows, or a photograph of the scene."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numba import njit
@@ -49,7 +48,7 @@ class RayColors:
     unknown: BoolArray
 
     @classmethod
-    def known(cls, linear: FloatArray, unknown: BoolArray | None = None) -> RayColors:
+    def known(cls, linear: FloatArray, unknown: BoolArray | None = None) -> Self:
         """Return colours that lenses do not change."""
         return cls(linear, linear, np.zeros(len(linear), bool) if unknown is None else unknown)
 

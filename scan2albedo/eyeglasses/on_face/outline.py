@@ -1,9 +1,7 @@
 """Outlines of a frame in the pictures: the surface points that make them, and how far masks are from them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +41,7 @@ class MaskDistance:
     corner: tuple[int, int]
 
     @classmethod
-    def of(cls, mask: BoolArray) -> MaskDistance:
+    def of(cls, mask: BoolArray) -> Self:
         """Return the distances of a mask (H, W) that has both covered and uncovered pixels."""
         rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
         top, left = max(0, rows[0] - _MARGIN_PX), max(0, columns[0] - _MARGIN_PX)

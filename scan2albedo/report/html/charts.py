@@ -1,13 +1,11 @@
 """Charts of the page, dicts that the template draws: axes, distributions, errors against time."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -31,7 +29,7 @@ class Axis:
     log: bool = False
 
     @classmethod
-    def around(cls, values: Sequence[float], start: float, end: float) -> Axis:
+    def around(cls, values: Sequence[float], start: float, end: float) -> Self:
         """Return the axis that holds all values, with some room; logarithmic from a decade on."""
         low, high = min(values), max(values)
         if low > 0 and high >= 10 * low:
