@@ -152,12 +152,18 @@ def import_open3d() -> ModuleType:
 
 
 @contextmanager
-def errors_of(owner: str, kind: type[Scan2AlbedoError], *others: type[Exception]) -> Iterator[None]:
-    """Put the `owner` of an error of the block in front of it; those of `others` become of the `kind`."""
+def errors_of(
+    owner: str, kind: type[Scan2AlbedoError], *others: type[Exception], advice: str = ""
+) -> Iterator[None]:
+    """Put the `owner` of an error of the block in front of it, unless it says so, and `advice` behind it.
+
+    Errors of `others` become of the `kind`.
+    """
     try:
         yield
     except (kind, *others) as error:
-        raise kind(f"{owner}: {error}") from error
+        said = str(error) if owner in str(error) else f"{owner}: {error}"
+        raise kind(f"{said}; {advice}" if advice else said) from error
 
 
 @contextmanager

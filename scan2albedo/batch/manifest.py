@@ -12,7 +12,7 @@ from typing import Any
 from scan2albedo.batch.records import is_taken
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
-from scan2albedo.errors import BatchError, printable
+from scan2albedo.errors import BatchError, errors_of, printable
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
 from scan2albedo.pipeline.options import ProcessOptions
@@ -43,10 +43,8 @@ class ManifestScan:
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
         """Return the batch's options with the line's, paths from `folder`; BatchError for a wrong cell."""
         given: dict[str, Any] = {name: text for name, text in self.own.items() if text}
-        try:
+        with errors_of(self.where, BatchError, ValueError):
             chosen = replace(batch, **given)
-        except ValueError as error:
-            raise BatchError(f"{self.where}: {error}") from error
         if "model" in given and given["model"] not in ("default", "none"):
             chosen = replace(chosen, model=str((folder / given["model"]).absolute()))
         if "landmarks" in given and chosen.landmarks != AUTO:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.errors import ScanError
+from scan2albedo.errors import ScanError, errors_of
 
 LARGEST_COORDINATE = 1e30
 """Beyond it squared areas overflow; only garbage is that large."""
@@ -77,10 +77,8 @@ class PlacedLandmarks:
                     raise ScanError(f"landmark {number} is {point!r}, expected three coordinates")
                 points[int(number)] = point
         elif isinstance(given, np.ndarray | list | tuple):
-            try:
+            with errors_of("landmarks are not a (68, 3) array of numbers", ScanError, ValueError, TypeError):
                 points = np.asarray(given, np.float64)
-            except (ValueError, TypeError) as error:
-                raise ScanError(f"landmarks are not a (68, 3) array of numbers: {error}") from error
         else:
             said = f"landmarks are of type {type(given).__name__}"
             raise TypeError(f"{said}, expected a file, {{number: (x, y, z)}} or a (68, 3) array")

@@ -196,9 +196,4 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
     >>> cross_matrices(np.array([[1.0, 0, 0]]))[0] @ [0, 1, 0]
     array([0., 0., 1.])
     """
-    matrices = np.zeros((len(vectors), 3, 3))
-    for axis in range(3):
-        after, before = (axis + 1) % 3, (axis + 2) % 3
-        matrices[:, before, after] = vectors[:, axis]
-        matrices[:, after, before] = -vectors[:, axis]
-    return matrices
+    return np.cross(vectors[:, None], np.eye(3)).transpose(0, 2, 1)

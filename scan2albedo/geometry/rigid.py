@@ -87,14 +87,8 @@ class Similarity:
 
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
-    """Return the (3, 3) rotation by a vector (axis times angle in radians), after Rodrigues."""
-    vector = np.asarray(rotation_vector_rad, float)
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-300:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    """Return the (3, 3) rotation by a vector: axis times angle in radians."""
+    return np.asarray(Rotation.from_rotvec(rotation_vector_rad).as_matrix(), np.float64)
 
 
 def rotation_angle_rad(rotation: ArrayLike) -> float:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.core.arrays import IntArray
-from scan2albedo.errors import RecognitionError
+from scan2albedo.errors import RecognitionError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.recognition.manifest import Manifest, read_face, read_manifest
 from scan2albedo.recognition.templates import (
@@ -274,9 +274,7 @@ def read_templates(path: str | Path) -> Templates:
         advice="give a file that write_templates wrote (data_schemas/template_set.schema.json)",
         error=RecognitionError,
     )
-    try:
+    with errors_of(f"templates {path}", RecognitionError, ValueError, advice="write the file again"):
         options = TemplateOptions(size=header.options.size, unit_mean=header.options.unit_mean)
         held = arrays["coefficients"], arrays["mask"], header.names, options
         return Templates(*held, header.chart, header.kind, arrays["weight"])
-    except (ValueError, RecognitionError) as error:
-        raise RecognitionError(f"templates {path}: {error}; write the file again") from error

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.errors import ReflectanceError, ScanError
+from scan2albedo.errors import ReflectanceError, ScanError, errors_of
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
 from scan2albedo.io.records import read_record, write_record
@@ -293,7 +293,7 @@ def read_capture(path: str | Path) -> CaptureFiles:
         raise ScanError(f"{place}: holds no triangles; export the mesh again")
     scale, number = MM_PER_UNIT[content.unit], {pose.name: k for k, pose in enumerate(content.poses)}
     common = content.intrinsics
-    try:
+    with errors_of(f"capture {file}", ReflectanceError):
         rig = rig_of_head_poses(
             [pose.rotation for pose in content.poses],
             [np.multiply(pose.translation, scale) for pose in content.poses],
@@ -301,8 +301,6 @@ def read_capture(path: str | Path) -> CaptureFiles:
             view=[number[pair.camera] for pair in content.pictures],
             flash=[number[pair.flash] for pair in content.pictures],
         )
-    except ReflectanceError as error:
-        raise ReflectanceError(f"capture {file}: {error}") from error
     return CaptureFiles(file, content, rig, np.asarray(mesh.vertices, np.float64) * scale, mesh.faces)
 
 

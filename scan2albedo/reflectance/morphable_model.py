@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
@@ -180,10 +180,8 @@ class MorphableReflectanceModel:
             for name in _PARTS.values()
         )
         known, support = arrays["known"], arrays["support"]
-        try:
+        with errors_of(str(path), ReflectanceError, advice="write the file again"):
             return cls(known, support, diffuse, total, share, header.total_variance, header.samples)
-        except ReflectanceError as error:
-            raise ReflectanceError(f"{path}: {error}; write the file again") from error
 
     def save(self, path: str | Path) -> None:
         """Write the model as an .npz file, whole or not at all; same model, same bytes.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
 from scan2albedo.geometry.rays import RayCaster, blocks, each_block
@@ -209,10 +209,8 @@ def observe_photograph(
     matrix = np.asarray(camera, np.float64)
     if matrix.shape != (3, 4):
         raise ValueError(f"camera is {matrix.shape}, expected (3, 4)")
-    try:
+    with errors_of("the camera cannot be used", ReflectanceError, ValueError):
         matrix = normalized_cameras(matrix[None])[0]
-    except ValueError as error:
-        raise ReflectanceError(f"the camera cannot be used: {error}") from error
     if np.ndim(image) != 3 or np.shape(image)[2] != 3 or np.size(image) == 0:
         raise ValueError(f"image is {np.shape(image)}, expected (H, W, 3)")
     values = picture_values(np.asarray(image), "the image", saturation)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
@@ -110,9 +110,7 @@ def read_reflectance(path: str | Path) -> MeshReflectance:
         error=ReflectanceError,
     )
     check_exponents(header.exponents, f"reflectance {path}")
-    try:
+    with errors_of(f"reflectance {path}", ReflectanceError, advice="write the file again"):
         one = VertexReflectance(arrays["diffuse_linear"], arrays["weights"], arrays["known"])
         more = arrays.get("std"), arrays.get("seen")
         return MeshReflectance(arrays["vertices"], arrays["faces"], one, *more)
-    except ReflectanceError as error:
-        raise ReflectanceError(f"reflectance {path}: {error}; write the file again") from error

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
 
@@ -134,12 +134,10 @@ class MorphableShapeModel(LinearModel):
                 f"arrays hold {found}; write the file again"
             )
         indices = arrays["faces"], arrays["landmark_vertices"]
-        try:
+        with errors_of(str(path), ReflectanceError, advice="write the file again"):
             for name, basis in zip(("identity_basis", "expression_basis"), bases, strict=True):
                 LinearModel(mean, basis).check(f"shape model: {name}", (header.vertices, 3))
             return cls(mean, np.concatenate(bases), header.identity_components, *indices)
-        except ReflectanceError as error:
-            raise ReflectanceError(f"{path}: {error}; write the file again") from error
 
     def save(self, path: str | Path) -> None:
         """Write the model as an .npz file, whole or not at all; same model, same bytes.

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
 from scan2albedo.reflectance import vertex_visibility
@@ -31,10 +31,8 @@ class CaptureRig:
     """(J,): number of that flash, 0, 1, ..."""
 
     def __post_init__(self) -> None:
-        try:
+        with errors_of("the cameras of the rig cannot be used", ReflectanceError, ValueError):
             cameras = normalized_cameras(self.cameras)
-        except ValueError as error:
-            raise ReflectanceError(f"the cameras of the rig cannot be used: {error}") from error
         positions, light = np.asarray(self.light_positions, np.float64), np.asarray(self.light)
         count = len(cameras)
         if positions.shape != (count, 3) or not np.isfinite(positions).all():

@@ -55,14 +55,3 @@ def publishing(
         yield results
         given, said = tuple(map(str, inputs)), tuple(notes)
         results.write_record(command=command, inputs=given, options=options, metrics=figures, notes=said)
-
-
-@contextmanager
-def naming(what: str) -> Iterator[None]:
-    """Name a file, in words, in errors that do not."""
-    try:
-        yield
-    except ReflectanceError as error:
-        if what in str(error):
-            raise
-        raise ReflectanceError(f"{what}: {error}") from error

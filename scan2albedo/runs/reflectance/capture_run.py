@@ -9,7 +9,7 @@ import numpy as np
 from scan2albedo import reflectance
 from scan2albedo.core import Budget, ProgressCallback
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import write_exr, write_png
@@ -19,7 +19,7 @@ from scan2albedo.reflectance.point_light_lobes import tilted_normals
 from scan2albedo.report import reflectance_views as views
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import relit_panels, relit_picture
-from scan2albedo.runs.reflectance import naming, publishing
+from scan2albedo.runs.reflectance import publishing
 
 _DOUBTFUL_MISFIT = 1.25
 """Median of the misfit above which a note says so, as of normals that are off by two degrees."""
@@ -42,7 +42,7 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
     from skimage.util import montage
 
-    with naming(f"capture {capture.path}"):
+    with errors_of(f"capture {capture.path}", ReflectanceError):
         olat = capture.extract_olat()
     figures = {
         "pairs": len(olat),
@@ -84,7 +84,7 @@ def fit_capture(
     """
     if capture.scale_known and options.most_albedo is None:
         options = replace(options, most_albedo=1.0)
-    with naming(f"capture {capture.path}"):
+    with errors_of(f"capture {capture.path}", ReflectanceError):
         olat = capture.extract_olat()
         mesh, distance_mm = (capture.vertices, capture.faces), capture.reference_distance_mm
         samples = reflectance.sample_vertices(olat, capture.rig, *mesh, reference_distance_mm=distance_mm)

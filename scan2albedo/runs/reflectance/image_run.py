@@ -14,7 +14,7 @@ from scan2albedo import reflectance
 from scan2albedo.core import Budget, ProgressCallback, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.errors import ReflectanceError
+from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.reflectance import GeometryFit, ImageObservation, LightingModel, PhotographFiles
@@ -22,7 +22,7 @@ from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.registration import register
 from scan2albedo.report.overview import overview_figure
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
-from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, naming, publishing
+from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, publishing
 from scan2albedo.runs.reflectance.capture_run import gamma_notes, write_colored_mesh
 from scan2albedo.runs.reflectance.model_run import SURFACE_LEVELS, FaceModels
 from scan2albedo.templates import AnnotatedFaceModel
@@ -150,7 +150,8 @@ def corresponding(photograph: PhotographFiles, models: FaceModels) -> FloatArray
 @contextmanager
 def _named(photograph: PhotographFiles) -> Iterator[None]:
     """Name a photograph in errors, and leave out warnings of fits that stopped early, which notes say."""
-    with naming(f"photograph {photograph.path}"), warnings.catch_warnings():
+    owner = f"photograph {photograph.path}"
+    with errors_of(owner, ReflectanceError), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*without having converged", category=RuntimeWarning)
         yield
 
