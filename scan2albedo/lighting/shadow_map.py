@@ -60,11 +60,7 @@ class ShadowMap:
         return result
 
     def reached(
-        self,
-        direction: ArrayLike,
-        distance_mm: float = math.inf,
-        radius_deg: float = 0.0,
-        points: int = 16,
+        self, direction: ArrayLike, distance_mm: float = math.inf, radius_deg: float = 0.0, points: int = 16
     ) -> NDArray:
         """Return (N,) the part of a lamp that reaches each point: uint8 of a point, else float32 in [0, 1].
 
