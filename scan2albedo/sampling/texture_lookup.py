@@ -24,7 +24,7 @@ MIN_DENSITY = 0.1
 """Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
 CROP_MARGIN = 0.1
 """Faces are searched in the queried points' box, enlarged by this part of its size."""
-FEWEST_TAPS = 3
+FEWEST_TAPS, MOST_TAPS = 3, 64
 """Bilinear samples along each side of a texel's footprint."""
 MOVES = {
     "as it is": (1, 1, 0.0, 0.0),
@@ -168,7 +168,7 @@ def _photograph(
     # So many that no pixel between them is left out, in 95 of 100 texels.
     sides = np.linalg.norm(footprint, axis=1).max(1)
     longest = float(np.percentile(sides, 95)) if len(sides) else 0.0
-    taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, 64))
+    taps = int(np.clip(np.ceil(longest), FEWEST_TAPS, MOST_TAPS))
     if scan.color_seen is None:
         color = mean_over_footprints(scan.texture_linear, center, footprint, taps)
         return color, inside, np.ones(len(color), bool), center
