@@ -58,17 +58,11 @@ def resynthesize(
     offsets = np.stack([grid.ravel() for grid in np.indices((2 * reach + 1, 2 * reach + 1)) - reach], 1)
     offsets = offsets[np.argsort((offsets**2).sum(1), kind="stable")[1:]]
     rng = np.random.default_rng(seed)
-    filled, came_from = _fill(
-        field,
-        order,
-        copies,
-        around,
-        offsets,
-        np.argwhere(copies),
-        rng.integers(-radius, radius + 1, (len(order), 14, 2), np.int32),  # places, and neighbours compared
-        np.float32(1 / max(field[copies].var(0).mean(), 1e-6)),
-        rng,
-    )
+    # Random places that are tried for a texel; as many of its neighbours are compared.
+    jumps = rng.integers(-radius, radius + 1, (len(order), 14, 2), np.int32)
+    steep = np.float32(1 / max(field[copies].var(0).mean(), 1e-6))
+    given = field, order, copies, around, offsets, np.argwhere(copies), jumps
+    filled, came_from = _fill(*given, steep, rng)
     across, down = (copied_steps(filled, field, came_from, around, axis) for axis in (1, 0))
     filled = integrate_gradients(filled, inside, around, across, down, _HOLD)
     result = albedo.copy()

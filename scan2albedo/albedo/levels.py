@@ -144,21 +144,13 @@ def build_level(
     part = np.ones(image.shape)
     if image.skin is not None and (image.skin[usable] > _NOT_SKIN).any():
         part = np.maximum(image.skin, _NOT_SKIN)
-    return Level(
-        position,
-        normalized(mean(image.normal)),
-        normalized(mean(toward, usable[image.mask])),
-        anchor,
-        value / unit,
-        count / factor**2 * mean(part)[:, 0],
-        scale,
-        unit,
-        mean(image.texture_linear) / unit,
-        np.stack(np.divmod(found, across), 1),
-        mean(np.stack([row, column], 1), np.ones(len(row), bool)),
-        int((image.mask if image.on_face is None else image.on_face).sum()),
-        factor,
-    )
+    normal, ahead = normalized(mean(image.normal)), normalized(mean(toward, usable[image.mask]))
+    weight, color = count / factor**2 * mean(part)[:, 0], mean(image.texture_linear) / unit
+    cell = np.stack(np.divmod(found, across), 1)
+    center = mean(np.stack([row, column], 1), np.ones(len(row), bool))
+    texels = int((image.mask if image.on_face is None else image.on_face).sum())
+    seen = position, normal, ahead, anchor, value / unit, weight, scale, unit, color
+    return Level(*seen, cell, center, texels, factor)
 
 
 @njit(cache=True, nogil=True)

@@ -141,25 +141,11 @@ class Point:
         visible, visible_slope = p.lattice.visibility(model, light_x, p.blur)
         light, specular = np.empty((2, cells))
         slopes = np.zeros((2, cells, model.size))
-        shade_with_derivatives(
-            level.position,
-            level.normal,
-            visible,
-            visible_slope,
-            found.rows,
-            model.tangents(light_x),
-            model.radius_mm,
-            level.toward,
-            model.brdf == "minnaert",
-            found.reflectance.roughness,
-            found.reflectance.specular_strength,
-            found.reflectance.exponent,
-            level.scale,
-            *map(model.has, ("near", "rough", "specular")),
-            light,
-            specular,
-            *slopes,
-        )
+        surface, skin = (level.position, level.normal, visible, visible_slope), found.reflectance
+        lamps = found.rows, model.tangents(light_x), model.radius_mm, level.toward
+        gloss = model.brdf == "minnaert", skin.roughness, skin.specular_strength, skin.exponent, level.scale
+        free = map(model.has, ("near", "rough", "specular"))
+        shade_with_derivatives(*surface, *lamps, *gloss, *free, light, specular, *slopes)
         self.lamps, self.highlights = slopes[..., 2 : 3 * model.lights : 3].transpose(0, 2, 1).copy()
         p.soft.add(model, light_x, light, slopes[0])
         self.light, self.specular = light, specular

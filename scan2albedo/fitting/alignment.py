@@ -111,19 +111,8 @@ def proportioned(
         gate_mm = between((GATE_MM[0], LAST_GATE_MM), progress)
         return ForceGates(gate_mm, options.tangential, between(ROBUST_MM, progress))
 
-    found = aligned(
-        scan,
-        samples,
-        reference,
-        samples.area * samples.rigidity,
-        gates,
-        precision,
-        steps=steps,
-        meter=meter,
-        modes=modes,
-        landmarks=landmarks,
-        rim=samples.rim,
-    )
+    given = scan, samples, reference, samples.area * samples.rigidity, gates, precision
+    found = aligned(*given, steps=steps, meter=meter, modes=modes, landmarks=landmarks, rim=samples.rim)
     return found.pose.apply(reference + modes @ found.coefficients)
 
 

@@ -98,19 +98,12 @@ def fit(
     surface = scan_beside(scan, samples, model.control_vertices, pose, chosen)
     placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)
     pull = seen if placed is None else placed.with_more(seen)
-    similarity = aligned(
-        surface,
-        samples,
-        model.control_vertices,
-        # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
-        samples.area * samples.rigidity * samples.relief(samples.matrix @ model.control_vertices),
-        lambda step: ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1]),
-        np.array([[SIZE_SD**-2]]),
-        steps=chosen.rigid_iterations,
-        scale_range=chosen.scale_range,
-        meter=meter,
-        landmarks=pull,
-    ).pose
+    # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
+    weight = samples.area * samples.rigidity * samples.relief(samples.matrix @ model.control_vertices)
+    gates = ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1])
+    given = surface, samples, model.control_vertices, weight, lambda step: gates, np.array([[SIZE_SD**-2]])
+    many, scales = chosen.rigid_iterations, chosen.scale_range
+    similarity = aligned(*given, steps=many, scale_range=scales, meter=meter, landmarks=pull).pose
     hits = surface.nearest.query(similarity.apply(samples.matrix @ model.control_vertices))
     reached = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
     share = float(samples.area[reached].sum() / samples.area.sum())

@@ -74,18 +74,9 @@ class FaceTracker:
         jaw, rest = last.mouth[0], self._rest
         turned = self._hinge.opened(rest, jaw + 1) - self._hinge.opened(rest, jaw)
         modes = np.concatenate([turned[:, :, None], self._corners], axis=2)
-        found = aligned(
-            surface,
-            samples,
-            last.control_points,
-            self._weight,
-            lambda step: gates,
-            np.diag([1, 3**-2, 10**-2, 10**-2]),
-            # Heads turn by 40 degrees between frames.
-            steps=2 * options.rigid_iterations,
-            meter=meter,
-            modes=modes,
-        )
+        prior, steps = np.diag([1, 3**-2, 10**-2, 10**-2]), 2 * options.rigid_iterations
+        given = surface, samples, last.control_points, self._weight, lambda step: gates, prior
+        found = aligned(*given, steps=steps, meter=meter, modes=modes)  # heads turn by 40 degrees a frame
         correction = invert_rigid(found.pose.rigid(model.front))
         surface, mouth = surface.moved(correction), last.mouth + found.coefficients
         moved = last.control_points + modes @ found.coefficients

@@ -149,19 +149,10 @@ def lamp_factors(
 ) -> FloatArray:
     """Return (2, N) what multiplies a lamp's intensity in light on the albedo, in highlights of k_s = 1."""
     factors = np.empty((2, len(position)))
-    fill_lamp_factors(
-        position,
-        normal,
-        np.ascontiguousarray(visible),
-        np.ascontiguousarray(direction),
-        float(nearness),
-        view,
-        reflectance.brdf == "minnaert",
-        float(reflectance.roughness),
-        float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0,
-        factors[0],
-        factors[1],
-    )
+    lamp = np.ascontiguousarray(visible), np.ascontiguousarray(direction), float(nearness)
+    exponent = float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0
+    skin = reflectance.brdf == "minnaert", float(reflectance.roughness), exponent
+    fill_lamp_factors(position, normal, *lamp, view, *skin, *factors)
     return factors
 
 
@@ -225,27 +216,9 @@ def fill_lamp_factors(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shade_with_derivatives(  # type: ignore[no-untyped-def]
-    position,
-    normal,
-    visible,
-    visible_slope,
-    lights,
-    tangents,
-    radius,
-    view,
-    minnaert,
-    roughness,
-    specular,
-    exponent,
-    scale,
-    near,
-    rough,
-    glossy,
-    light_out,
-    specular_out,
-    light_slope,
-    specular_slope,
-):
+    position, normal, visible, visible_slope, lights, tangents, radius, view, minnaert, roughness, specular,
+    exponent, scale, near, rough, glossy, light_out, specular_out, light_slope, specular_slope
+):  # fmt: skip
     """Fill I = I_a + I_d (I_a = 1), I_s, and their derivatives by the parameters of the light.
 
     The P parameters are, for each light, two coordinates of its direction and the logarithm of its intensity;

@@ -189,19 +189,10 @@ class Template:
         modes, matrix = shape_modes(model, steadiness), model.subdivision(1).matrix
         _, point = cKDTree(vertices).query(samples.points)
         at_samples = matrix[point] @ modes.transpose(1, 2, 0).reshape(len(coarse_vertices), -1)
-        _KNOWN[key] = cls(
-            samples,
-            rigidity,
-            at_samples.reshape(len(samples), 3, len(modes)),
-            model.front,
-            FaceImage(vertices, faces),
-            coarse_vertices,
-            coarse_faces,
-            stiffness,
-            modes,
-            matrix,
-            model.subdivision(0).matrix,
-        )
+        sampled = samples, rigidity, at_samples.reshape(len(samples), 3, len(modes))
+        coarse = coarse_vertices, coarse_faces, stiffness
+        matrices = modes, matrix, model.subdivision(0).matrix
+        _KNOWN[key] = cls(*sampled, model.front, FaceImage(vertices, faces), *coarse, *matrices)
         weakref.finalize(model, _KNOWN.pop, key, None)
         return _KNOWN[key]
 
