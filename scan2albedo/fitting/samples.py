@@ -51,14 +51,9 @@ class SurfaceSamples:
         if len(border):
             distance, _ = cKDTree(border).query(points, distance_upper_bound=RIM_MM)
             rim = np.clip(2 - 2 * distance / RIM_MM, 0, 1)
-        return cls(
-            subdivision.matrix,
-            subdivision.faces,
-            subdivision.parent,
-            skin * vertex_areas(points, subdivision.faces),
-            vertex_average(len(points), subdivision.faces, stiffness),
-            rim,
-        )
+        area = skin * vertex_areas(points, subdivision.faces)
+        rigidity = vertex_average(len(points), subdivision.faces, stiffness)
+        return cls(subdivision.matrix, subdivision.faces, subdivision.parent, area, rigidity, rim)
 
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""

@@ -147,15 +147,10 @@ class MorphableReflectanceModel:
         directions, total_variance = principal_directions(off, components, size=float(np.sum(mean**2)))
         sum_mean, sum_off = _mean_and_deviations(total, trust, 0.0)
         share_mean, share_off = _mean_and_deviations(share, trust * (there & (total > 0)), 1 / 3)
-        return cls(
-            known,
-            support.astype(np.int64),
-            LinearModel(mean, np.tensordot(directions, off, 1)),
-            LinearModel(sum_mean, np.tensordot(directions, sum_off, 1)),
-            LinearModel(np.where(known[:, None], share_mean, 0.0), np.tensordot(directions, share_off, 1)),
-            total_variance,
-            len(samples),
-        )
+        means = mean, sum_mean, np.where(known[:, None], share_mean, 0.0)
+        changes = (np.tensordot(directions, one, 1) for one in (off, sum_off, share_off))
+        albedo, gloss, shares = map(LinearModel, means, changes)
+        return cls(known, support.astype(np.int64), albedo, gloss, shares, total_variance, len(samples))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:

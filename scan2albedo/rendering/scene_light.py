@@ -51,19 +51,14 @@ class SceneLight:
         """
         directions = [light.direction for light in lights]
         intensity = [light.intensity * np.array(light.color_linear) for light in lights]
-        far = 0
         if distant is not None:
             directions += list(np.asarray(distant.directions))
             intensity += list(np.asarray(distant.irradiance_linear) / np.pi)
-            far = len(directions) - len(lights)
-        return cls(
-            np.reshape(directions, (-1, 3)).astype(np.float64),
-            np.array([light.distance_mm for light in lights] + [math.inf] * far, np.float64),
-            np.array([light.radius_deg for light in lights] + [0.0] * far, np.float64),
-            np.reshape(intensity, (-1, 3)).astype(np.float64),
-            np.full(3, float(ambient)),
-            soft,
-        )
+        toward, strength = (np.reshape(rows, (-1, 3)).astype(np.float64) for rows in (directions, intensity))
+        distances, radii = np.full(len(toward), math.inf), np.zeros(len(toward))
+        distances[: len(lights)] = [light.distance_mm for light in lights]
+        radii[: len(lights)] = [light.radius_deg for light in lights]
+        return cls(toward, distances, radii, strength, np.full(3, float(ambient)), soft)
 
     @property
     def casts(self) -> bool:

@@ -80,14 +80,10 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     normal = normalized(interpolate(raster, fitted.faces, vertex_normals(fitted.vertices, fitted.faces)))
     inside, scan_from_model = raster.covered, invert_rigid(fitted.model_from_scan)
     steps = texel_steps(fitted.vertices, fitted.uv, fitted.faces, raster.face.shape)[raster.face[inside]]
-    texture = texture_on_chart(
-        scan,
-        inside,
-        transform_points(scan_from_model, position[inside]),
-        transform_directions(scan_from_model, normal[inside]),
-        np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
-        fitted.model_from_scan,
-    )
+    place = transform_points(scan_from_model, position[inside])
+    facing = transform_directions(scan_from_model, normal[inside])
+    steps = np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps)
+    texture = texture_on_chart(scan, inside, place, facing, steps, fitted.model_from_scan)
     region = np.full(raster.face.shape, 255, np.uint8)
     region[inside] = fitted.region[raster.face[inside]]
     # Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.

@@ -91,14 +91,9 @@ def face_surface(model: AnnotatedSurface, control_points: FloatArray, *, levels:
         children = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
         corners = np.stack([np.stack(child, 1) for child in children], 1).reshape(-1, 3, 2)
     landmarks = model.landmarks_of(control_points)
-    return FaceSurface(
-        vertices,
-        subdivision.faces,
-        vertex_normals(vertices, subdivision.faces),
-        corners,
-        model.region[subdivision.parent],
-        np.zeros((0, 3)) if landmarks is None else landmarks,
-    )
+    marks = np.zeros((0, 3)) if landmarks is None else landmarks
+    faces, region = subdivision.faces, model.region[subdivision.parent]
+    return FaceSurface(vertices, faces, vertex_normals(vertices, faces), corners, region, marks)
 
 
 def with_relief(surface: FaceSurface, rng: np.random.Generator, *, height_mm: float = 0.08) -> FaceSurface:

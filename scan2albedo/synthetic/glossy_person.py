@@ -91,16 +91,9 @@ class GlossyPerson:
         diffuse[other] = self.sitter.albedo_at(face[other], barycentric[other])
         shine = np.array([1.0, 0.8, 0.4, 0.0])[self.sitter.part[face[other]]]
         weights[other] = shine[:, None] * self.weights.mean(0)
-        return SeenSurface(
-            pixel,
-            size,
-            np.einsum("nk,nkc->nc", barycentric, self.sitter.vertices[corners]),
-            normalized(np.einsum("nk,nkc->nc", barycentric, self.sitter.normals[corners])),
-            -rays[pixel],
-            diffuse,
-            weights,
-            on_face,
-        )
+        position = np.einsum("nk,nkc->nc", barycentric, self.sitter.vertices[corners])
+        normal = normalized(np.einsum("nk,nkc->nc", barycentric, self.sitter.normals[corners]))
+        return SeenSurface(pixel, size, position, normal, -rays[pixel], diffuse, weights, on_face)
 
     def lit(
         self, seen: SeenSurface, light: FloatArray, *, reference_distance_mm: float | None = None
@@ -178,14 +171,8 @@ class GlossyFace:
         subdivision = sitter.model.subdivision(levels)
         # Vertices of coarser levels are the first ones of finer levels.
         count = subdivision.matrix.shape[0]
-        return GlossyFace(
-            sitter.face.vertices[:count],
-            sitter.normals[:count],
-            subdivision.faces,
-            sitter.face.landmarks,
-            person.diffuse_linear[:count],
-            person.weights[:count],
-        )
+        face = sitter.face.vertices[:count], sitter.normals[:count], subdivision.faces, sitter.face.landmarks
+        return GlossyFace(*face, person.diffuse_linear[:count], person.weights[:count])
 
 
 @dataclass(frozen=True)

@@ -211,14 +211,7 @@ def _photographed(
         full[mask] = values
         return full
 
-    return SyntheticScene(
-        replace(image, texture_linear=grid(picture)),
-        np.where(mask[..., None], albedo_linear, 0).astype(np.float32),
-        lights,
-        grid(~rendered.visible),
-        grid(rendered.shading),
-        grid(rendered.specular),
-        gain,
-        material,
-        texture,
-    )
+    lit = replace(image, texture_linear=grid(picture))
+    albedo = np.where(mask[..., None], albedo_linear, 0).astype(np.float32)
+    light = grid(~rendered.visible), grid(rendered.shading), grid(rendered.specular)
+    return SyntheticScene(lit, albedo, lights, *light, gain, material, texture)

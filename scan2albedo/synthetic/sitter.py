@@ -127,15 +127,10 @@ def sit_down(
     def at_random(uv: FloatArray) -> FloatArray:
         return paint_face(uv, model, np.random.default_rng(seed), tone=skin_tone)
 
+    part = np.repeat(np.arange(4), [len(f) for _, f in parts])
+    corner_uv = np.concatenate([face.corner_uv, head_uv[head_faces], hair_uv, flat[clothes[1]]])
     return Sitter(
-        model,
-        control_points,
-        face,
-        vertices,
-        faces,
-        normals,
-        np.repeat(np.arange(4), [len(f) for _, f in parts]),
-        np.concatenate([face.corner_uv, head_uv[head_faces], hair_uv, flat[clothes[1]]]),
+        *(model, control_points, face, vertices, faces, normals, part, corner_uv),
         tone=skin_tone,
         hair_color=_HAIR_COLORS[rng.integers(len(_HAIR_COLORS))],
         cloth_color=_CLOTH_COLORS[rng.integers(len(_CLOTH_COLORS))],
