@@ -90,8 +90,14 @@ def _flags(
         help="Also write the scan itself without its light: 'face', or 'all' of it with the same lamps.",
         metavar="face|all",
     ),
+    maps: str | None = typer.Option(
+        None,
+        help="Also normal, displacement, cavity, occlusion, roughness, specular maps, GLB and OpenUSD: "
+        "on the chart, the scan's own texture coordinates, or your template's.",
+        metavar="chart|scan|template",
+    ),
     texture_size: int = typer.Option(
-        1024, help="Height and width of the texture on your own template's coordinates, up to 8192.", min=8
+        1024, help="Height and width of those, and of the texture on your own template, up to 8192.", min=8
     ),
     white_balance: str = typer.Option(
         "none",
