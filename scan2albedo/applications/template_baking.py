@@ -130,35 +130,54 @@ class Appearance:
         return {"color": (found.color_linear, found.seen), "normal": fine}
 
 
-def bake(source: RawScan, target: RawScan, size: int = 1024) -> TemplateTexture:
-    """Return a mesh's colours and fine shape on the texture coordinates of another one in the same pose.
+def bake(
+    source: RawScan, target: RawScan, size: int = 1024, fits: tuple[FittedFace, FittedFace] | None = None
+) -> TemplateTexture:
+    """Return a mesh's colours, and its fine shape, on the texture coordinates of another one.
 
     Each texel of `target` gets what is nearest to it on `source` and faces its way. Raises `ApplicationError`
-    when the source has no colour or the target no texture coordinates; `ValueError` for another size than 8
-    to 8192.
+    when the source has no colour or the target no texture coordinates, ValueError for another size than 8 to
+    8192.
 
     Parameters
     ----------
     source, target : RawScan
-        In one frame, mm.
+        In one frame, mm, unless `fits` are given.
     size : int
         Texels of a side.
+    fits : (FittedFace, FittedFace), optional
+        Of source and target, by one model and preset: each texel then gets the colour of the same place of
+        the face, whatever the pose and the person; up to 4 mm beside the face, and without normals.
 
     Returns
     -------
     TemplateTexture
-        In the frame of both.
+        In the target's frame.
     """
     if not source.has_color:
-        raise ApplicationError(f"{source.name}: the mesh has no colours to bake")
+        raise ApplicationError(f"{source.name}: the mesh has no colours to bake; is its texture beside it?")
     if target.uv is None:
         raise ApplicationError(f"{target.name}: the mesh has no texture coordinates to bake on; unwrap it")
     surface = _Surface(source.vertices, source.faces, vertex_normals(source.vertices, source.faces))
+    faces = (
+        None
+        if fits is None
+        else tuple(_Surface(fit.vertices, fit.faces, vertex_normals(fit.vertices, fit.faces)) for fit in fits)
+    )
 
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
-        found = sample_colors(source, place, outward, steps, reach_mm=math.inf)
-        fine = tangent_normals(surface.normals_at(place), outward, tangents)
-        return {"color": (found.color_linear, found.seen), "normal": fine}
+        if fits is None or faces is None:
+            found = sample_colors(source, place, outward, steps, reach_mm=math.inf)
+            fine = tangent_normals(surface.normals_at(place, math.inf), outward, tangents)
+            return {"color": (found.color_linear, found.seen), "normal": fine}
+        on_source, on_target = fits
+        model_from_target, back = on_target.model_from_scan, invert_rigid(on_source.model_from_scan)
+        there, normal, close = faces[1].carried(transform_points(model_from_target, place), faces[0])
+        turned = np.einsum("ij,njk->nik", (back @ model_from_target)[:3, :3], steps)
+        at = transform_points(back, there), transform_directions(back, normal)
+        found = sample_colors(source, *at, turned)
+        flat = np.tile((0.0, 0.0, 1.0), (len(place), 1))
+        return {"color": (found.color_linear, found.seen & close), "normal": (flat, close)}
 
     tiles = baked_tiles(target.vertices, target.faces, target.uv, size, look)
     return TemplateTexture(target.vertices, target.faces, target.uv, tiles)
@@ -294,14 +313,26 @@ class _Surface:
         self._query = surface_query(vertices, faces)
         self._inner = ~mesh.boundary_vertex_mask(len(vertices), faces)
 
-    def normals_at(self, points: FloatArray, *, beyond_edges: bool = True) -> tuple[FloatArray, BoolArray]:
+    def normals_at(
+        self, points: FloatArray, reach_mm: float = REACH_MM, *, beyond_edges: bool = True
+    ) -> tuple[FloatArray, BoolArray]:
         """Return unit normals (N, 3) at closest points, and whether these are within reach."""
         hits = self._query.query(points)
         corners = self._faces[hits.face]
-        close = hits.distance <= REACH_MM
+        close = hits.distance <= reach_mm
         if not beyond_edges:
             close &= np.einsum("nk,nk->n", hits.barycentric, self._inner[corners]) > 1e-6
         return normalized(np.einsum("nk,nkc->nc", hits.barycentric, self._normals[corners])), close
+
+    def carried(self, points: FloatArray, other: _Surface) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return points (N, 3) as far before another surface of the same faces, its normals (N, 3), and
+        whether they are within reach of this one."""
+        hits = self._query.query(points)
+        corners, near = self._faces[hits.face], hits.barycentric
+        own, normal = (normalized(np.einsum("nk,nkc->nc", near, s._normals[corners])) for s in (self, other))
+        before = np.einsum("nc,nc->n", points - hits.points, own)
+        places = np.einsum("nk,nkc->nc", near, other.vertices[corners]) + before[:, None] * normal
+        return places, normal, hits.distance <= REACH_MM
 
 
 def tangent_normals(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scan2albedo.cli.applications import blend, personal_model, swap, transfer_expression
+from scan2albedo.cli.applications import bake, blend, personal_model, swap, transfer_expression
 from scan2albedo.cli.common import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -390,7 +390,7 @@ def report(
 
 
 # Behind the ones above in what `--help` lists.
-for command in (relight, swap, blend, transfer_expression, personal_model, identify):
+for command in (relight, swap, blend, transfer_expression, personal_model, bake, identify):
     app.command()(command)
 app.add_typer(glasses_app, name="glasses")
 app.add_typer(reflectance_app, name="reflectance")

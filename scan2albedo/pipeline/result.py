@@ -321,8 +321,9 @@ def write_template(
     *,
     exr: bool = False,
     stem: str = "template",
+    mm_per_unit: float = 1.0,
 ) -> None:
-    """Write a baked mesh, mm and metres in its own frame; alpha: seen; see `write_unlit`.
+    """Write a baked mesh in its own frame: OBJ in a unit of `mm_per_unit`, GLB in metres; alpha: seen.
 
     With maps of a skin material they are PNG of 16 bits, 0 to 1, but for the displacement: from -4 to 4 mm,
     and as EXR in mm; there is a normal map for DirectX, too, whose y points down, and an OpenUSD file.
@@ -354,7 +355,7 @@ def write_template(
         named = f"{stem}{end}", picture, tile.faces, f"{stem}_normal{end}", normal
         pictures.append(MeshPicture(*named, surface))
     mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
-    write_textured_obj(folder / f"{stem}.obj", mesh)
+    write_textured_obj(folder / f"{stem}.obj", mesh, mm_per_unit=mm_per_unit)
     write_textured_glb(folder / f"{stem}.glb", mesh)
     if template.tiles and template.tiles[0].maps:
         end = ".png" if alone else ".<UDIM>.png"
