@@ -1,6 +1,7 @@
 """What a processed face is for: other light, skin or expression; the scan itself, and templates, unlit."""
 
 from scan2albedo.applications.blending import blend_faces
+from scan2albedo.applications.engine_maps import engine_maps
 from scan2albedo.applications.expression_transfer import TransferOptions, personal_model, transfer_expression
 from scan2albedo.applications.face_reflectance import FaceReflectance, reflectance_of_processed
 from scan2albedo.applications.files import load_result, write_face
@@ -8,14 +9,14 @@ from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.light_sweep import frames_srgb, light_arc, sweep, write_frames, write_gif
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, RelitFace, default_camera, relight
-from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile, template_texture
+from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile, bake, template_texture
 from scan2albedo.applications.texture_swap import SwapOptions, swap_texture
 from scan2albedo.rendering.pictures import Picture
 
 __all__ = [
     "FaceMesh", "FaceReflectance", "Picture", "ProcessedFace", "RelightOptions", "RelitFace", "SwapOptions",
-    "TemplateTexture", "TemplateTile", "TransferOptions", "UnlitScan", "blend_faces", "default_camera",
-    "frames_srgb", "light_arc", "load_result", "personal_model", "reflectance_of_processed", "relight",
-    "swap_texture", "sweep", "template_texture", "transfer_expression", "unlit_scan", "write_face",
-    "write_frames", "write_gif",
+    "TemplateTexture", "TemplateTile", "TransferOptions", "UnlitScan", "bake", "blend_faces",
+    "default_camera", "engine_maps", "frames_srgb", "light_arc", "load_result", "personal_model",
+    "reflectance_of_processed", "relight", "swap_texture", "sweep", "template_texture", "transfer_expression",
+    "unlit_scan", "write_face", "write_frames", "write_gif",
 ]  # fmt: skip

@@ -1,7 +1,10 @@
-"""`template_texture`: colours and fine shape of an unlit scan on the coordinates of anyone's template."""
+"""`template_texture`, `bake`: colours and fine shape of a mesh on the texture coordinates of another."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from numbers import Integral
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,17 +37,19 @@ LEAST_COSINE = 0.5
 NOISE_RAD = 0.07
 """Averages over neighbours: their noise falls with their number, and so with the square of the angle that
 noise turns a face by over an edge; two suffice up to about this angle a pass."""
+Fields = Mapping[str, tuple[NDArray[np.floating], BoolArray]]
+"""Values (N, C) of texels by name, and which (N,) of them are known."""
 
 
 @dataclass(frozen=True)
 class TemplateTile:
-    """One square of a template's texture.
+    """One square of a template's texture, or of any mesh's.
 
     `number` is that of UDIM, `faces` (F,) which of the template's lie in it; `color_linear` (S, S, 3) is
     known where `seen` (S, S), and filled in from around elsewhere. `normal` (S, S, 3), unit vectors, is the
     shape that the template is too coarse for, in the frames of `geometry.tangents.tangent_mesh`: x along u,
     y along v, z out. It is (0, 0, 1) where the template's own shape is all that is known. Both are float32,
-    or, with more than 4096 texels a side, float16, which halves their memory.
+    or, with more than 4096 texels a side, float16, which halves their memory. So are `maps` (S, S) by name.
     """
 
     number: int
@@ -52,6 +57,7 @@ class TemplateTile:
     color_linear: NDArray[np.floating]
     seen: BoolArray
     normal: NDArray[np.floating]
+    maps: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -94,27 +100,114 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         )
     if not scan.has_color:
         raise ApplicationError(f"{scan.name}: the scan has no colours to lay on a template")
+    look = Appearance(fitted, scan)
+    return TemplateTexture(vertices, faces, uv, baked_tiles(vertices, faces, uv, size, look))
+
+
+class Appearance:
+    """Colour and fine normals of a scan, at places (N, 3) on a surface in the frame of the `fitted` face."""
+
+    def __init__(self, fitted: FittedFace, scan: RawScan) -> None:
+        self._shown, self._scan_from_model = (
+            without_covers(fitted, scan),
+            invert_rigid(fitted.model_from_scan),
+        )
+        self._shape = FineShape(fitted, self._shown)
+
+    def __call__(
+        self, place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray
+    ) -> dict[str, tuple[NDArray[np.floating], BoolArray]]:
+        """Return colour and normals there; arguments as `baked_tiles` gives them."""
+        found = sample_colors(
+            self._shown,
+            transform_points(self._scan_from_model, place),
+            transform_directions(self._scan_from_model, outward),
+            np.einsum("ij,njk->nik", self._scan_from_model[:3, :3], steps),
+        )
+        fine = tangent_normals(self._shape.normals(place), outward, tangents)
+        return {"color": (found.color_linear, found.seen), "normal": fine}
+
+
+def bake(
+    source: RawScan, target: RawScan, size: int = 1024, fits: tuple[FittedFace, FittedFace] | None = None
+) -> TemplateTexture:
+    """Return a mesh's colours, and its fine shape, on the texture coordinates of another one.
+
+    Each texel of `target` gets what is nearest to it on `source` and faces its way. Raises `ApplicationError`
+    when the source has no colour or the target no texture coordinates, ValueError for another size than 8 to
+    8192.
+
+    Parameters
+    ----------
+    source, target : RawScan
+        In one frame, mm, unless `fits` are given.
+    size : int
+        Texels of a side.
+    fits : (FittedFace, FittedFace), optional
+        Of source and target, by one model and preset: each texel then gets the colour of the same place of
+        the face, whatever the pose and the person; up to 4 mm beside the face, and without normals.
+
+    Returns
+    -------
+    TemplateTexture
+        In the target's frame.
+    """
+    if not source.has_color:
+        raise ApplicationError(f"{source.name}: the mesh has no colours to bake; is its texture beside it?")
+    if target.uv is None:
+        raise ApplicationError(f"{target.name}: the mesh has no texture coordinates to bake on; unwrap it")
+    surface = _Surface(source.vertices, source.faces, vertex_normals(source.vertices, source.faces))
+    faces = (
+        None
+        if fits is None
+        else tuple(_Surface(fit.vertices, fit.faces, vertex_normals(fit.vertices, fit.faces)) for fit in fits)
+    )
+
+    def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
+        if fits is None or faces is None:
+            found = sample_colors(source, place, outward, steps, reach_mm=math.inf)
+            fine = tangent_normals(surface.normals_at(place, math.inf), outward, tangents)
+            return {"color": (found.color_linear, found.seen), "normal": fine}
+        on_source, on_target = fits
+        model_from_target, back = on_target.model_from_scan, invert_rigid(on_source.model_from_scan)
+        there, normal, close = faces[1].carried(transform_points(model_from_target, place), faces[0])
+        turned = np.einsum("ij,njk->nik", (back @ model_from_target)[:3, :3], steps)
+        at = transform_points(back, there), transform_directions(back, normal)
+        found = sample_colors(source, *at, turned)
+        flat = np.tile((0.0, 0.0, 1.0), (len(place), 1))
+        return {"color": (found.color_linear, found.seen & close), "normal": (flat, close)}
+
+    tiles = baked_tiles(target.vertices, target.faces, target.uv, size, look)
+    return TemplateTexture(target.vertices, target.faces, target.uv, tiles)
+
+
+def baked_tiles(
+    vertices: FloatArray, faces: IntArray, uv: FloatArray, size: int, look: Callable[..., Fields]
+) -> tuple[TemplateTile, ...]:
+    """Return the tiles of a mesh (V, 3), (F, 3) with coordinates (F, 3, 2), filled with what `look` finds.
+
+    `look` is called with places (N, 3) of texels on the mesh, unit normals (N, 3), tangents (N, 4), see
+    `tangent_mesh`, and the steps (N, 3, 2) to the next texels, see `sample_colors`. Its fields "color" and
+    "normal" become those of a tile, others `maps`; each is filled in from around where it is not known.
+    """
     if not isinstance(size, Integral) or not 8 <= size <= LARGEST_TEXTURE:
         raise ValueError(f"size is {size!r}, expected a whole number of texels from 8 to {LARGEST_TEXTURE}")
-    numbers, shown = tile_numbers(uv), without_covers(fitted, scan)
-    shape, tiles = FineShape(fitted, shown), []
-    scan_from_model, template_normals = invert_rigid(fitted.model_from_scan), vertex_normals(vertices, faces)
+    numbers, normals, tiles = tile_numbers(uv), vertex_normals(vertices, faces), list[TemplateTile]()
     rows = max(LARGEST_TEXTURE**2 // 256 // size, 1)
     bands = [slice(top, min(top + rows, size)) for top in range(0, size, rows)]  # of 2^18 texels each
     for number in np.unique(numbers[numbers > 0]).tolist():
         chosen = numbers == number
         up, across = divmod(number - FIRST_TILE, 10)
-        frames = tangent_mesh(vertices, faces[chosen], uv[chosen], template_normals)
+        frames = tangent_mesh(vertices, faces[chosen], uv[chosen], normals)
         split = frames.split
         points = vertices[split.vertex]
         pixels = rasterization.pixels_from_uv(split.uv - [across, up], (size, size))
         steps = texel_steps(points, split.uv, split.faces, (size, size))
-        color, normal = np.zeros((2, size, size, 3), np.float32 if size <= 4096 else np.float16)
-        normal[..., 2] = 1
-        seen, stands, inside = np.zeros((3, size, size), bool)
+        fields, known = dict[str, NDArray[np.floating]](), dict[str, BoolArray]()
+        inside = np.zeros((size, size), bool)
         for band in bands:
             below = pixels - [0, band.start]
-            raster = rasterization.rasterize(below, np.zeros(len(below)), split.faces, color[band].shape[:2])
+            raster = rasterization.rasterize(below, np.zeros(len(below)), split.faces, inside[band].shape)
             inside[band] = there = raster.covered
             if not there.any():
                 continue
@@ -122,28 +215,34 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
                 rasterization.interpolate(raster, split.faces, values)[there]
                 for values in (points, frames.normals, frames.tangents)
             )
-            found = sample_colors(
-                shown,
-                transform_points(scan_from_model, place),
-                transform_directions(scan_from_model, normalized(outward)),
-                np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps[raster.face[there]]),
-            )
-            color[band][there], seen[band][there] = found.color_linear, found.seen
-            fine = shape.normals(place)
-            normal[band][there], stands[band][there] = tangent_normals(fine, outward, tangents)
-        # Beside the charts normals and colours go on, for viewers that filter and reduced pictures (mipmaps).
-        for field, known in ((normal, stands), (color, seen)):
-            rasterization.fill_smoothly(field, known)
+            found = look(place, normalized(outward), tangents, steps[raster.face[there]])
+            for name, (values, sure) in found.items():
+                if name not in fields:
+                    kind = np.float32 if size <= 4096 else np.float16
+                    fields[name] = np.zeros((size, size, values.shape[1]), kind)
+                    known[name] = np.zeros((size, size), bool)
+                    if name == "normal":
+                        fields[name][..., 2] = 1
+                fields[name][band][there], known[name][band][there] = values, sure
+        # Beside the charts all goes on, for viewers that filter and reduced pictures (mipmaps).
+        for name, texels in fields.items():
+            rasterization.fill_smoothly(texels, known[name])
             for band in bands:
                 wide = slice(max(band.start - 2 * GUTTER, 0), band.stop + 2 * GUTTER)
                 beside = maximum_filter(inside[wide], 2 * GUTTER + 1) & ~inside[wide]
                 beside[: band.start - wide.start] = beside[band.stop - wide.start :] = False
                 if beside.any():
-                    field[wide][beside] = rasterization.filled_from_nearest(field[wide], inside[wide])[beside]
+                    texels[wide][beside] = rasterization.filled_from_nearest(texels[wide], inside[wide])[
+                        beside
+                    ]
+        if not fields:
+            continue  # its faces hold no texel's middle
+        color, normal = fields.pop("color"), fields.pop("normal")
         for band in bands:
             normal[band] = normalized(normal[band].astype(np.float64))
-        tiles.append(TemplateTile(number, chosen, color, seen, normal))
-    return TemplateTexture(vertices, faces, uv, tuple(tiles))
+        maps = {name: texels[..., 0] for name, texels in fields.items()}
+        tiles.append(TemplateTile(number, chosen, color, known["color"], normal, maps))
+    return tuple(tiles)
 
 
 def tile_numbers(uv: FloatArray) -> IntArray:
@@ -212,14 +311,26 @@ class _Surface:
         self._query = surface_query(vertices, faces)
         self._inner = ~mesh.boundary_vertex_mask(len(vertices), faces)
 
-    def normals_at(self, points: FloatArray, *, beyond_edges: bool = True) -> tuple[FloatArray, BoolArray]:
+    def normals_at(
+        self, points: FloatArray, reach_mm: float = REACH_MM, *, beyond_edges: bool = True
+    ) -> tuple[FloatArray, BoolArray]:
         """Return unit normals (N, 3) at closest points, and whether these are within reach."""
         hits = self._query.query(points)
         corners = self._faces[hits.face]
-        close = hits.distance <= REACH_MM
+        close = hits.distance <= reach_mm
         if not beyond_edges:
             close &= np.einsum("nk,nk->n", hits.barycentric, self._inner[corners]) > 1e-6
         return normalized(np.einsum("nk,nkc->nc", hits.barycentric, self._normals[corners])), close
+
+    def carried(self, points: FloatArray, other: Self) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Return points (N, 3) as far before another surface of the same faces, its normals (N, 3), and
+        whether they are within reach of this one."""
+        hits = self._query.query(points)
+        corners, near = self._faces[hits.face], hits.barycentric
+        own, normal = (normalized(np.einsum("nk,nkc->nc", near, s._normals[corners])) for s in (self, other))
+        before = np.einsum("nc,nc->n", points - hits.points, own)
+        places = np.einsum("nk,nkc->nc", near, other.vertices[corners]) + before[:, None] * normal
+        return places, normal, hits.distance <= REACH_MM
 
 
 def tangent_normals(
@@ -231,13 +342,18 @@ def tangent_normals(
     return found, found[:, 2] >= LEAST_COSINE
 
 
-def normal_bytes(normal: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Return normals (..., 3) in [-1, 1] as glTF's normal maps store them, 8 bits, linear.
+def normal_bytes(normal: NDArray[np.floating], samples: type = np.uint8) -> NDArray[Any]:
+    """Return normals (..., 3) in [-1, 1] as glTF's normal maps store them, linear, in such samples.
 
     >>> normal_bytes(np.array([[0.0, -1.0, 1.0]]))
     array([[128,   0, 255]], dtype=uint8)
     """
-    encoded = np.empty(normal.shape, np.uint8)
+    encoded: NDArray[Any] = np.empty(normal.shape, samples)
     for row in range(0, len(normal), 256):  # to spare memory
-        encoded[row : row + 256] = np.round(127.5 * (np.clip(normal[row : row + 256], -1, 1) + 1))
+        encoded[row : row + 256] = integers(0.5 * (normal[row : row + 256] + 1), samples)
     return encoded
+
+
+def integers(values: NDArray[np.floating], samples: type = np.uint8) -> NDArray[Any]:
+    """Return values from 0 to 1, clipped, as integers that count from 0 to the largest of `samples`."""
+    return np.round(np.iinfo(samples).max * np.clip(values, 0, 1).astype(np.float64)).astype(samples)

@@ -1,4 +1,4 @@
-"""The commands for processed faces: swap, blend, transfer-expression, personal-model."""
+"""The commands for processed faces: swap, blend, transfer-expression, personal-model, bake."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 
-from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
+from scan2albedo.cli.common import JsonOption, checked_budget, echo_json, say, stop_cleanly_on_interrupt
 
 if TYPE_CHECKING:
     from scan2albedo.applications import ProcessedFace
@@ -124,6 +125,45 @@ def personal_model(
     say(f"{face.name}: personal model in {out}")
     if json_summary:
         echo_json({"face": face.name, "status": "done", "out": str(out), "model": template.name})
+
+
+def bake(
+    source: Annotated[Path, typer.Argument(help="Mesh with a texture, or colours of its vertices.")],
+    target: Annotated[Path, typer.Argument(help="Mesh with texture coordinates of its own.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="An .obj file; pictures and a GLB beside it.")],
+    size: int = typer.Option(2048, help="Height and width of the texture, 8 to 8192.", min=8, max=8192),
+    unit: str = typer.Option("auto", help="Of both files: mm, cm or m; auto: mm, or by the face."),
+    through_face: bool = typer.Option(
+        False, "--through-face", help="Register both faces: other pose, shape or person."
+    ),
+    json_summary: JsonOption = False,
+) -> None:
+    """Lay the colours of one mesh on the texture coordinates of another one."""
+    from scan2albedo.applications import bake as baked
+    from scan2albedo.io import load_scan
+    from scan2albedo.io.load_scan import load_scan_with
+    from scan2albedo.io.units import MM_PER_UNIT
+    from scan2albedo.pipeline.process import process
+    from scan2albedo.pipeline.result import write_template
+
+    checked_budget(None, unit)
+    if out.suffix.lower() != ".obj" or out.resolve() in (source.resolve(), target.resolve()):
+        raise typer.BadParameter(f"-o takes a new name that ends in .obj, not {out}")
+    fits: Any = None
+    if through_face:
+        done = [process(load_scan(path, unit), skip=("albedo",)) for path in (source, target)]
+        # As registration left them: it may have turned their faces outward.
+        meshes, fits = [result.scan for result in done], tuple(result.fitted for result in done)
+    else:
+        given = MM_PER_UNIT.get(unit, 1.0), f"unit: {'mm' if unit == 'auto' else unit}"
+        meshes = [load_scan_with(path, lambda *_: given) for path in (source, target)]
+    stop_cleanly_on_interrupt(None)
+    made = baked(meshes[0], meshes[1], size, fits)
+    write_template(out.parent, made, stem=out.stem, mm_per_unit=meshes[1].mm_per_unit)
+    seen = float(np.mean([tile.seen.mean() for tile in made.tiles])) if made.tiles else 0.0
+    say(f"{target.name}: {len(made.tiles)} tile(s), {seen:.0%} of their texels seen on {source.name}; {out}")
+    if json_summary:
+        echo_json({"status": "done", "out": str(out), "tiles": len(made.tiles), "seen": seen})
 
 
 def _opened(

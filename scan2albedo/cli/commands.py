@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scan2albedo.cli.applications import blend, personal_model, swap, transfer_expression
+from scan2albedo.cli.applications import bake, blend, personal_model, swap, transfer_expression
 from scan2albedo.cli.common import (
     SOME_FAILED,
     USAGE_ERROR,
@@ -90,8 +90,14 @@ def _flags(
         help="Also write the scan itself without its light: 'face', or 'all' of it with the same lamps.",
         metavar="face|all",
     ),
+    maps: str | None = typer.Option(
+        None,
+        help="Also normal, displacement, cavity, occlusion, roughness, specular maps, GLB and OpenUSD: "
+        "on the chart, the scan's own texture coordinates, or your template's.",
+        metavar="chart|scan|template",
+    ),
     texture_size: int = typer.Option(
-        1024, help="Height and width of the texture on your own template's coordinates, up to 8192.", min=8
+        1024, help="Height and width of those, and of the texture on your own template, up to 8192.", min=8
     ),
     white_balance: str = typer.Option(
         "none",
@@ -384,7 +390,7 @@ def report(
 
 
 # Behind the ones above in what `--help` lists.
-for command in (relight, swap, blend, transfer_expression, personal_model, identify):
+for command in (relight, swap, blend, transfer_expression, personal_model, bake, identify):
     app.command()(command)
 app.add_typer(glasses_app, name="glasses")
 app.add_typer(reflectance_app, name="reflectance")

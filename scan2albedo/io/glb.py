@@ -86,7 +86,7 @@ class GlbFile:
         return len(self.meshes) - 1
 
     def write(
-        self, path: str | Path, nodes: list[dict[str, Any]], roots: list[int], **entries: list[dict[str, Any]]
+        self, path: str | Path, nodes: list[dict[str, Any]], roots: list[int], **entries: list[Any]
     ) -> None:
         """Write the file atomically, with `nodes`, of which `roots` stand in the scene, and further lists."""
         textures = [{"source": number} for number in range(len(self.images))]

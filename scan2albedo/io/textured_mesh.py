@@ -20,7 +20,8 @@ from scan2albedo.io.glb import GlbFile, plain_material
 class MeshPicture:
     """A picture, the bytes of a PNG, that lies on the faces (F,) marked in `faces`; `name` is its file's.
 
-    `normal_png`, if any, is the normal map beside it, in the frames of `geometry.tangents.tangent_mesh`.
+    `normal_png`, if any, is the normal map beside it, in the frames of `geometry.tangents.tangent_mesh`;
+    `surface_png` has occlusion, roughness, 0 and the specular factor in its channels, as glTF reads them.
     """
 
     name: str
@@ -28,6 +29,7 @@ class MeshPicture:
     faces: NDArray[np.bool_]
     normal_name: str = ""
     normal_png: bytes | None = None
+    surface_png: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,14 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
                 attributes["TANGENT"] = (frames.tangents.astype("f4"), "VEC4")
                 stem = Path(picture.normal_name).stem
                 material["normalTexture"] = file.add_picture(picture.normal_png, name=stem)
+            if picture is not None and picture.surface_png is not None:
+                texture = file.add_picture(picture.surface_png, name=f"{name}_surface")
+                material["pbrMetallicRoughness"] |= {
+                    "metallicRoughnessTexture": texture,
+                    "roughnessFactor": 1.0,
+                }
+                material["occlusionTexture"] = texture
+                material["extensions"] = {"KHR_materials_specular": {"specularTexture": texture}}
             vertex, faces = split.vertex, split.faces
             attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
         if picture is None and mesh.vertex_color_linear is not None:
@@ -110,7 +120,8 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
         file.add_mesh(name, vertices, faces, len(materials), attributes, normals=normals[vertex])
         materials.append(material)
     nodes = [{"name": file.meshes[k]["name"], "mesh": k} for k in range(len(materials))]
-    file.write(path, nodes, list(range(len(nodes))), materials=materials)
+    further = {"extensionsUsed": [*materials[0]["extensions"]]} if "extensions" in materials[0] else {}
+    file.write(path, nodes, list(range(len(nodes))), materials=materials, **further)
 
 
 def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.bool_]]]:

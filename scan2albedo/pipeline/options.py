@@ -12,6 +12,7 @@ from typing import Any
 
 from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.albedo.estimate import BRDFS
+from scan2albedo.applications.engine_maps import CARRIERS
 from scan2albedo.applications.light_removal import REACHES
 from scan2albedo.applications.template_baking import LARGEST_TEXTURE
 from scan2albedo.core import Budget, checked_seed
@@ -116,8 +117,11 @@ class ProcessOptions:
     unlit: str | None = None
     """Also the scan itself, its own vertices, coordinates and texels, without its light: "face", or "all" of
     it; see `unlit_scan`."""
+    maps: str | None = None
+    """Also a mesh with all maps of a skin material on the "chart", the "scan"'s own texture coordinates, or
+    those of the model's "template"; see `engine_maps`."""
     texture_size: int = 1024
-    """Height and width of each tile of `template_texture`, where the model's template has coordinates."""
+    """Height and width of `maps`, and of each tile of `template_texture`."""
     white_balance: str | Sequence[float] = "none"
     """Of the scan's colours, before its light is sought: "grey-skin" gives skin the mean colour of people's;
     or the linear colour (R, G, B) that something grey has in the scan, which is divided out."""
@@ -146,6 +150,8 @@ class ProcessOptions:
                 raise ValueError(f"{name} is {choice!r}, expected one of {', '.join(names)}")
         if self.unlit not in (None, *REACHES):
             raise ValueError(f"unlit is {self.unlit!r}, expected one of {', '.join(REACHES)}, or None")
+        if self.maps not in (None, *CARRIERS):
+            raise ValueError(f"maps is {self.maps!r}, expected one of {', '.join(CARRIERS)}, or None")
         if self.lights != "auto" and not (isinstance(self.lights, Integral) and 1 <= self.lights <= 4):
             raise ValueError(f"lights is {self.lights!r}, expected 'auto' or a whole number from 1 to 4")
         sides = {"size": (self.texels, LARGEST_SIZE), "texture_size": (self.texture_size, LARGEST_TEXTURE)}

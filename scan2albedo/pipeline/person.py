@@ -138,7 +138,13 @@ def process_person(
         check_writable(Path(out))
     left_out, plan = list[tuple[str, str]](), list[PlanStep]()
     model = chosen_model(chosen.model)
-    alone = {"model": model, "skip": (*chosen.skip, "albedo"), "unlit": None, "files": "standard"}
+    alone = {
+        "model": model,
+        "skip": (*chosen.skip, "albedo"),
+        "unlit": None,
+        "maps": None,
+        "files": "standard",
+    }
     arguments = chosen.arguments() | alone
     with tempfile.TemporaryDirectory(prefix="scan2albedo") as folder, compiled_beside():
         spool = _Spool(Path(folder))
@@ -202,13 +208,10 @@ def _common_albedo(
     def keep(k: int, estimate: AlbedoEstimate) -> None:
         result = spool.read(spool.names[k])
         lit = result.scan, result.fitted, estimate, chosen
-        unlit, template, steps = without_light(*lit, 0.0, np.inf)
+        more, steps = without_light(*lit, 0.0, np.inf)
         plan = Plan((*(step for step in result.plan if step.stage != "albedo"), *estimate.plan, *steps))
         options = {**result.options, "skip": sorted(set(chosen.skip)), "unlit": chosen.unlit}
-        lit_scan = replace(
-            result, albedo=estimate, unlit=unlit, template=template, plan=plan, options=options
-        )
-        spool.keep(spool.names[k], lit_scan)
+        spool.keep(spool.names[k], replace(result, albedo=estimate, plan=plan, options=options, **more))
 
     return estimate_common_albedo(
         spool,

@@ -16,8 +16,9 @@ from typing import Any, Never
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
-from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
-from scan2albedo.applications.template_baking import TemplateTexture, template_texture
+from scan2albedo.applications.engine_maps import engine_maps
+from scan2albedo.applications.light_removal import unlit_scan
+from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
@@ -74,6 +75,7 @@ def process(
     textures: str | Path | None = None,
     landmarks: Any = None,
     unlit: str | None = None,
+    maps: str | None = None,
     texture_size: int = 1024,
     white_balance: str | Sequence[float] = "none",
     on_progress: ProgressCallback | None = None,
@@ -94,7 +96,7 @@ def process(
     name : str, optional
         Name of the scan and of its folder; the file's stem, or that of the `RawScan`, when omitted.
     model, size, lights, brdf, unit, quality, budget, seed, skip, force, pictures, files, textures, \
-landmarks, unlit, texture_size, white_balance
+landmarks, unlit, maps, texture_size, white_balance
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
@@ -265,12 +267,12 @@ def _processed(
     else:
         reason = "skipped by the caller" if "albedo" in options.skip else "the scan has no usable colour"
         plan["albedo"] = [PlanStep("albedo", False, reason)]
-    unlit, template = None, None
+    more = dict[str, Any]()
     painted = fitted is not None and fitted.model.template_uv is not None
-    if options.unlit is not None or painted:
+    if options.unlit is not None or options.maps is not None or painted:
         with clock.timed("unlit"):
             lit = (scan, fitted, estimate, options)
-            unlit, template, plan["unlit"] = without_light(*lit, unlit_s, clock.left_s())
+            more, plan["unlit"] = without_light(*lit, unlit_s, clock.left_s())
     ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
     return ProcessResult(
         scan=scan,
@@ -278,8 +280,7 @@ def _processed(
         fitted=fitted,
         geometry_image=image,
         albedo=estimate,
-        unlit=unlit,
-        template=template,
+        **more,
         plan=Plan((*(PlanStep("load", True, note) for note in scan.notes), *chain(*plan.values()))),
         trace=sum((stage.trace for stage in ran), Trace()),
         timings_s=clock.timings_s,
@@ -357,9 +358,9 @@ def without_light(
     options: ProcessOptions,
     unlit_s: float,
     left_s: float,
-) -> tuple[UnlitScan | None, TemplateTexture | None, list[PlanStep]]:
-    """Return the unlit scan and the template's texture, where asked for and in time, and the plan."""
-    unlit, template, steps = None, None, list[PlanStep]()
+) -> tuple[dict[str, Any], list[PlanStep]]:
+    """Return the unlit scan, the template's texture and maps, where asked for and in time, and the plan."""
+    unlit, more, steps = None, dict[str, Any](), list[PlanStep]()
     late, left = "the budget ended before it", f"{left_s:.1f} s left"
     if options.unlit is not None:
         if fitted is None or estimate is None:
@@ -373,15 +374,27 @@ def without_light(
             evidence = f"{' x '.join(map(str, size))} {'texels' if len(size) == 2 else 'vertices'}"
             what = "whole scan" if options.unlit == "all" else "face"
             steps.append(PlanStep("unlit", True, f"the light is taken off the {what}", evidence))
-    if fitted is not None and fitted.model.template_uv is not None and estimate is not None:
-        if _TEXEL_S * options.texture_size**2 > left_s:
-            steps.append(PlanStep.wrong("template_texture", f"template_texture is left out: {late}", left))
+    lit = None if fitted is None or estimate is None else (fitted, estimate)
+    painted = fitted is not None and fitted.model.template_uv is not None
+    for name, wanted in (("template_texture", painted), ("maps", options.maps is not None)):
+        if not wanted:
+            continue
+        if lit is None:
+            if name == "maps":
+                steps.append(PlanStep.wrong(name, "maps are left out: there is no face with an albedo"))
+        elif _TEXEL_S * options.texture_size**2 > left_s:
+            steps.append(PlanStep.wrong(name, f"{name} is left out: {late}", left))
         else:
             # A template may reach beyond the face, so its texture has no light anywhere.
             everywhere = unlit if options.unlit == "all" else None
-            colors = (everywhere or unlit_scan(scan, fitted, estimate, "all")).scan
-            template = template_texture(colors, fitted, options.texture_size)
-            seen = sum(float(tile.seen.mean()) for tile in template.tiles) / max(len(template.tiles), 1)
-            evidence = f"{len(template.tiles)} tile(s), {seen:.0%} of their texels seen"
-            steps.append(PlanStep("template_texture", True, "the template has texture coordinates", evidence))
-    return unlit, template, steps
+            colors = (everywhere or unlit_scan(scan, *lit, "all")).scan
+            if name == "maps":
+                baked = engine_maps(colors, *lit, str(options.maps), options.texture_size)
+                more["maps_of_skin"], reason = baked, f"asked for, on the {options.maps}"
+            else:
+                baked = template_texture(colors, lit[0], options.texture_size)
+                more["template"], reason = baked, "the template has texture coordinates"
+            seen = sum(float(tile.seen.mean()) for tile in baked.tiles) / max(len(baked.tiles), 1)
+            evidence = f"{len(baked.tiles)} tile(s), {seen:.0%} of their texels seen"
+            steps.append(PlanStep(name, True, reason, evidence))
+    return {"unlit": unlit, **more}, steps

@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications.template_baking import FIRST_TILE, TemplateTexture, normal_bytes
+from scan2albedo.applications.template_baking import (
+    FIRST_TILE,
+    REACH_MM,
+    TemplateTexture,
+    integers,
+    normal_bytes,
+)
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
@@ -25,6 +31,7 @@ from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import InputRecord, RegistrationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_glb, write_textured_obj
+from scan2albedo.io.usd import write_usda
 from scan2albedo.report.overview import figure_png, overview_figure, preview_srgb, result_panels
 
 if TYPE_CHECKING:
@@ -36,6 +43,10 @@ if TYPE_CHECKING:
 
 RESULT_FILE = "result.json"
 _MESH = (".glb", ".obj", ".mtl", ".png", ".*.png", ".exr", ".*.exr")
+_MAPS = tuple(
+    f"maps_{name}"
+    for name in ("normal", "normal_directx", "occlusion", "roughness", "specular", "cavity", "displacement")
+)
 _PICTURES = frozenset({"overview.png", "error_vs_time.png"})
 _LEFT_OUT = _PICTURES | {
     *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
@@ -50,8 +61,10 @@ FILES = OwnFiles(
         *("landmarks.json", "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
         *("sequence.glb", "frames.npz"),
         *sorted(_LEFT_OUT),
-        *(f"{mesh}{end}" for mesh in ("template", "unlit") for end in _MESH),
-        *("template_normal.png", "template_normal.*.png", "unlit_confidence.png", "unlit_confidence.*.png"),
+        *(f"{mesh}{end}" for mesh in ("template", "unlit", "maps") for end in _MESH),
+        *("unlit_confidence.png", "unlit_confidence.*.png", "maps.usda"),
+        *(f"{name}{end}" for name in ("template_normal", *_MAPS) for end in (".png", ".*.png")),
+        *("maps_displacement.exr", "maps_displacement.*.exr"),
     ),
     whole_folder=True,
 )
@@ -86,6 +99,8 @@ class ProcessResult:
     """The scan itself without its light, where it was asked for."""
     template: TemplateTexture | None = None
     """The model's own template with its texture, where it has coordinates and the scan has colour."""
+    maps_of_skin: TemplateTexture | None = None
+    """A mesh with the maps of a skin material, where they were asked for; see `engine_maps`."""
     source: Path | None = None
     """File the scan was read from."""
     out: Path | None = None
@@ -220,6 +235,8 @@ def write_result(
                 write_template(staging.folder, result.template, deep, exr=files == "all")
             elif vertices is not None and faces is not None:
                 write("template.obj", write_obj, vertices, faces)
+        if result.maps_of_skin is not None:
+            write_template(staging.folder, result.maps_of_skin, np.uint16, exr=files == "all", stem="maps")
         if result.unlit is not None:
             write_unlit(staging.folder, result.unlit, deep, exr=files == "all")
         if (registration := result.registration) is not None:
@@ -298,25 +315,59 @@ def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bo
 
 
 def write_template(
-    folder: Path, template: TemplateTexture, samples: type = np.uint8, *, exr: bool = False
+    folder: Path,
+    template: TemplateTexture,
+    samples: type = np.uint8,
+    *,
+    exr: bool = False,
+    stem: str = "template",
+    mm_per_unit: float = 1.0,
 ) -> None:
-    """Write the template, mm and metres in the model's frame; alpha: seen; see `write_unlit`."""
+    """Write a baked mesh in its own frame: OBJ in a unit of `mm_per_unit`, GLB in metres; alpha: seen.
+
+    With maps of a skin material they are PNG of 16 bits, 0 to 1, but for the displacement: from -4 to 4 mm,
+    and as EXR in mm; there is a normal map for DirectX, too, whose y points down, and an OpenUSD file.
+    """
     alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
-    pictures = list[MeshPicture]()
+    pictures, end = list[MeshPicture](), ".png"
     for tile in template.tiles:
         end = ".png" if alone else f".{tile.number}.png"
         if exr:
-            write_exr((folder / f"template{end}").with_suffix(".exr"), tile.color_linear)
-        normal = encode_image(normal_bytes(tile.normal), ".png")
+            write_exr((folder / f"{stem}{end}").with_suffix(".exr"), tile.color_linear)
+        normal = encode_image(normal_bytes(tile.normal, samples if tile.maps else np.uint8), ".png")
         color: NDArray[Any] = np.empty((*tile.seen.shape, 4), samples)
         encode_srgb_integers(tile.color_linear, samples, color[..., :3])
         color[..., 3] = tile.seen * samples(np.iinfo(samples).max)
-        picture = encode_image(color, ".png")
+        picture, surface = encode_image(color, ".png"), None
         del color  # beside the next tile's normals it would be the most that is kept
-        pictures.append(MeshPicture(f"template{end}", picture, tile.faces, f"template_normal{end}", normal))
+        if tile.maps:
+            write_png(folder / f"{stem}_normal_directx{end}", normal_bytes(tile.normal * (1, -1, 1), samples))
+            for name, values in tile.maps.items():
+                if name == "displacement_mm":
+                    name, values = "displacement", 0.5 + values / (2 * REACH_MM)
+                    write_exr(
+                        (folder / f"{stem}_{name}{end}").with_suffix(".exr"), tile.maps["displacement_mm"]
+                    )
+                write_png(folder / f"{stem}_{name}{end}", integers(values, samples))
+            layers = [tile.maps[name] for name in ("occlusion", "roughness", "specular")]
+            layers.insert(2, np.zeros_like(layers[0]))
+            surface = encode_image(integers(np.stack(layers, -1)), ".png")
+        named = f"{stem}{end}", picture, tile.faces, f"{stem}_normal{end}", normal
+        pictures.append(MeshPicture(*named, surface))
     mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
-    write_textured_obj(folder / "template.obj", mesh)
-    write_textured_glb(folder / "template.glb", mesh)
+    write_textured_obj(folder / f"{stem}.obj", mesh, mm_per_unit=mm_per_unit)
+    write_textured_glb(folder / f"{stem}.glb", mesh)
+    if template.tiles and template.tiles[0].maps:
+        end = ".png" if alone else ".<UDIM>.png"
+        textures = {
+            "diffuseColor": (f"{stem}{end}", "rgb", 1.0),
+            "normal": (f"{stem}_normal{end}", "normal", 1.0),
+        }
+        textures |= {name: (f"{stem}_{name}{end}", "r", 1.0) for name in ("occlusion", "roughness")}
+        if "displacement_mm" in template.tiles[0].maps:
+            textures["displacement"] = (f"{stem}_displacement{end}", "r", -REACH_MM)
+        surface_of = template.vertices, template.faces, template.uv
+        write_usda(folder / f"{stem}.usda", *surface_of, textures, ior=1.4, metallic=0.0)
 
 
 def _gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -99,21 +99,29 @@ class Samples:
     pixel: FloatArray | None = None
 
 
-def sample_colors(scan: RawScan, points: FloatArray, normals: FloatArray, steps: FloatArray) -> Samples:
+def sample_colors(
+    scan: RawScan,
+    points: FloatArray,
+    normals: FloatArray,
+    steps: FloatArray,
+    *,
+    reach_mm: float = MAX_DISTANCE_MM,
+) -> Samples:
     """Return what a scan's texture, or its vertices' colours, show of the surface closest to points.
 
     `points` and unit `normals` are (N, 3), scan frame, mm. `steps` (N, 3, 2) are the displacements (mm)
-    on the surface of one texel to the right and one down: the footprint for means of the photograph.
+    on the surface of one texel to the right and one down: the footprint for means of the photograph. Beyond
+    `reach_mm` nothing is seen.
     """
     # The faces near the points, all when none is: indexing the whole scan would cost most.
-    margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + MAX_DISTANCE_MM
+    margin = CROP_MARGIN * float(np.ptp(points, axis=0).max()) + reach_mm
     low, high = points.min(0) - margin, points.max(0) + margin
     inside = np.all((scan.vertices >= low) & (scan.vertices <= high), axis=1)
     near = np.flatnonzero(inside[scan.faces].any(1))
     near = near if len(near) else np.arange(len(scan.faces))
     hits = surface_query(scan.vertices, scan.faces[near]).query(points)
     face = near[hits.face]
-    valid = hits.distance <= MAX_DISTANCE_MM
+    valid = hits.distance <= reach_mm
     facing = mesh.face_normals(scan.vertices, scan.faces[near])[hits.face]
     # The raw surface must face the way the fitted one does, within 60 degrees.
     valid &= np.einsum("ij,ij->i", normals, facing) >= 0.5

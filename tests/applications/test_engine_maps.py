@@ -1,0 +1,183 @@
+"""Maps of a skin material, and colours baked from one mesh onto another."""
+
+import json
+import struct
+from dataclasses import replace
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from scan2albedo.applications import bake, engine_maps
+from scan2albedo.applications.engine_maps import MATTE_EXPONENT
+from scan2albedo.core import GeometryImage, RawScan
+from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.io.images import read_exr_channels
+from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.result import write_template
+from tests.applications.test_template_normals import HALF_MM, POSE, bumps, carried, mirrored, plain, two_tiles
+
+
+def estimate(strength=0.2, exponent=20.0):
+    """What the maps ask of an albedo: its reflectance, and gloss that is twice as strong on the right."""
+    mask = np.ones((16, 16), bool)
+    scale = np.where(np.arange(16) < 8, 0.5, 1.0) * np.ones((16, 1))
+    image = GeometryImage(
+        np.zeros((16, 16, 3)), np.tile((0.0, 0, 1), (16, 16, 1)), mask, specular_scale=scale
+    )
+    return SimpleNamespace(image=image, reflectance=Reflectance("oren-nayar", 0.3, strength, exponent))
+
+
+def cap(chart=plain, **options):
+    """A coarse template, the fitted surface with coordinates of its own, and a scan of it with bumps."""
+    scan, fitted = carried(chart, **options)
+    uv = fitted.vertices[:, :2] / (2 * HALF_MM) + 0.5
+    return scan, replace(fitted, uv=uv)
+
+
+def test_maps_show_relief_occlusion_and_gloss():
+    scan, fitted = cap()
+    (tile,) = engine_maps(scan, fitted, estimate(), "template", 128).tiles
+    x, y = np.meshgrid(*[(np.arange(128) + 0.5) / 128 * 2 * HALF_MM - HALF_MM] * 2)
+    inner = np.maximum(np.abs(x), np.abs(y)) < HALF_MM - 8
+    # Coordinates grow upward, rows downward; the bumps are the same on both sides.
+    bump = np.cos(x / 9) * np.cos(y / 9)
+    for name in ("displacement_mm", "cavity"):
+        assert np.corrcoef(tile.maps[name][inner], bump[inner])[0, 1] > 0.7, name
+    assert np.ptp(tile.maps["displacement_mm"][inner]) > 2
+    assert 0 <= tile.maps["cavity"].min() < 0.5 < tile.maps["cavity"].max() <= 1
+    np.testing.assert_allclose(tile.maps["roughness"], 41**-0.25, rtol=1e-5)
+    left, right = tile.maps["specular"][64, 8], tile.maps["specular"][64, -8]
+    np.testing.assert_allclose([left, right], [0.35, 0.7], rtol=0.01)
+    (matte,) = engine_maps(scan, fitted, estimate(0.0), "chart", 32).tiles
+    np.testing.assert_allclose(matte.maps["roughness"], (2 * MATTE_EXPONENT + 1) ** -0.25, rtol=1e-5)
+    # The chart's mesh has the bumps itself: its valleys see less of the sky, and the scan adds nothing.
+    assert np.abs(matte.maps["displacement_mm"]).max() < 0.2
+    open_sky = matte.maps["occlusion"]
+    assert np.corrcoef(open_sky[4:-4, 4:-4].ravel(), bump[16:-16:4, 16:-16:4].ravel())[0, 1] > 0.6
+    assert 0.6 < open_sky.min() < open_sky.max() <= 1
+
+
+def test_pores_are_dark_spots_and_a_scan_has_no_displacement_of_its_own():
+    scan, fitted = cap(scan_cells=60)
+    uv = (transform_points(POSE, scan.vertices)[:, :2] / (2 * HALF_MM) + 0.5)[scan.faces]
+    texture = np.full((256, 256, 3), 0.5, np.float32)
+    texture[100:102, 100:102] = 0.05
+    scan = replace(scan, vertex_color_linear=None, texture_linear=texture, uv=uv)
+    (tile,) = engine_maps(scan, fitted, estimate(), "scan", 256).tiles
+    assert "displacement_mm" not in tile.maps
+    assert tile.maps["cavity"][100:102, 100:102].max() < tile.maps["cavity"][90:110, 90:110].mean() - 0.2
+    assert tile.color_linear[100, 100].max() < 0.2 < 0.45 < tile.color_linear[90, 90].min()
+
+
+@pytest.mark.parametrize("chart", [plain, two_tiles])
+def test_files_of_maps_are_what_engines_read(tmp_path, chart):
+    scan, fitted = cap(chart)
+    baked = engine_maps(scan, fitted, estimate(), "template", 32)
+    write_template(tmp_path, baked, np.uint16, stem="maps")
+    for tile in baked.tiles:
+        end = "" if chart is plain else f".{tile.number}"
+        stored = {
+            name: cv2.imread(str(tmp_path / f"maps{name}{end}.png"), cv2.IMREAD_UNCHANGED)
+            for name in ("_normal", "_normal_directx", "_occlusion", "_roughness", "_cavity", "_displacement")
+        }
+        assert {picture.dtype for picture in stored.values()} == {np.dtype(np.uint16)}
+        red, green, blue = np.moveaxis(stored["_normal"][..., ::-1] / 32767.5 - 1, -1, 0)
+        np.testing.assert_allclose(np.stack([red, green, blue], -1), tile.normal, atol=1e-4)
+        np.testing.assert_allclose(stored["_normal_directx"][..., 1] / 32767.5 - 1, -green, atol=1e-4)
+        np.testing.assert_allclose(stored["_occlusion"] / 65535, tile.maps["occlusion"], atol=1e-4)
+        high = tile.maps["displacement_mm"]
+        np.testing.assert_allclose((stored["_displacement"] / 65535 - 0.5) * 8, high, atol=1e-3)
+        exr = read_exr_channels(tmp_path / f"maps_displacement{end}.exr")
+        np.testing.assert_allclose(exr["Y"], high, atol=1e-3)
+    data = (tmp_path / "maps.glb").read_bytes()
+    tree = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+    assert tree["extensionsUsed"] == ["KHR_materials_specular"]
+    for material in tree["materials"]:
+        surface = material["pbrMetallicRoughness"]
+        used = {surface["metallicRoughnessTexture"]["index"], material["occlusionTexture"]["index"]}
+        used.add(material["extensions"]["KHR_materials_specular"]["specularTexture"]["index"])
+        assert len(used) == 1
+        assert surface["roughnessFactor"] == 1
+    text = (tmp_path / "maps.usda").read_text()
+    tile_name = "" if chart is plain else ".<UDIM>"
+    for name in ("", "_normal", "_occlusion", "_roughness", "_displacement"):
+        assert f"@./maps{name}{tile_name}.png@" in text
+
+
+def test_the_usd_file_is_read_by_openusd(tmp_path):
+    pxr = pytest.importorskip("pxr", reason="OpenUSD is not installed (pip install usd-core)")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    assert pxr
+    scan, fitted = cap()
+    write_template(tmp_path, engine_maps(scan, fitted, estimate(), "template", 16), np.uint16, stem="maps")
+    stage = Usd.Stage.Open(str(tmp_path / "maps.usda"))
+    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/face/surface"))
+    np.testing.assert_allclose(mesh.GetPointsAttr().Get(), fitted.template_vertices, rtol=1e-5, atol=1e-5)
+    corners = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("st").ComputeFlattened()
+    np.testing.assert_allclose(corners, fitted.model.template_uv.reshape(-1, 2), atol=1e-5)
+    bound, _ = UsdShade.MaterialBindingAPI(mesh.GetPrim()).ComputeBoundMaterial()
+    shader, _, _ = bound.ComputeSurfaceSource()
+    assert shader.GetIdAttr().Get() == "UsdPreviewSurface"
+    assert shader.GetInput("roughness").HasConnectedSource()
+
+
+def test_maps_need_coordinates_and_colours():
+    scan, fitted = cap()
+    with pytest.raises(ApplicationError, match="cap: the scan has no texture coordinates"):
+        engine_maps(scan, fitted, estimate(), "scan", 32)
+    with pytest.raises(ApplicationError, match="cap: the scan has no colours"):
+        engine_maps(replace(scan, vertex_color_linear=None), fitted, estimate(), "chart", 32)
+    model = replace(fitted.model, template_points=None, template_faces=None, template_uv=None)
+    with pytest.raises(ApplicationError, match="no template with texture coordinates"):
+        engine_maps(scan, replace(fitted, model=model), estimate(), "template", 32)
+    with pytest.raises(ValueError, match="maps is 'skin', expected one of chart, scan, template"):
+        ProcessOptions(maps="skin")
+
+
+def board(chart):
+    """A bent board with a coordinate for each corner, by `chart`."""
+    vertices, faces = bumps(20)
+    corners = vertices[faces]
+    right = np.broadcast_to(corners.mean(1)[:, :1] > 0, faces.shape)
+    return vertices, faces, chart(corners[..., 0], corners[..., 1], right)
+
+
+def test_colours_go_from_one_layout_to_another():
+    vertices, faces, uv = board(plain)
+    rows = np.linspace(0, 1, 128, dtype=np.float32)
+    texture = np.stack(np.broadcast_arrays(rows[:, None], rows, np.float32(0.5)), -1)
+    source = RawScan(vertices, faces, texture_linear=texture, uv=uv, name="source")
+    for chart in (mirrored, two_tiles):
+        target = RawScan(vertices, faces, uv=board(chart)[2], name="target")
+        for tile in bake(source, target, 64).tiles:
+            middle = np.s_[20:44, 20:44]
+            assert tile.seen[middle].all()
+            # Green grows with x, red with -y; both layouts are as high as the source's.
+            down = np.broadcast_to((np.arange(64)[20:44, None] + 0.5) / 64, (24, 24))
+            if chart is mirrored:
+                np.testing.assert_allclose(tile.color_linear[middle][..., 0], down, atol=0.02)
+            assert np.abs(np.diff(tile.color_linear[middle][..., 1], axis=1)).mean() > 0.005
+            np.testing.assert_allclose(tile.normal[middle][..., 2], 1, atol=0.05)
+    with pytest.raises(ApplicationError, match="source: the mesh has no texture coordinates"):
+        bake(source, replace(source, uv=None, texture_linear=None, vertex_color_linear=vertices * 0.0))
+    with pytest.raises(ApplicationError, match="target: the mesh has no colours to bake"):
+        bake(target, source)
+
+
+def test_colours_go_through_the_face_to_another_pose():
+    scan, fitted = cap()
+    scan = replace(scan, vertex_color_linear=np.abs(np.sin(transform_points(POSE, scan.vertices) / 40)) * 0.9)
+    other = compose(rotation_from_vector([-0.5, 0.2, 1.0]), np.array([-40.0, 3.0, 7.0]))
+    vertices, faces, uv = board(plain)
+    target = RawScan(transform_points(np.linalg.inv(other), vertices), faces, uv=uv, name="target")
+    (tile,) = bake(scan, target, 64, (fitted, replace(fitted, model_from_scan=other))).tiles
+    at = (np.arange(64) + 0.5) / 64 * 2 * HALF_MM - HALF_MM
+    expected = np.abs(np.sin(at / 40)) * 0.9
+    middle = np.s_[8:-8]
+    assert tile.seen[middle, middle].all()
+    np.testing.assert_allclose(tile.color_linear[middle, middle, 0], [expected[middle]] * 48, atol=0.03)
