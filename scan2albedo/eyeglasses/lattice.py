@@ -16,7 +16,7 @@ CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], 
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
 """The 12 edges of a cell as pairs of its corners."""
-_NEAR = np.argwhere(np.ones((3, 3, 3)))
+_NEAR = np.array([[i, j, k] for i in range(3) for j in range(3) for k in range(3)])
 """(27, 3) cells from the first one that a triangle of at most 1.5 along each axis may touch."""
 _TIE = 1e-9
 """Cells below which rounding does not decide: a triangle this near to a cell touches it, and one whose height

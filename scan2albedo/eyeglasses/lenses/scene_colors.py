@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
-from scan2albedo.geometry.mesh import RayHits
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.lighting.environment import DistantLights
@@ -122,21 +121,7 @@ class LitScene:
 
     def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
         """Return the colours of straight rays, of those behind a lens, and of sets that lenses mirror."""
-        sets = [straight, bent, *mirrored]
-        ends = np.cumsum([len(rays.origins) for rays in sets])[:-1]
-        # All at once, with their pixels moved apart: those of two sets are no neighbours.
-        hits = ((rays.hits.face, rays.hits.barycentric, rays.hits.distance) for rays in sets)
-        pixels = [rays.pixels for rays in sets if rays.pixels is not None]
-        width = 2 * np.ceil(max(p[:, 0].max(initial=0) for p in pixels)) + 4
-        together = SceneRays(
-            np.concatenate([rays.origins for rays in sets]),
-            np.concatenate([rays.directions for rays in sets]),
-            RayHits(*map(np.concatenate, zip(*hits, strict=True))),
-            np.concatenate([p + [number * width, 0] for number, p in enumerate(pixels)]),
-        )
-        colors = self.seen(together)
-        parts = (np.split(values, ends) for values in (colors.bare, colors.shaded, colors.unknown))
-        return [RayColors(*part) for part in zip(*parts, strict=True)]
+        return [self.seen(rays) for rays in (straight, bent, *mirrored)]
 
     def seen(self, rays: SceneRays) -> RayColors:
         """Return what rays see, straight, bent or mirrored."""

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, turned_translations
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import blocks
@@ -27,7 +28,6 @@ _RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
 _RIGID_MM = 1e-3
 """Deviation of the rigid part of the shifts, which the frame's own motion stands for."""
 _BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
-_TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POINT_NAMES])
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     stretch, stretch_rows = stretch - shared * stretch.mean(), stretch_rows - shared * stretch_rows.mean(0)
     # Relative turns R_j R_k^T as axes times angles; derivatives to first order in them.
     turn_rad = np.where(_BRIDGE[bones].all(1), _BRIDGE_TURN_RAD, _RIM_TURN_RAD)
-    turn_rad = np.where(_TEMPLE[bones].any(1), _TEMPLE_TURN_RAD, turn_rad)[:, None]
+    turn_rad = np.where(~FRONT[bones].all(1), _TEMPLE_TURN_RAD, turn_rad)[:, None]
     rotations = motion.handles[:, :3, :3]
     turn = Rotation.from_matrix(np.einsum("bij,blj->bil", rotations[j], rotations[k])).as_rotvec() / turn_rad
     turns = motion.turns.reshape(len(rotations), 3, -1)

@@ -11,7 +11,7 @@ import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.on_face.frame_motion import (
     RIGID,
     FrameMotion,
@@ -38,7 +38,6 @@ _REWEIGHTINGS = 3
 """Times that offsets and biases are found with the weights of robust errors."""
 _CANDIDATES = 200
 """Front vertices nearest to the head that are looked at until they are chosen anew."""
-_FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class HeadContact:
     def __init__(self, points: SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
         self._query = ClosestPointQuery(vertices, faces)
         self._normals = face_normals(vertices, faces)
-        self._front = self._candidates = points[np.flatnonzero(_FRONT[points.weights.argmax(1)])]
+        self._front = self._candidates = points[np.flatnonzero(FRONT[points.weights.argmax(1)])]
 
     def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
         """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
