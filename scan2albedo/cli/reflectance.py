@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -40,13 +40,13 @@ def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = Fa
 
     Light is value^gamma with the capture file's `gamma`; 1.2 is taken, and noted, when it gives none.
     """
-    with _work("olat", out) as progress:
+    with _work("olat", out, json_summary) as (_, report):
         from scan2albedo.reflectance import read_capture
         from scan2albedo.runs.reflectance.capture_run import write_olat
 
         figures = write_olat(read_capture(capture), out)
         valid = f"{100 * figures['valid_share']:.2f} % of the pixels valid"
-        _report(progress, "olat", out, f"{figures['pairs']} pairs, {valid}", figures, json_summary)
+        report(f"{figures['pairs']} pairs, {valid}", figures)
 
 
 @app.command()
@@ -86,7 +86,7 @@ def fit(
     if held_out_every == 1:
         raise typer.BadParameter("--held-out-every 1 would leave nothing to fit; give 0, or 2 or more")
     spend = checked_budget(budget)
-    with _work("fit", out) as progress:
+    with _work("fit", out, json_summary) as (progress, report):
         from scan2albedo.reflectance import read_capture
         from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit
 
@@ -109,7 +109,7 @@ def fit(
             text += f", {left_out} left out"
         if "held_out" in figures:
             text += f"; pictures left out are predicted to {100 * figures['held_out']['relative_rmse']:.1f} %"
-        _report(progress, "fit", out, text, figures, json_summary)
+        report(text, figures)
 
 
 @app.command()
@@ -137,7 +137,7 @@ def build(
         raise typer.BadParameter(f"--least-support is {least_support}, expected above 0 and up to 1")
     if bool(samples) == (synthetic is not None):
         raise typer.BadParameter("give either samples or --synthetic with a number of people, as 200")
-    with _work("build", out) as progress:
+    with _work("build", out, json_summary) as (_, report):
         from scan2albedo.runs.reflectance.model_run import build_model, synthetic_model, write_model_folder
 
         if synthetic is not None:
@@ -153,7 +153,7 @@ def build(
         figures = write_model_folder(built, out, options)
         known = f"{figures['known_vertices']} of {figures['vertices']} vertices"
         text = f"{figures['components']} directions from {figures['samples']} faces, {known}"
-        _report(progress, "build", out, text, figures, json_summary)
+        report(text, figures)
 
 
 @app.command()
@@ -168,11 +168,11 @@ def sample(
     json_summary: JsonOption = False,
 ) -> None:
     """Draw reflectances from a model."""
-    with _work("sample", out) as progress:
+    with _work("sample", out, json_summary) as (_, report):
         from scan2albedo.runs.reflectance.model_run import write_samples
 
         figures = write_samples(model, out, count=count, seed=seed, scale=scale)
-        _report(progress, "sample", out, f"{count} reflectances", figures, json_summary)
+        report(f"{count} reflectances", figures)
 
 
 @app.command("fit-image")
@@ -189,7 +189,7 @@ def fit_image(
 ) -> None:
     """Find the reflectance and the light of one photograph with a model, or say that it does not show."""
     spend = checked_budget(budget)
-    with _work("fit-image", out) as progress:
+    with _work("fit-image", out, json_summary) as (progress, report):
         from scan2albedo.reflectance import read_photograph
         from scan2albedo.runs.reflectance.image_run import fit_photograph, write_fitted_photograph
         from scan2albedo.runs.reflectance.model_run import default_model, read_model_folder
@@ -200,7 +200,7 @@ def fit_image(
         figures = write_fitted_photograph(done, models, out, {"budget": budget})
         rmse = f"relative RMSE {100 * figures['relative_rmse']:.1f} %"
         text = f"{rmse} over {figures['seen_vertices']} vertices"
-        _report(progress, "fit-image", out, text, figures, json_summary)
+        report(text, figures)
 
 
 @app.command("finetune")
@@ -218,7 +218,7 @@ def finetune(
 ) -> None:
     """Improve a model with photographs; it changes only when photographs held out are explained better."""
     spend = checked_budget(budget)
-    with _work("finetune", out) as progress:
+    with _work("finetune", out, json_summary) as (progress, report):
         from scan2albedo.runs.reflectance.image_run import tune_model
         from scan2albedo.runs.reflectance.model_run import read_model_folder
 
@@ -235,7 +235,7 @@ def finetune(
         changes = f"{len(figures['accepted_steps'])} changes accepted"
         before, after = figures["held_out_before"], figures["held_out_after"]
         text = f"{changes}, held-out {before:.4g} -> {after:.4g}"
-        _report(progress, "finetune", out, text, figures, json_summary)
+        report(text, figures)
 
 
 @app.command()
@@ -247,7 +247,7 @@ def demo(
     json_summary: JsonOption = False,
 ) -> None:
     """Photograph synthetic people, fit, learn and use a model, and print the error against the truth."""
-    with _work("demo", out) as progress:
+    with _work("demo", out) as (progress, _):
         from scan2albedo.runs.reflectance.demo import report_lines, run_reflectance_demo
 
         figures = run_reflectance_demo(
@@ -265,28 +265,24 @@ def demo(
 
 
 @contextmanager
-def _work(name: str, out: Path) -> Iterator[ProgressLines]:
-    """Give progress lines for work that writes into `out`."""
+def _work(
+    name: str, out: Path, json_summary: bool = False
+) -> Iterator[tuple[ProgressLines, Callable[[str, dict[str, Any]], None]]]:
+    """Give progress lines for work that writes into `out`, and what says how it ended: text and figures."""
     stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.reflectance import FILES
 
+    def report(text: str, figures: dict[str, Any]) -> None:
+        for note in (*RunFolder(out, FILES).read().notes, f"{text}; files in {out}"):
+            progress.say(f"{name}: {note}")
+        if json_summary:
+            echo_json({"out": str(out), **figures})
+
     with removed_if_empty(out), ProgressLines(name) as progress:
         check_writable(out)
         if name != "demo":  # which writes folders of its own
             RunFolder(out, FILES).check()
-        yield progress
-
-
-def _report(
-    progress: ProgressLines, name: str, out: Path, text: str, figures: dict[str, Any], json_summary: bool
-) -> None:
-    from scan2albedo.io.run_folder import RunFolder
-    from scan2albedo.runs.reflectance import FILES
-
-    for note in (*RunFolder(out, FILES).read().notes, f"{text}; files in {out}"):
-        progress.say(f"{name}: {note}")
-    if json_summary:
-        echo_json({"out": str(out), **figures})
+        yield progress, report

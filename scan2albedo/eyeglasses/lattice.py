@@ -4,17 +4,19 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_components
+from scan2albedo.geometry.rays import blocks
 
 CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.int64)
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
 """The 12 edges of a cell as pairs of its corners."""
+_NEAR = np.array([[i, j, k] for i in range(3) for j in range(3) for k in range(3)])
+"""(27, 3) cells from the first one that a triangle of at most 1.5 along each axis may touch."""
 _TIE = 1e-9
 """Cells below which rounding does not decide: a triangle this near to a cell touches it, and one whose height
 is this part of its length has no area."""
@@ -140,19 +142,40 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
     without area contributes the cells of its corners.
     """
     # Every cell is found by the few triangles that touch it; 64 times the limit is beyond any mesh's share.
-    room = 64 * limit
-    corners = np.floor(triangles.reshape(-1, 3)).astype(np.int64)
-    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    area = 0.5 * np.linalg.norm(np.cross(first, second), axis=1)
+    room, corners = 64 * limit, np.floor(triangles.reshape(-1, 3)).astype(np.int64)
+    sides = np.roll(triangles, -1, 1) - triangles
+    normal = np.cross(sides[:, 0], sides[:, 1])
     # A surface of area a touches a / sqrt(3) cells at least, once overlaps are left out of account.
-    if area.sum() > room:
+    if np.linalg.norm(normal, axis=1).sum() > 2 * room:
         return None
-    count = _touched(triangles, np.empty((0, 3), np.int64), room)
-    if count > room:
-        return None
-    found = np.empty((count, 3), np.int64)
-    _touched(triangles, found, room)
-    return unique_cells(np.concatenate([corners, found]))
+    left = triangles[np.abs(normal).max(1) > _TIE * (sides**2).sum(2).max(1)]
+    small, found = [left[:0]], [corners]
+    while len(left):
+        # Large ones are halved across their longest side, from a to b: they cost their area, not their box.
+        large = np.ptp(left, axis=1).max(1) > 1.5
+        small, left = [*small, left[~large]], left[large]
+        longest = np.linalg.norm(np.roll(left, -1, 1) - left, axis=2).argmax(1)[:, None]
+        a, b, c = np.take_along_axis(left, (longest + np.arange(3))[..., None] % 3, 1).transpose(1, 0, 2)
+        middle = (a + b) / 2
+        left = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])
+        if len(left) > room:
+            return None
+    pieces = np.concatenate(small)
+    for block in blocks(len(pieces), 2**14):
+        piece = pieces[block]
+        low, high = (np.floor(side).astype(np.int64) for side in (piece.min(1) - _TIE, piece.max(1) + _TIE))
+        owner, offset = np.nonzero(((high - low)[:, None] >= _NEAR).all(2))
+        cells = low[owner] + _NEAR[offset]
+        # From the cell's middle. Axes: the normal, and edge x coordinate axis, in each of three projections.
+        corner = piece[owner] - cells[:, None] - 0.5
+        sides = np.roll(corner, -1, 1) - corner
+        axes = np.cross(sides[:, :, None], np.eye(3)).reshape(-1, 9, 3)
+        axes = np.concatenate([axes, np.cross(sides[:, 0], sides[:, 1])[:, None]], 1)
+        along, reach = axes @ corner.transpose(0, 2, 1), 0.5 * np.abs(axes).sum(2) * (1 + _TIE)
+        found.append(cells[((along.min(2) <= reach) & (along.max(2) >= -reach)).all(1)])
+        if sum(map(len, found)) > room + len(corners):
+            return None
+    return unique_cells(np.concatenate(found))
 
 
 def unique_cells(cells: IntArray) -> IntArray:
@@ -173,70 +196,3 @@ def enclosed_cells(cells: IntArray) -> IntArray:
     empty[tuple((cells - low).T)] = False
     regions, _ = ndimage.label(empty)
     return np.argwhere(empty & (regions != regions[0, 0, 0])).astype(np.int64) + low
-
-
-@njit(cache=True, nogil=True)
-def _touched(triangles, found, room):  # type: ignore[no-untyped-def]
-    """Write the cells each triangle touches into `found` (as far as it has rows) and return their number."""
-    count = 0
-    normal, low, high = np.empty(3), np.empty(3, np.int64), np.empty(3, np.int64)
-    cell = np.empty(3, np.int64)
-    for t in range(triangles.shape[0]):
-        p = triangles[t]
-        longest = 0.0
-        for i in range(3):
-            a, b = (i + 1) % 3, (i + 2) % 3
-            normal[i] = (p[1, a] - p[0, a]) * (p[2, b] - p[0, b]) - (p[1, b] - p[0, b]) * (p[2, a] - p[0, a])
-            low[i] = int(np.floor(min(p[0, i], p[1, i], p[2, i]) - _TIE))
-            high[i] = int(np.floor(max(p[0, i], p[1, i], p[2, i]) + _TIE))
-            side = 0.0
-            for k in range(3):
-                side += (p[a, k] - p[i, k]) ** 2
-            longest = max(longest, side)
-        axis = 0
-        for i in range(1, 3):
-            if abs(normal[i]) > abs(normal[axis]):
-                axis = i
-        if abs(normal[axis]) <= _TIE * longest:
-            continue
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-        slope_u, slope_v = -normal[u] / normal[axis], -normal[v] / normal[axis]
-        spread = 0.5 * (abs(slope_u) + abs(slope_v)) + 1e-4
-        # Column by column along the normal's longest axis: a large triangle costs its area, not its box.
-        for i in range(low[u], high[u] + 1):
-            for j in range(low[v], high[v] + 1):
-                middle = p[0, axis] + slope_u * (i + 0.5 - p[0, u]) + slope_v * (j + 0.5 - p[0, v])
-                first = max(low[axis], int(np.floor(middle - spread)))
-                last = min(high[axis], int(np.floor(middle + spread)))
-                for k in range(first, last + 1):
-                    cell[u], cell[v], cell[axis] = i, j, k
-                    if _overlap(p, normal, cell):
-                        if count < found.shape[0]:
-                            found[count] = cell
-                        count += 1
-            if count > room:
-                return count
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _overlap(p, normal, cell):  # type: ignore[no-untyped-def]
-    """Return whether triangle p (3, 3) meets the closed cube at `cell`, whose box it is known to meet."""
-    reach = 0.5 * (abs(normal[0]) + abs(normal[1]) + abs(normal[2]))
-    offset = 0.0
-    for i in range(3):
-        offset += normal[i] * (cell[i] + 0.5 - p[0, i])
-    if abs(offset) > reach * (1 + _TIE):
-        return False
-    # Axes: edge x coordinate axis, that is the edge's normal in each of the three projections.
-    for e in range(3):
-        s, other = (e + 1) % 3, (e + 2) % 3
-        for i in range(3):
-            a, b = (i + 1) % 3, (i + 2) % 3
-            da, db = p[s, a] - p[e, a], p[s, b] - p[e, b]
-            here = da * (p[e, b] - cell[b] - 0.5) - db * (p[e, a] - cell[a] - 0.5)
-            there = da * (p[other, b] - cell[b] - 0.5) - db * (p[other, a] - cell[a] - 0.5)
-            radius = 0.5 * (abs(da) + abs(db)) * (1 + _TIE)
-            if min(here, there) > radius or max(here, there) < -radius:
-                return False
-    return True

@@ -29,8 +29,12 @@ _TWO_BRIDGES = 0.07
 _LEAST = 0.04
 """Distance of an outlier's key points from the median frame's, by the median width; of widths four times."""
 BEHIND = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
-"""(20,) True for the key points behind the hinges."""
+FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
+"""(20,) True for the key points behind the hinges, and for those before them."""
 _LEFT = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
+SIDES = ("left", "right")
+RIMS = [np.flatnonzero([n.startswith(f"{side}_rim_") for n in KEY_POINT_NAMES]) for side in SIDES]
+"""Numbers of each rim's key points: top, bridge, inner, bottom, outer."""
 _LEFT_OUTER = np.array([KEY_POINT_NAMES.index(name) for name in ("left_hinge", "left_rim_outer")])
 
 

@@ -115,18 +115,13 @@ def _settled_rotations(turns, share, rotations):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _turn_towards(m, r):  # type: ignore[no-untyped-def]
     """Turn r (3, 3) in place to the rotation nearest to m, or a step that way; return by how much."""
-    p00 = m[0, 0] * r[0, 0] + m[0, 1] * r[0, 1] + m[0, 2] * r[0, 2]
-    p01 = m[0, 0] * r[1, 0] + m[0, 1] * r[1, 1] + m[0, 2] * r[1, 2]
-    p02 = m[0, 0] * r[2, 0] + m[0, 1] * r[2, 1] + m[0, 2] * r[2, 2]
-    p10 = m[1, 0] * r[0, 0] + m[1, 1] * r[0, 1] + m[1, 2] * r[0, 2]
-    p11 = m[1, 0] * r[1, 0] + m[1, 1] * r[1, 1] + m[1, 2] * r[1, 2]
-    p12 = m[1, 0] * r[2, 0] + m[1, 1] * r[2, 1] + m[1, 2] * r[2, 2]
-    p20 = m[2, 0] * r[0, 0] + m[2, 1] * r[0, 1] + m[2, 2] * r[0, 2]
-    p21 = m[2, 0] * r[1, 0] + m[2, 1] * r[1, 1] + m[2, 2] * r[1, 2]
-    p22 = m[2, 0] * r[2, 0] + m[2, 1] * r[2, 1] + m[2, 2] * r[2, 2]
-    wx, wy, wz = p21 - p12, p02 - p20, p10 - p01
-    a, b, c = p11 + p22, p00 + p22, p00 + p11
-    d, e, f = -0.5 * (p01 + p10), -0.5 * (p02 + p20), -0.5 * (p12 + p21)
+    p = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            p[i, j] = m[i, 0] * r[j, 0] + m[i, 1] * r[j, 1] + m[i, 2] * r[j, 2]
+    wx, wy, wz = p[2, 1] - p[1, 2], p[0, 2] - p[2, 0], p[1, 0] - p[0, 1]
+    a, b, c = p[1, 1] + p[2, 2], p[0, 0] + p[2, 2], p[0, 0] + p[1, 1]
+    d, e, f = -0.5 * (p[0, 1] + p[1, 0]), -0.5 * (p[0, 2] + p[2, 0]), -0.5 * (p[1, 2] + p[2, 1])
     # Cofactors of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]].
     caa, cad, cae = b * c - f * f, e * f - d * c, d * f - b * e
     cbb, cbf, ccc = a * c - e * e, d * e - a * f, a * b - d * d

@@ -7,16 +7,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.eyeglasses.keypoints import MIRROR
-from scan2albedo.eyeglasses.mean_keypoints import align_key_points, is_posable
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
+from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES, align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.rigid import Similarity, compose, procrustes, rotation_angle_rad, transform_points
 
-_RIMS, _TEMPLES = ((part, MIRROR[part]) for part in (np.arange(2, 7), np.arange(7, 11)))
-"""Numbers of the key points of the left and the right side; of a temple from the hinge to the tip."""
+_TEMPLES = [np.flatnonzero(~FRONT & [n.startswith(side) for n in KEY_POINT_NAMES]) for side in SIDES]
+"""Numbers of the left and the right temple's key points, from the hinge to the tip."""
 _OWN = 0.9
 """Share of a rim's key points in a vertex's weights from which it moves with the rim."""
 _LABEL_SHARE = 1e-3
@@ -68,12 +68,12 @@ def front_halves(
     reflection = _reflection(points)
     if reflection is None:
         return None
-    rim = _RIMS[0][np.asarray(np.isfinite(points + points[MIRROR]).all(1))[_RIMS[0]]]
+    rim = RIMS[0][np.asarray(np.isfinite(points + points[MIRROR]).all(1))[RIMS[0]]]
     source, target = transform_points(reflection, points[MIRROR[rim]]), points[rim]
     if not is_posable(target):
         return FrontHalves(reflection, np.eye(4), np.nan)
     start = procrustes(source, target)
-    own, other = (weights[:, rim_points].sum(1) for rim_points in _RIMS)
+    own, other = (weights[:, rim_points].sum(1) for rim_points in RIMS)
     surface = faces[(own[faces] >= 0.5).all(1)]
     moving = transform_points(reflection, vertices[other >= _OWN])
     # With fewer vertices or faces than key points, these alone are compared.
@@ -115,7 +115,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     if halves is None:
         return np.tile(np.eye(4), (len(points), 1, 1))
     sides, targets = halves.sides, points.copy()
-    for side, rim, temple in zip(sides, _RIMS, _TEMPLES, strict=True):
+    for side, rim, temple in zip(sides, RIMS, _TEMPLES, strict=True):
         for part in (rim, temple):
             targets[part] = transform_points(side, points[part])
     targets[:2] = np.mean([transform_points(side, points[:2]) for side in sides], axis=0)
@@ -132,7 +132,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     turn = Rotation.from_matrix([side[:3, :3] for side in sides]).mean().as_matrix()
     for k in (0, 1):
         result[k] = compose(turn, targets[k] - turn @ points[k])
-    for side, rim, temple in zip(sides, _RIMS, _TEMPLES, strict=True):
+    for side, rim, temple in zip(sides, RIMS, _TEMPLES, strict=True):
         result[rim] = result[temple[0]] = side
     # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
     result[~np.isfinite(points).all(1)] = rigid
@@ -149,8 +149,8 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     across = np.linalg.svd(np.eye(3) - reflection[:3, :3])[0][:, 0]
     image = transform_points(reflection, points_mm[MIRROR])
     even, out = (points_mm + image) / 2, (points_mm - points_mm[MIRROR]) @ across / 2
-    side = np.sign(np.nansum(out[_RIMS[0]]) + np.nansum(out[_TEMPLES[0]]))
-    top, _, inner, bottom, outer = even[_RIMS[0]]
+    side = np.sign(np.nansum(out[RIMS[0]]) + np.nansum(out[_TEMPLES[0]]))
+    top, _, inner, bottom, outer = even[RIMS[0]]
     wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
     said, temple = [], _TEMPLES[0][np.isfinite(even[_TEMPLES[0]]).all(1)]
     if np.isfinite(wrap):

@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
-from scan2albedo.eyeglasses.lattice import Lattice, biharmonic_energy, unique_cells
+from scan2albedo.eyeglasses.lattice import Lattice, biharmonic_energy
 
 TOLERANCE = 1e-7
 """Scaled residual of the optimality conditions at which a handle's weights are done."""
@@ -38,8 +38,8 @@ class BoundedBiharmonicWeights:
     converged: bool
     iterations: IntArray
     residual: FloatArray
-    """(K,) scaled residuals of the optimality conditions after Newton `iterations` (K,) on the finest
-    lattice; they have `converged` where each is at most the tolerance."""
+    """(K,) scaled residuals of the optimality conditions after Newton `iterations` (K,); they have
+    `converged` where each is at most the tolerance."""
     spacing: float
     node_count: int
     """Of the lattice; its `spacing` is in the mesh's unit."""
@@ -158,46 +158,27 @@ def solve_lattice(
 ) -> BoundedMinimum:
     """Return the weights (N, K) of the handles that hold the cells `handle_cells` (K, 3) of `lattice`.
 
-    They are not normalised. Each lattice starts from the one of twice the spacing and its nodes at 0 or 1.
+    They are not normalised.
     """
-    levels = [lattice]
-    while len(levels[0].nodes) > 1500:
-        coarse = Lattice.of_cells(unique_cells(levels[0].cells // 2))
-        if len(coarse.nodes) >= len(levels[0].nodes):
-            break
-        levels.insert(0, coarse)
-    count, found = len(handle_cells), None
-    for number, level in enumerate(levels):
-        finer = len(levels) - 1 - number
-        # The handles' nodes hold 1 and 0, shared where coarse cells share nodes.
-        fixed, place = np.unique(level.corners[level.find(handle_cells // 2**finer)], return_inverse=True)
-        values = np.zeros((len(fixed), count))
-        values[place.ravel(), np.repeat(np.arange(count), 8)] = 1.0
-        values /= values.sum(1, keepdims=True)
-        weights = np.zeros((len(level.nodes), count))
-        weights[fixed] = values
-        free = np.setdiff1d(np.arange(len(level.nodes)), fixed)
-        if len(free) == 0:
-            found = BoundedMinimum(weights, np.zeros(count), np.zeros(count, np.int64))
-            continue
-        energy = biharmonic_energy(level)
-        matrix, right = energy[free][:, free].tocsr(), -(energy[free][:, fixed] @ values)
-        start = None
-        if found is not None:
-            start = np.clip((levels[number - 1].interpolation(level.nodes / 2) @ found.x)[free], 0.0, 1.0)
-        # A coarser lattice only gives the next finer one its start.
-        least = float(np.sqrt(tolerance)) if finer else tolerance
-        found = minimize_bounded(matrix, right, start, tolerance=least, meter=meter)
-        weights[free] = found.x
-        found = BoundedMinimum(weights, found.residual, found.steps)
-    assert found is not None
-    return found
+    count, nodes = len(handle_cells), len(lattice.nodes)
+    # The handles' nodes hold 1 and 0.
+    fixed = lattice.corners[lattice.find(handle_cells)].ravel()
+    values = np.repeat(np.eye(count), 8, axis=0)
+    weights = np.zeros((nodes, count))
+    weights[fixed] = values
+    free = np.setdiff1d(np.arange(nodes), fixed)
+    if len(free) == 0:
+        return BoundedMinimum(weights, np.zeros(count), np.zeros(count, np.int64))
+    energy = biharmonic_energy(lattice)
+    matrix, right = energy[free][:, free].tocsr(), -(energy[free][:, fixed] @ values)
+    found = minimize_bounded(matrix, right, tolerance=tolerance, meter=meter)
+    weights[free] = found.x
+    return BoundedMinimum(weights, found.residual, found.steps)
 
 
 def minimize_bounded(
     matrix: sparse.csr_matrix,
     right: FloatArray,
-    start: FloatArray | None,
     *,
     tolerance: float,
     max_steps: int = 60,
@@ -207,8 +188,8 @@ def minimize_bounded(
 
     Projected Newton [1]_: entries at a bound that are pushed outward stay, the others take the Newton step
     A_FF d = -g_F and are clipped back into the bounds; the step is halved until the energy falls. Columns are
-    done at scaled residuals of `tolerance`, or after `max_steps`. The start (N, K) is A^-1 b, clipped, when
-    omitted. Raises numpy.linalg.LinAlgError when A is not positive definite.
+    done at scaled residuals of `tolerance`, or after `max_steps`. The start is A^-1 b, clipped. Raises
+    numpy.linalg.LinAlgError when A is not positive definite.
 
     .. [1] D. P. Bertsekas, "Projected Newton methods for optimization problems with simple constraints",
        SIAM J. Control and Optimization 20(2), 1982, section 2.
@@ -219,9 +200,9 @@ def minimize_bounded(
     # In the order that keeps the factor of all rows sparse, those of the free rows need no other.
     order = np.argsort(whole.perm_c)
     ordered, diagonal = sparse.csc_matrix(matrix[order][:, order]), matrix.diagonal()[order]
-    x = np.clip(whole.solve(right), 0.0, 1.0) if start is None else start
     # Columns one after another in memory: the loop below takes them one by one.
-    b, x = np.asfortranarray(right[order]), np.asfortranarray(x[order])
+    x = np.asfortranarray(np.clip(whole.solve(right), 0.0, 1.0)[order])
+    b = np.asfortranarray(right[order])
     product = np.asfortranarray(ordered @ x)
     residual = optimality_residual(x, product - b, diagonal)
     steps = np.zeros(b.shape[1], np.int64)

@@ -27,7 +27,6 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.reflectance import (
     FaceFit,
     ImageFit,
-    LightingModel,
     MorphableReflectanceModel,
     PhotographFiles,
     VertexReflectance,
@@ -72,7 +71,7 @@ def judged(face: UnknownFace, models: FaceModels, folder: str | None, landmarks:
         photograph = PhotographFiles(
             Path("-"), given, taken.image, taken.skin, taken.camera, None, None, marks
         )
-        vertices, _, _ = shaped_vertices(photograph, models, LightingModel.default())
+        vertices, _, _ = shaped_vertices(photograph, models)
         normal_error = LANDMARK_NORMALS
         truth = seen_albedo(face, model.diffuse.mean, vertices)
         taken = replace(taken, vertices=vertices, faces=models.mean.faces, albedo=truth)

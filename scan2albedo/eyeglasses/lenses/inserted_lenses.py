@@ -12,13 +12,10 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses import rims
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens, mirror_on_sphere, refract
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, Surface
+from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.rays import RayCaster
 
-SIDES = ("left", "right")
-RIMS = [np.flatnonzero([n.startswith(f"{side}_rim_") for n in KEY_POINT_NAMES]) for side in SIDES]
-"""Numbers of each rim's key points: top, bridge, inner, bottom, outer."""
-_BEHIND = np.array([n.split("_")[1] in ("hinge", "temple", "ear") for n in KEY_POINT_NAMES])
 _GLANCING = 1e-3
 """Sine of the angle to the lens plane, and mm from the start to the lens, below which a ray passes none."""
 
@@ -126,7 +123,7 @@ def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
 
 def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray) -> FloatArray:
     """Return the normal away from the temples' key points, where there are any."""
-    behind = keypoints[_BEHIND & np.isfinite(keypoints).all(1)]
+    behind = keypoints[~FRONT & np.isfinite(keypoints).all(1)]
     return -normal if len(behind) and (behind.mean(0) - center) @ normal > 0 else normal
 
 

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses import inserted_lenses as inserted
-from scan2albedo.eyeglasses.lenses.optics import LensMaterial
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial, checked_array
 from scan2albedo.eyeglasses.lenses.scene_colors import LitScene, PhotographedScene, SceneColors
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
 from scan2albedo.geometry import pinhole
@@ -135,9 +134,7 @@ def insert_lenses(
         raise ValueError(f"lenses must be one material or (left, right), got {len(materials)}")
     middles: list[FloatArray | None] = [None, None]
     if lens_centers is not None:
-        middles = list(np.asarray(lens_centers, np.float64))
-        if np.shape(lens_centers) != (2, 3):
-            raise ValueError(f"lens_centers must have shape (2, 3), got {np.shape(lens_centers)}")
+        middles = list(checked_array("lens_centers", lens_centers, (2, 3)))
     given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
     seat: dict[str, Any] = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
@@ -198,12 +195,9 @@ def insert_lenses(
 
 def checked_image(name: str, values: ArrayLike) -> FloatArray:
     """Return a finite image (H, W, 3). Raises EyeglassesError if not finite, ValueError for its shape."""
-    image = np.asarray(values, np.float64)
-    if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        raise ValueError(f"{name} must have shape (H, W, 3), got {image.shape}")
-    if not np.isfinite(image).all():
-        raise EyeglassesError(f"{name} holds numbers that are not finite; repair it first")
-    return image
+    if np.ndim(values) != 3 or np.shape(values)[2] != 3 or np.size(values) == 0:
+        raise ValueError(f"{name} must have shape (H, W, 3), got {np.shape(values)}")
+    return checked_array(name, values, np.shape(values))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,16 @@ _GRAZING = 1e-9
 """Sine of the angle to the lens plane below which a camera or a ray counts as lying in it."""
 
 
+def checked_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> FloatArray:
+    """Return finite values of one of the shapes; ValueError for another, EyeglassesError if not finite."""
+    array = np.asarray(values, np.float64)
+    if array.shape not in shapes:
+        raise ValueError(f"{name} must have shape {' or '.join(map(str, shapes))}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise EyeglassesError(f"{name} holds numbers that are not finite; repair it, or leave it out")
+    return array
+
+
 @dataclass(frozen=True)
 class ThinLens:
     """An ideal thin lens: optical `center` (3,) mm, `normal` (3,) along the axis, of any length and sign."""
@@ -59,18 +69,10 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     >>> rays.directions.round(9) + 0.0
     array([[ 0.,  0., -1.]])
     """
-    center, normal = np.asarray(lens.center, np.float64), np.asarray(lens.normal, np.float64)
-    origins, through = np.asarray(camera, np.float64), np.asarray(points, np.float64)
-    for name, array, shapes in (
-        ("the lens's center", center, [(3,)]),
-        ("the lens's normal", normal, [(3,)]),
-        ("points", through, [(len(through), 3)] if through.ndim else []),
-        ("camera", origins, [(3,), through.shape]),
-    ):
-        if array.shape not in shapes:
-            raise ValueError(f"{name} must have shape {' or '.join(map(str, shapes))}, got {array.shape}")
-        if not np.isfinite(array).all():
-            raise EyeglassesError(f"{name} holds numbers that are not finite; leave such rays out")
+    center = checked_array("the lens's center", lens.center, (3,))
+    normal = checked_array("the lens's normal", lens.normal, (3,))
+    through = checked_array("points", points, (*np.shape(points)[:1], 3))
+    origins = checked_array("camera", camera, (3,), through.shape)
     if not np.isfinite(lens.dioptres):
         raise EyeglassesError(f"the lens has {lens.dioptres} dioptres, not finite; plane glass has 0")
     if not normal.any():
@@ -132,11 +134,9 @@ class LensMaterial:
     """`paint` adds the tint as a matte colour (the paper's); `filter` multiplies what is behind by it."""
 
     def __post_init__(self) -> None:
-        tint = np.asarray(self.tint_linear, np.float64)
-        if tint.shape != (3,):
-            raise ValueError(f"tint_linear must have shape (3,), got {tint.shape}")
-        if not (np.isfinite(tint).all() and (tint >= 0).all() and np.isfinite(self.dioptres)):
-            raise EyeglassesError(f"a lens needs finite dioptres and a finite tint of 0 or more, got {self}")
+        tint = checked_array("tint_linear", self.tint_linear, (3,))
+        if not ((tint >= 0).all() and np.isfinite(self.dioptres)):
+            raise EyeglassesError(f"a lens needs finite dioptres and a tint of 0 or more, got {self}")
         if self.tinting == "filter" and tint.max() > 1:
             raise EyeglassesError(f"a filter passes at most all light: tint_linear is up to {tint.max():g}")
         if self.tinting not in ("paint", "filter"):

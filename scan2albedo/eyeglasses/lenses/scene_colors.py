@@ -7,7 +7,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
@@ -15,7 +14,6 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
-from scan2albedo.geometry.mesh import RayHits
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.lighting.environment import DistantLights
@@ -101,33 +99,6 @@ class _PixelShadows(ShadowMap):
         return lit
 
 
-@njit(cache=True, nogil=True)
-def _through_ball(position, center, radius, toward, gain):  # type: ignore[no-untyped-def]
-    """Return the numbers of points (N, 3) of a `gain` (N,) above 0 whose rays `toward` (3,) pass a ball."""
-    passing = np.empty(len(position), np.int64)
-    count = 0
-    for i in range(len(position)):
-        if gain[i] > 0:
-            along = distance = 0.0
-            for c in range(3):
-                offset = center[c] - position[i, c]
-                along += offset * toward[c]
-                distance += offset * offset
-            if along >= -radius and distance - along * along <= radius * radius:
-                passing[count] = i
-                count += 1
-    return passing[:count]
-
-
-@njit(cache=True, nogil=True)
-def _add_light(gain, color, passed, light):  # type: ignore[no-untyped-def]
-    """Add `gain` (N,) times `color` (3,) to `light` (2, N, 3), to its second part what lenses let pass."""
-    for i in range(len(gain)):
-        for c in range(3):
-            light[0, i, c] += gain[i] * color[c]
-            light[1, i, c] += gain[i] * color[c] * passed[i, c]
-
-
 class LitScene:
     """A scene under distant lights, before the environment (H, W, 3) that rays see which miss all surfaces.
 
@@ -149,21 +120,7 @@ class LitScene:
 
     def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
         """Return the colours of straight rays, of those behind a lens, and of sets that lenses mirror."""
-        sets = [straight, bent, *mirrored]
-        ends = np.cumsum([len(rays.origins) for rays in sets])[:-1]
-        # All at once, with their pixels moved apart: those of two sets are no neighbours.
-        hits = ((rays.hits.face, rays.hits.barycentric, rays.hits.distance) for rays in sets)
-        pixels = [rays.pixels for rays in sets if rays.pixels is not None]
-        width = 2 * np.ceil(max(p[:, 0].max(initial=0) for p in pixels)) + 4
-        together = SceneRays(
-            np.concatenate([rays.origins for rays in sets]),
-            np.concatenate([rays.directions for rays in sets]),
-            RayHits(*map(np.concatenate, zip(*hits, strict=True))),
-            np.concatenate([p + [number * width, 0] for number, p in enumerate(pixels)]),
-        )
-        colors = self.seen(together)
-        parts = (np.split(values, ends) for values in (colors.bare, colors.shaded, colors.unknown))
-        return [RayColors(*part) for part in zip(*parts, strict=True)]
+        return [self.seen(rays) for rays in (straight, bent, *mirrored)]
 
     def seen(self, rays: SceneRays) -> RayColors:
         """Return what rays see, straight, bent or mirrored."""
@@ -198,23 +155,25 @@ class LitScene:
     ) -> FloatArray:
         """Return (2, N, 3) radiance without lenses, and with what those that dim light take of it."""
         position, strength = shadows.position, reflectance.specular_strength
-        matte, glossy = np.zeros((2, 2, len(position), 3))
-        near, passed = [], np.ones((len(position), 3))
+        lit, passed, near = np.zeros((2, len(position), 3)), np.ones((len(position), 3)), []
         for lens in dimming:
             # Only rays that pass a ball around the lens are shot; float32 may reach a little farther.
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
             reach = 1 + float(np.linalg.norm(lens.vertices - center, axis=1).max())
-            near.append((lens, lens.caster.to_local(position), lens.material.transmission, center, reach))
+            way = center - position
+            near.append((lens, lens.caster.to_local(position), way, (way**2).sum(1) - reach**2, reach))
         for k, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
-            toward, intensity = self._light.directions[k], self._light.intensity[k]
+            toward = self._light.directions[k]
             passed.fill(1.0)
-            for lens, local, share, center, reach in near:
-                ray = _through_ball(position, center, reach, toward, facing)
-                passed[ray[lens.caster.occluded(local[ray], toward, local=True)]] *= share
-            _add_light(facing, intensity, passed, matte)
-            if strength > 0:
-                _add_light(mirrored, intensity, passed, glossy)
-        return albedo * matte + strength * glossy
+            for lens, local, way, outside, reach in near:
+                along = way @ toward
+                ray = np.flatnonzero((facing > 0) & (along >= -reach) & (along**2 >= outside))
+                shaded = lens.caster.occluded(local[ray], toward, local=True)
+                passed[ray[shaded]] *= lens.material.transmission
+            radiance = albedo * facing[:, None] + strength * mirrored[:, None]
+            radiance *= self._light.intensity[k]
+            lit += radiance, radiance * passed
+        return lit
 
 
 class PhotographedScene:

@@ -7,13 +7,14 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
+from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, turned_translations
 from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rays import blocks
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 
 RIGID = 6
@@ -27,7 +28,6 @@ _RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
 _RIGID_MM = 1e-3
 """Deviation of the rigid part of the shifts, which the frame's own motion stands for."""
 _BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])
-_TEMPLE = np.array(["hinge" in n or "temple" in n or "ear" in n for n in KEY_POINT_NAMES])
 
 
 @dataclass(frozen=True)
@@ -102,41 +102,35 @@ class FrameMotion:
         blended = (points.weights @ self.transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
         return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3])
 
+    def rows(
+        self, points: SkinnedPoints, positions: FloatArray, slopes: FloatArray, *, rigid: bool = False
+    ) -> FloatArray:
+        """Return derivatives (N, 6 + 3 K) by a step of values whose slopes at points are (N, 3).
+
+        Handles turn as the key points shift. Of a `rigid` frame (N, 6), by turn and translation.
+        """
+        moving = np.concatenate([np.cross(positions - self.state.origin, slopes), slopes], 1)
+        if rigid:
+            return moving
+        filled = np.where(self.known[:, None], self.keypoints, self.center)
+        arm = np.einsum("kij,nkj->nki", self.handles[:, :3, :3], points.rest[:, None] - filled)
+        pull = points.weights[:, :, None] * (slopes @ self.state.rotation)[:, None]
+        turning, shifting = (a.reshape(-1, len(self.turns)) for a in (np.cross(arm, pull), pull))
+        return np.concatenate([moving, shifting + turning @ self.turns], 1)
+
     def covariances(self, points: SkinnedPoints, root: FloatArray) -> FloatArray:
         """Return covariances (N, 3, 3) of points in the world that follow from that of a step, root root^T.
 
         `root` is (6, P) for a frame that stays rigid, (6 + 3 K, P) for one that bends.
         """
-        raw = np.zeros((RIGID + 2 * len(self.turns), root.shape[1]))
-        raw[: len(root)] = root
-        if len(root) > RIGID:
-            raw[len(root) :] = self.turns @ root[RIGID:]
-        place = self.positions(points)
-        return np.asarray(_point_covariances(points.rest, points.weights, place, *self._placement, raw))
-
-    def raw_sums(
-        self, points: SkinnedPoints, positions: FloatArray, *terms: FloatArray, with_matrix: bool = True
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return sums of vote value row and vote row row^T over N values, for `chained`.
-
-        `terms` are slopes (N, 3), values (N,) and votes (N,).
-        """
-        given = points.rest, points.weights, positions, *terms
-        gradient, matrix = _normal_sums(*given, *self._placement, with_matrix)
-        return gradient, matrix
-
-    def chained(self, gradient: FloatArray, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return sums (6 + 3 K,) and (6 + 3 K, 6 + 3 K) in which the handles turn as the key points shift."""
-        size = RIGID + self.turns.shape[0]
-        chain = np.zeros((len(gradient), size))
-        chain[:size] = np.eye(size)
-        chain[size:, RIGID:] = self.turns
-        return chain.T @ gradient, chain.T @ matrix @ chain
-
-    @property
-    def _placement(self) -> tuple[FloatArray, ...]:
-        filled = np.where(self.known[:, None], self.keypoints, self.center)
-        return np.ascontiguousarray(self.handles[:, :3, :3]), filled, self.state.rotation, self.state.origin
+        parts = [np.zeros((0, 3, 3))]
+        for block in blocks(len(points.rest), 2**12):
+            some, rigid = points[block], len(root) == RIGID
+            place = self.positions(some)
+            along = [self.rows(some, place, np.full_like(place, axis), rigid=rigid) for axis in np.eye(3)]
+            spread = np.stack(along, 1) @ root
+            parts.append(spread @ spread.transpose(0, 2, 1))
+        return np.concatenate(parts)
 
     @cached_property
     def turns(self) -> FloatArray:
@@ -202,7 +196,7 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     stretch, stretch_rows = stretch - shared * stretch.mean(), stretch_rows - shared * stretch_rows.mean(0)
     # Relative turns R_j R_k^T as axes times angles; derivatives to first order in them.
     turn_rad = np.where(_BRIDGE[bones].all(1), _BRIDGE_TURN_RAD, _RIM_TURN_RAD)
-    turn_rad = np.where(_TEMPLE[bones].any(1), _TEMPLE_TURN_RAD, turn_rad)[:, None]
+    turn_rad = np.where(~FRONT[bones].all(1), _TEMPLE_TURN_RAD, turn_rad)[:, None]
     rotations = motion.handles[:, :3, :3]
     turn = Rotation.from_matrix(np.einsum("bij,blj->bil", rotations[j], rotations[k])).as_rotvec() / turn_rad
     turns = motion.turns.reshape(len(rotations), 3, -1)
@@ -217,93 +211,3 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     rigid = rigid_rows @ motion.state.shifts.ravel()
     rows = np.concatenate([stretch_rows, turn_rows, rigid_rows])
     return np.concatenate([stretch, turn.ravel(), rigid]), np.pad(rows, ((0, 0), (RIGID, 0)))
-
-
-@njit(cache=True, nogil=True)
-def _row(rest, weights, position, slope, turns, keypoints, rotation, origin, row, place):  # type: ignore[no-untyped-def]
-    """Write the derivatives of one value that are not 0, and their places; return how many there are."""
-    handles = len(weights)
-    gx, gy, gz = slope[0], slope[1], slope[2]
-    x, y, z = position[0] - origin[0], position[1] - origin[1], position[2] - origin[2]
-    row[0], row[1], row[2] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
-    row[3], row[4], row[5] = gx, gy, gz
-    for i in range(6):
-        place[i] = i
-    used = 6
-    lx = rotation[0, 0] * gx + rotation[1, 0] * gy + rotation[2, 0] * gz
-    ly = rotation[0, 1] * gx + rotation[1, 1] * gy + rotation[2, 1] * gz
-    lz = rotation[0, 2] * gx + rotation[1, 2] * gy + rotation[2, 2] * gz
-    for k in range(handles):
-        w = weights[k]
-        if w == 0.0:
-            continue
-        ax, ay, az = rest[0] - keypoints[k, 0], rest[1] - keypoints[k, 1], rest[2] - keypoints[k, 2]
-        bx = turns[k, 0, 0] * ax + turns[k, 0, 1] * ay + turns[k, 0, 2] * az
-        by = turns[k, 1, 0] * ax + turns[k, 1, 1] * ay + turns[k, 1, 2] * az
-        bz = turns[k, 2, 0] * ax + turns[k, 2, 1] * ay + turns[k, 2, 2] * az
-        px, py, pz = w * lx, w * ly, w * lz
-        row[used], row[used + 1], row[used + 2] = px, py, pz
-        row[used + 3], row[used + 4], row[used + 5] = by * pz - bz * py, bz * px - bx * pz, bx * py - by * px
-        for i in range(3):
-            place[used + i] = 6 + 3 * k + i
-            place[used + 3 + i] = 6 + 3 * handles + 3 * k + i
-        used += 6
-    return used
-
-
-@njit(cache=True, nogil=True)
-def _point_covariances(rest, weights, positions, turns, keypoints, rotation, origin, root):  # type: ignore[no-untyped-def]
-    count, size, parameters = len(rest), 6 + 6 * weights.shape[1], root.shape[1]
-    result = np.empty((count, 3, 3))
-    row, place, axes = np.empty(size), np.empty(size, np.int64), np.eye(3)
-    spread = np.empty((3, parameters))
-    for n in range(count):
-        spread[:] = 0.0
-        for i in range(3):
-            here, way = positions[n], axes[i]
-            used = _row(rest[n], weights[n], here, way, turns, keypoints, rotation, origin, row, place)
-            for a in range(used):
-                for p in range(parameters):
-                    spread[i, p] += row[a] * root[place[a], p]
-        for i in range(3):
-            for j in range(i + 1):
-                total = 0.0
-                for p in range(parameters):
-                    total += spread[i, p] * spread[j, p]
-                result[n, i, j] = total
-                result[n, j, i] = total
-    return result
-
-
-@njit(cache=True, nogil=True)
-def _normal_sums(  # type: ignore[no-untyped-def]
-    rest, weights, positions, slopes, values, votes, turns, keypoints, rotation, origin, with_matrix
-):
-    """Return gradient (S,) and matrix (S, S), S = 6 + 6 K, of sum of vote value^2 / 2 over N points.
-
-    Derivatives are by turn and translation, by the shifts at fixed turns of the handles, and by these turns.
-    """
-    count, handles = weights.shape
-    size = 6 + 6 * handles
-    gradient, matrix = np.zeros(size), np.zeros((size, size))
-    row, place = np.empty(size), np.empty(size, np.int64)
-    for n in range(count):
-        vote = votes[n]
-        slope = slopes[n]
-        if vote == 0.0 or (slope[0] == 0.0 and slope[1] == 0.0 and slope[2] == 0.0):
-            continue
-        used = _row(rest[n], weights[n], positions[n], slope, turns, keypoints, rotation, origin, row, place)
-        for a in range(used):
-            pa = place[a]
-            va = vote * row[a]
-            gradient[pa] += va * values[n]
-            if with_matrix:
-                for b in range(a + 1):
-                    matrix[pa, place[b]] += va * row[b]
-    # Places within a row do not ascend, so either triangle may hold a pair.
-    for a in range(size):
-        for b in range(a):
-            total = matrix[a, b] + matrix[b, a]
-            matrix[a, b] = total
-            matrix[b, a] = total
-    return gradient, matrix

@@ -9,9 +9,10 @@ from scipy.spatial import cKDTree
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.lenses.inserted_lenses import RIMS, SIDES, insert_lens
+from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, insert_lens
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.rims import LensPlane, fit_normal, is_covered, pane_faces
+from scan2albedo.eyeglasses.mean_keypoints import RIMS
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.outline import FrameMesh, hidden_by
 from scan2albedo.geometry.pinhole import project

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.on_face import frame_motion
-from scan2albedo.eyeglasses.on_face.frame_motion import RIGID, FrameMotion, FrameState, SkinnedPoints
+from scan2albedo.eyeglasses.mean_keypoints import FRONT
+from scan2albedo.eyeglasses.on_face.frame_motion import (
+    RIGID,
+    FrameMotion,
+    FrameState,
+    SkinnedPoints,
+    bend_prior,
+)
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, ObservedView, OutlineSamples
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -32,7 +38,6 @@ _REWEIGHTINGS = 3
 """Times that offsets and biases are found with the weights of robust errors."""
 _CANDIDATES = 200
 """Front vertices nearest to the head that are looked at until they are chosen anew."""
-_FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
 
 
 @dataclass(frozen=True)
@@ -67,7 +72,7 @@ class HeadContact:
     def __init__(self, points: SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
         self._query = ClosestPointQuery(vertices, faces)
         self._normals = face_normals(vertices, faces)
-        self._front = self._candidates = points[np.flatnonzero(_FRONT[points.weights.argmax(1)])]
+        self._front = self._candidates = points[np.flatnonzero(FRONT[points.weights.argmax(1)])]
 
     def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
         """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
@@ -137,21 +142,18 @@ class RegistrationObjective:
         `rigid`: of turn and translation alone, without a prior.
         """
         motion = self.motion(state)
-        sums = _Sums(motion)
+        sums = _Sums(motion, rigid)
         labels_px = self._add_labels(sums)
         outline_px = np.zeros(0) if samples is None else self._add_outlines(samples, sums)
         if self.contact is not None:
             point, place, distance, slope = self.contact.nearest_point(motion)
-            sums.add(point, place, slope, np.array([distance]), np.ones(1))
+            sums.add(sums.rows(point, place, slope), np.array([distance]), np.ones(1))
             sums.cost += distance**2
-        if rigid:
-            cost, gradient, matrix = sums.cost, sums.gradient[:RIGID], sums.matrix[:RIGID, :RIGID]
-        else:
-            gradient, matrix = motion.chained(sums.gradient, sums.matrix)
-            value, rows = frame_motion.bend_prior(motion)
-            cost = sums.cost + float(value @ value)
-            gradient, matrix = gradient + rows.T @ value, matrix + rows.T @ rows
-        return Linearization(cost, gradient, matrix, labels_px, outline_px)
+        if not rigid:
+            value, rows = bend_prior(motion)
+            sums.add(rows, value, np.ones(len(value)))
+            sums.cost += float(value @ value)
+        return Linearization(sums.cost, sums.gradient, sums.matrix, labels_px, outline_px)
 
     def _add_labels(self, sums: _Sums) -> FloatArray:
         marks, noise = sums.motion.marks, self.options.label_noise_px
@@ -180,13 +182,9 @@ class RegistrationObjective:
         size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(np.finfo(float).eps)
         along = np.einsum("nji,nj->ni", axes, -offset / _OFFSET_MM**2)
         three = np.repeat(np.arange(len(place)), 3)
-        sums.add(
-            marks[three],
-            place[three],
-            (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3),
-            (along / np.maximum(size, least)).ravel(),
-            (size > least).astype(np.float64).ravel(),
-        )
+        slopes = (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3)
+        values, votes = (along / np.maximum(size, least)).ravel(), (size > least).astype(np.float64).ravel()
+        sums.add(sums.rows(marks[three], place[three], slopes), values, votes)
         sums.cost += float(ROBUST**2 * np.log1p(square / ROBUST**2).sum())
         sums.cost += float((offset**2).sum() / _OFFSET_MM**2)
         return errors
@@ -207,7 +205,7 @@ class RegistrationObjective:
         slope[sought] = np.einsum("ni,nij->nj", outward, slopes[sought])
         lost = ~np.isfinite(error)
         residual, slope[lost] = np.where(lost, 0.0, error) / noise, 0
-        slope /= noise[:, None]
+        rows = sums.rows(samples.points, place, slope / noise[:, None])
         for number in range(len(self.views)):
             mine = np.flatnonzero((samples.view == number) & ~lost)
             if not len(mine):
@@ -222,14 +220,13 @@ class RegistrationObjective:
             error[mine] -= bias
             sums.cost += (bias / BIAS_PX) ** 2
             # What the bias takes from the matrix: all values may be off by one amount.
-            terms = slope[mine], along, weight
-            common, _ = motion.raw_sums(samples.points[mine], place[mine], *terms, with_matrix=False)
+            common = rows[mine].T @ (weight * along)
             sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / BIAS_PX**2)
         size = np.abs(residual)
         cost = np.where(size > ROBUST, ROBUST * (2 * size - ROBUST), size**2)
         # A sample that left the window of distances counts as one at reach: leaving must not pay.
         cost[lost] = ROBUST * 2 * REACH_PX / noise[lost]
-        sums.add(samples.points, place, slope, residual, VOTE * _huber_weights(residual))
+        sums.add(rows, residual, VOTE * _huber_weights(residual))
         sums.cost += float(VOTE * cost.sum())
         return error
 
@@ -239,18 +236,17 @@ def _huber_weights(residual: FloatArray) -> FloatArray:
 
 
 class _Sums:
-    """Cost, gradient and matrix at a motion, the turns of its handles apart."""
+    """Cost, gradient and matrix at a motion."""
 
-    def __init__(self, motion: FrameMotion) -> None:
-        size = RIGID + 6 * len(motion.keypoints)
+    def __init__(self, motion: FrameMotion, rigid: bool) -> None:
+        size = RIGID + (0 if rigid else motion.keypoints.size)
         self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
-        self.motion = motion
+        self.motion, self.rows = motion, partial(motion.rows, rigid=rigid)
 
-    def add(self, points: SkinnedPoints, place: FloatArray, *terms: FloatArray) -> None:
-        """Add slopes, values and votes of points at their places."""
-        gradient, matrix = self.motion.raw_sums(points, place, *terms)
-        self.gradient += gradient
-        self.matrix += matrix
+    def add(self, rows: FloatArray, values: FloatArray, votes: FloatArray) -> None:
+        """Add values (N,) of derivatives (N, P), each squared as often as it has votes."""
+        self.gradient += rows.T @ (votes * values)
+        self.matrix += (votes[:, None] * rows).T @ rows
 
 
 @dataclass(frozen=True)

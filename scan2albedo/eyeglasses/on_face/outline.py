@@ -1,11 +1,13 @@
 """Outlines of a frame in the pictures: the surface points that make them, and how far masks are from them."""
 
+
+import warnings
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.vq import vq
+from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.special import expit, logsumexp
 
@@ -185,11 +187,8 @@ def grouped_colors(picture: NDArray[Any], around: FloatArray) -> IntArray:
     some = near[:: max(1, len(near) // 8000)]
     some = some[np.argsort(some.sum(1), kind="stable")]
     centers = some[np.linspace(0, len(some) - 1, 24).astype(int)]
-    for _ in range(10):
-        group = vq(some, centers)[0]
-        counts = np.bincount(group, minlength=len(centers))
-        sums = np.stack([np.bincount(group, some[:, k], len(centers)) for k in range(3)], 1)
-        centers = np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], centers)
+    with warnings.catch_warnings(action="ignore"):  # an empty group keeps its mean
+        centers, _ = kmeans2(some, centers, 10, minit="matrix")
     return vq(values, centers)[0].reshape(height, width).astype(np.int64)
 
 

@@ -194,12 +194,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -
         return None
     with needs_extra("opencv"):
         import cv2
-    from scipy.linalg import rq
-
-    # Upper triangular intrinsic matrix, last entry 1, and rotation.
-    intrinsic, rotation = rq(view.camera[:, :3])
-    signs = np.sign(np.diag(intrinsic))
-    intrinsic, rotation = intrinsic * signs, signs[:, None] * rotation
+    intrinsic, rotation = cv2.decomposeProjectionMatrix(view.camera)[:2]
     plane = np.linalg.solve(intrinsic, np.column_stack([view.labels[seen], np.ones(seen.sum())]).T).T
     cv2.setRNGSeed(0)
     try:

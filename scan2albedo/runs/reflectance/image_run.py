@@ -17,7 +17,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.reflectance import GeometryFit, ImageObservation, LightingModel, PhotographFiles
+from scan2albedo.reflectance import GeometryFit, ImageObservation, PhotographFiles
 from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.registration import register
 from scan2albedo.report.overview import overview_figure
@@ -80,20 +80,19 @@ def fit_photograph(
     Raises `ReflectanceError` when mesh and model have other vertices, there is no shape model for landmarks,
     or nothing is seen.
     """
-    lighting, faces = LightingModel.default(), models.mean.faces
+    faces = models.mean.faces
     with _named(photograph):
-        vertices, geometry, trace = shaped_vertices(photograph, models, lighting, budget, on_progress)
+        vertices, geometry, trace = shaped_vertices(photograph, models, budget, on_progress)
         observation = observe(photograph, vertices, faces)
         angle = 0.0 if geometry is None else LANDMARK_NORMALS
         more: dict[str, Any] = {"normal_error": angle, "budget": budget, "on_progress": on_progress}
-        face = reflectance.fit_face(observation, models.model, vertices, faces, lighting, **more)
+        face = reflectance.fit_face(observation, models.model, vertices, faces, **more)
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
 
 def shaped_vertices(
     photograph: PhotographFiles,
     models: FaceModels,
-    lighting: LightingModel,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
 ) -> tuple[FloatArray, GeometryFit | None, Trace]:
@@ -108,7 +107,7 @@ def shaped_vertices(
     within: dict[str, Any] = {"budget": budget, "on_progress": on_progress}
     first = _geometry(photograph, models.shape, **within)
     seen = observe(photograph, first.vertices, models.mean.faces)
-    skin = reflectance.fit_image(seen, models.model, lighting, **within)
+    skin = reflectance.fit_image(seen, models.model, **within)
     refined = _geometry(
         photograph,
         models.shape,
@@ -255,7 +254,6 @@ def tune_model(
             f"{len(tuned_with)} photographs to tune with and {len(tested_on)} held out; give one or more of "
             "each, or 3 or more in all"
         )
-    lighting = LightingModel.default()
     notes: list[str] = []
 
     def observed(path: Path) -> ImageObservation:
@@ -263,7 +261,7 @@ def tune_model(
         photograph = reflectance.read_photograph(path)
         notes.extend(gamma_notes(photograph))
         with _named(photograph):
-            vertices, _, _ = shaped_vertices(photograph, models, lighting)
+            vertices, _, _ = shaped_vertices(photograph, models)
             return observe(photograph, vertices, models.mean.faces)
 
     tuning = reflectance.finetune(
@@ -272,7 +270,6 @@ def tune_model(
         [observed(path) for path in tested_on],
         models.mean.faces,
         models.mean.vertices,
-        lighting=lighting,
         budget=budget,
         on_progress=on_progress,
     )

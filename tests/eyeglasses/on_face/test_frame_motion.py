@@ -1,4 +1,4 @@
-"""Derivatives of a moving, bending frame against differences, and compiled sums against plain rows."""
+"""Derivatives of a moving, bending frame against differences, and covariances that follow from them."""
 
 import numpy as np
 import pytest
@@ -27,24 +27,12 @@ def scene(missing):
     return keypoints, state, SkinnedPoints(rng.normal(0, 40, (30, 3)), weights), rng
 
 
-def derivatives(motion, points, slopes):
-    """(30, 66) derivatives of values with the slopes given, in plain NumPy."""
-    local = slopes @ motion.state.rotation
-    pull = points.weights[:, :, None] * local[:, None]
-    keypoints = np.where(motion.known[:, None], motion.keypoints, motion.center)
-    arm = np.einsum("kij,nkj->nki", motion.handles[:, :3, :3], points.rest[:, None] - keypoints)
-    turning = np.cross(arm, pull).reshape(len(slopes), -1)
-    bending = pull.reshape(len(slopes), -1) + turning @ motion.turns
-    lever = motion.positions(points) - motion.state.origin
-    return np.concatenate([np.cross(lever, slopes), slopes, bending], 1)
-
-
 @pytest.mark.parametrize("missing", [False, True])
 def test_rows_are_the_derivatives(missing):
     keypoints, state, points, rng = scene(missing)
     slopes = rng.normal(size=(30, 3))
     motion = FrameMotion(keypoints, state)
-    rows = derivatives(motion, points, slopes)
+    rows = motion.rows(points, motion.positions(points), slopes)
     differences = np.zeros_like(rows)
     for number in range(rows.shape[1]):
         step = np.zeros(rows.shape[1])
@@ -56,26 +44,25 @@ def test_rows_are_the_derivatives(missing):
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_compiled_sums_are_those_of_the_rows(missing):
+def test_rows_of_a_rigid_frame_are_the_first_ones(missing):
     keypoints, state, points, rng = scene(missing)
-    slopes, values, votes = rng.normal(size=(30, 3)), rng.normal(size=30), rng.uniform(0, 2, 30)
-    motion = FrameMotion(keypoints, state)
+    slopes, motion = rng.normal(size=(30, 3)), FrameMotion(keypoints, state)
     place = motion.positions(points)
-    rows = derivatives(motion, points, slopes)
-    gradient, matrix = motion.chained(*motion.raw_sums(points, place, slopes, values, votes))
-    np.testing.assert_allclose(gradient, rows.T @ (votes * values), atol=1e-10)
-    np.testing.assert_allclose(matrix, rows.T @ (votes[:, None] * rows), atol=1e-8)
+    rows = motion.rows(points, place, slopes)
+    assert rows.shape == (30, 66)
+    np.testing.assert_array_equal(motion.rows(points, place, slopes, rigid=True), rows[:, :6])
 
 
 @pytest.mark.parametrize("parameters", [6, 66])
-def test_compiled_covariances_are_those_of_the_rows(parameters):
+def test_covariances_are_those_of_differences(parameters):
     keypoints, state, points, rng = scene(missing=True)
     motion, root = FrameMotion(keypoints, state), rng.normal(size=(parameters, parameters))
-    spread = np.stack(
-        [derivatives(motion, points, np.tile(axis, (30, 1)))[:, :parameters] @ root for axis in np.eye(3)], 1
-    )
-    found = motion.covariances(points, root)
-    np.testing.assert_allclose(found, spread @ spread.transpose(0, 2, 1), rtol=1e-9, atol=1e-6)
+    spread = np.empty((30, 3, parameters))
+    for number, step in enumerate(STEP * root.T):
+        there, back = (FrameMotion(keypoints, state.moved(sign * step)).positions(points) for sign in (1, -1))
+        spread[:, :, number] = (there - back) / (2 * STEP)
+    expected = spread @ spread.transpose(0, 2, 1)
+    np.testing.assert_allclose(motion.covariances(points, root), expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_positions_are_those_of_skinning():
