@@ -90,12 +90,6 @@ class Deformation:
         return self._sampled[level]
 
     @cached_property
-    def control_area(self) -> FloatArray:
-        """(C,) mm^2 around each control point, above 0."""
-        area = vertex_areas(self.reference, self.model.control_faces)
-        return np.maximum(area, 1e-6 * area.mean())
-
-    @cached_property
     def folds(self) -> FoldFinder:
         """Finds folds of the surface returned."""
         subdivision = self.model.subdivision(RESULT_LEVELS)
@@ -213,9 +207,10 @@ def run_stage(
     """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
     meter, reference, pull = deformation.meter, deformation.reference, deformation.landmarks
     samples, usual = deformation.sampled(level)
-    area, stiffness = deformation.control_area, deformation.elasticity(progress, stiff)
-    system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
     gates, faces = ForceGates.at(deformation.options, progress), deformation.model.control_faces
+    area, stiffness = vertex_areas(reference, faces), deformation.elasticity(progress, stiff)
+    area = np.maximum(area, 1e-6 * area.mean())
+    system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
     velocity, errors = np.zeros_like(q), list[float]()
     forces: ScanForces | None = None
     for step in range(steps):

@@ -10,11 +10,6 @@ _ANCHOR = 1e-9
 """It decides only where a region touches nothing known."""
 
 
-def forward_differences(field: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return f[i, j + 1] - f[i, j] (H, W - 1, ...) and f[i + 1, j] - f[i, j] (H - 1, W, ...)."""
-    return np.diff(field, axis=1), np.diff(field, axis=0)
-
-
 def integrate_gradients(
     field: FloatArray,
     region: BoolArray,

@@ -9,6 +9,7 @@ from scipy.special import logsumexp
 
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arguments import described, require_type
+from scan2albedo.core.arrays import on_grid
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
@@ -88,8 +89,7 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
         np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps),
         fitted.model_from_scan,
     )
-    region = np.full(raster.face.shape, 255, np.uint8)
-    region[inside] = fitted.region[raster.face[inside]]
+    region = on_grid(inside, fitted.region[raster.face[inside]], 255)
     # Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
     sigma, shiny = SOFTENING * size, _annotation(fitted, region, "specular_scale")
     weight, blurred = (

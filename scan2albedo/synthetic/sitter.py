@@ -135,7 +135,7 @@ def sit_down(
         faces,
         normals,
         np.repeat(np.arange(4), [len(f) for _, f in parts]),
-        np.concatenate([face.corner_uv, head_uv[head_faces], hair_uv, flat[clothes[1]]]),
+        np.concatenate([face.uv[face.faces], head_uv[head_faces], hair_uv, flat[clothes[1]]]),
         tone=skin_tone,
         hair_color=_HAIR_COLORS[rng.integers(len(_HAIR_COLORS))],
         cloth_color=_CLOTH_COLORS[rng.integers(len(_CLOTH_COLORS))],
