@@ -174,7 +174,7 @@ def relight(
         if np.min(distant, initial=0.0) < 0:
             raise ApplicationError(f"environment_linear holds {np.min(distant):.3g}; radiance is 0 or more")
         distant = DistantLights.from_environment(distant, 128, "important")
-    light = SceneLight.from_lamps(lights, distant, ambient=base, soft=environment)
+    light = SceneLight(lights, distant, base, environment)
     face, notes = as_lit(face, options)
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -29,13 +28,11 @@ MOUTH_REGION = "between_lips"
 """The film between the lips, which closes the model's surface. It is not skin: no scan pulls at it."""
 REST_REGION, FILLED_REGION = "face", "filled"
 """Of models made from templates: what is in no region, and the faces over the template's own holes."""
-SKIN_SHARE: Mapping[str, float] = MappingProxyType(
-    {
-        **dict.fromkeys(("left_brow", "right_brow"), 0.8),
-        **dict.fromkeys(("left_eye", "right_eye", "left_nostril", "right_nostril", "lower_lip"), 0.7),
-        MOUTH_REGION: 0.05,
-    }
-)
+SKIN_SHARE = {
+    **dict.fromkeys(("left_brow", "right_brow"), 0.8),
+    **dict.fromkeys(("left_eye", "right_eye", "left_nostril", "right_nostril", "lower_lip"), 0.7),
+    MOUTH_REGION: 0.05,
+}
 """Part of a region that is skin on most faces, beside hair, eyes and lips; 1 in the regions not named."""
 
 
@@ -96,7 +93,6 @@ class AnnotatedSurface:
     notes: tuple[str, ...] = ()
     name: str = "annotated face model"
     _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
-    _refined_uv: dict[int, FloatArray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         count, faces = len(self.control_vertices), len(self.control_faces)
@@ -186,11 +182,8 @@ class AnnotatedSurface:
         return self._subdivisions[levels]
 
     def refined_uv(self, levels: int) -> FloatArray:
-        """Return the (cached) chart (V, 2) at the vertices of `subdivision(levels)`, linear in each face."""
-        if levels not in self._refined_uv:
-            matrix = linear_refinement(len(self.control_vertices), self.control_faces, levels)
-            self._refined_uv[levels] = matrix @ self.uv
-        return self._refined_uv[levels].copy()
+        """Return the chart (V, 2) at the vertices of `subdivision(levels)`, linear in each face."""
+        return linear_refinement(len(self.uv), self.control_faces, levels) @ self.uv
 
     def surface(self, levels: int = 2) -> tuple[FloatArray, IntArray]:
         """Return (vertices (V, 3), faces (F 4^levels, 3)) of the limit surface at rest."""

@@ -68,7 +68,7 @@ def uncovered(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray,
     gone = np.any(cover[scan.faces], axis=1)
     if not gone.any() or gone.all():
         return Uncovered(scan)
-    border = np.isin(np.arange(len(cover)), scan.faces[gone])
+    border = mesh.vertex_mask(len(cover), scan.faces[gone])
     covered_mm2 = float(mesh.face_areas(scan.vertices, scan.faces[gone]).sum())
     return Uncovered(_part(scan, ~gone, border), _part(scan, gone, border), covered_mm2)
 

@@ -13,7 +13,7 @@ from scan2albedo.core.arrays import BoolArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace
-from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_mask, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 PARTS = {
@@ -33,8 +33,6 @@ UNLIKE_MM, CLEAN_MM = 1.3, 0.15
 Where the fit is farther from the scan than `CLEAN_MM` in the mean, noise and hair add to them."""
 HALF_WIDTH_MM = 66.0
 """Of the middle of the face."""
-UPPER_PATCH_MM, MIDDLE_PATCH_MM = 22.0, 26.0
-"""Sides of the patches over which differences are averaged, against noise."""
 LEAST_OF_A_PATCH, LEAST_OF_A_REGION = 0.4, 0.6
 """Part of the area that must be seen on both sides."""
 SYMMETRIC_MM = 0.02
@@ -135,8 +133,9 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
     # Hair hardly covers the middle; neither lips nor hair move the strip beside the midline of the brows.
     middle = (height > -94) & (height < 26) & (side < HALF_WIDTH_MM)
     strip = (height > -10) & (height < 32) & (side > 2) & (side < 12) & ~nose
-    upper_mm, middle_mm = unlike_mm(upper, UPPER_PATCH_MM), unlike_mm(middle, MIDDLE_PATCH_MM)
-    both_mm, step_mm = min(upper_mm, middle_mm), unlike_mm(strip, UPPER_PATCH_MM)
+    # Differences are averaged over patches, against noise.
+    upper_mm, middle_mm = unlike_mm(upper, 22.0), unlike_mm(middle, 26.0)
+    both_mm, step_mm = min(upper_mm, middle_mm), unlike_mm(strip, 22.0)
     noise_mm = max(fitted.metrics["residual_mean_mm"] - CLEAN_MM, 0.0)
     step = step_mm / (UNLIKE_MM + 4 * noise_mm) if both_mm > 0 else 0.0
     parts = f"{upper_mm:.1f} mm in the upper part, {middle_mm:.1f} mm in the middle"
@@ -148,6 +147,4 @@ def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
     """Return (V,) which vertices of a refinement touch the regions."""
     subdivision = model.subdivision(level)
     faces = np.logical_or.reduce([model.in_region(name) for name in names])[subdivision.parent]
-    inside = np.zeros(subdivision.matrix.shape[0], bool)
-    inside[subdivision.faces[faces].ravel()] = True
-    return inside
+    return vertex_mask(subdivision.matrix.shape[0], subdivision.faces[faces])

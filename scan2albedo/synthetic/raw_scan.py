@@ -14,6 +14,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
+from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.parametrization import signed_areas
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.renderer import Material, RayScene, auto_exposure, photograph, render, toward
@@ -164,11 +165,9 @@ def capture(
     numbered, facing = renumbered.reshape(-1, 3).astype(np.int64), facing[kept]
     # The pod that sees a face best, averaged twelve times around, so that the seam is one line.
     lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(len(pods))], 1)
-    count = np.bincount(numbered.ravel(), minlength=numbered.max() + 1)
     for k in range(len(pods)):
         for _ in range(12):
-            around = np.bincount(numbered.ravel(), np.repeat(lead[:, k], 3), minlength=len(count)) / count
-            lead[:, k] = around[numbered].mean(1)
+            lead[:, k] = vertex_average(len(used), numbered, lead[:, k])[numbered].mean(1)
     best = lead.argmax(1)
     unseen = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
     return RangeMesh(points[used], numbered, np.where(unseen, facing.argmax(1), best))

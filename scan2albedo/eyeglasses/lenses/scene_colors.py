@@ -144,7 +144,7 @@ class LitScene:
         environment: FloatArray | None,
     ) -> None:
         self._scene, self._environment = scene, environment
-        self._light = SceneLight.from_lamps((), lights)
+        self._light = SceneLight((), lights)
         self._dimming = [lens for lens in lenses if not lens.material.clear]
 
     def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
@@ -205,8 +205,7 @@ class LitScene:
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
             reach = 1 + float(np.linalg.norm(lens.vertices - center, axis=1).max())
             near.append((lens, lens.caster.to_local(position), lens.material.transmission, center, reach))
-        for k, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
-            toward, intensity = self._light.directions[k], self._light.intensity[k]
+        for toward, intensity, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
             passed.fill(1.0)
             for lens, local, share, center, reach in near:
                 ray = _through_ball(position, center, reach, toward, facing)
