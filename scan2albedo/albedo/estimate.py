@@ -6,12 +6,13 @@ from dataclasses import replace
 from numbers import Integral
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.inpainting import continued_smoothly
-from scan2albedo.albedo.levels import Level, build_level, cell_field, usable_texels, with_every_normal
+from scan2albedo.albedo.levels import Level, build_level, cell_field, usable_texels
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.options import EstimateOptions
@@ -25,9 +26,10 @@ from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
 from scan2albedo.core import Budget, Meter, ProgressCallback
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, on_grid
 from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
 from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.geometry.mesh import lengths
 from scan2albedo.lighting.environment_light import environment_of_shading, open_shading
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance
@@ -141,7 +143,11 @@ def lit_image(
 ) -> tuple[LitImage, Plan]:
     """Return an image as a search takes it, seen from the unit vector `view`; see `estimate_albedo`."""
     usable = usable_texels(image)
-    image = with_every_normal(image)
+    known = lengths(image.normal) > 0.5
+    if not known[image.mask].all():
+        # Normals that are not known (0) are those of the nearest texels that have one.
+        at = distance_transform_edt(~(known & image.mask), return_distances=False, return_indices=True)
+        image = replace(image, normal=np.where(known[..., None], image.normal, image.normal[tuple(at)]))
     if options.objective == "albedo-deviation" or options.choice(_CAMERAS) is False:
         image = replace(image, camera=None, camera_positions=None)
     facing, plan = float(np.mean((image.normal @ view)[usable] > 0)), Plan()
@@ -152,8 +158,8 @@ def lit_image(
             "normals outward"
         )
         plan += [PlanStep.doubt("albedo.view", reason)]
-    known = prior or AlbedoPrior.named(options.prior, face=image.face_chart is not None)
-    return LitImage(image, usable, brdf, view, options, meter, known), plan
+    assumed = prior or AlbedoPrior.named(options.prior, face=image.face_chart is not None)
+    return LitImage(image, usable, brdf, view, options, meter, assumed), plan
 
 
 def divided(
@@ -163,12 +169,11 @@ def divided(
     image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
     mask, deviation, reflectance = image.mask, None, lit.reflectance
-    shadow, (specular, shading) = np.zeros(mask.shape), np.zeros((2, *mask.shape, 3))
-    specular[mask], shadow[mask], shading[mask] = lit.specular, lit.visible, lit.light_linear
+    specular, shading = on_grid(mask, lit.specular), on_grid(mask, lit.light_linear)
     if found is not None and found.explanation is not None:
-        best, deviation = found.explanation.best, np.zeros(mask.shape)
-        cells = best.light_deviation()[:, None]
-        deviation[mask] = np.hypot(cell_field(best.problem.level, cells, mask)[:, 0], lit.deviation)
+        best = found.explanation.best
+        cells = cell_field(best.problem.level, best.light_deviation()[:, None], mask)[:, 0]
+        deviation = on_grid(mask, np.hypot(cells, lit.deviation))
     # What makes a good albedo better is left out once the seconds have ended.
     late = meter.out_of_time and found is not None
     division = divide_light(image.texture_linear, shading, specular, mask, usable, shrink=not late)
@@ -187,16 +192,9 @@ def divided(
         else:
             color, inpainting = inpainted(color, image, usable, options, seed)
         plan += [*found.steps, _cameras_step(scene, reflectance), inpainting]
-        rough = "minnaert_exponent" if reflectance.brdf == "minnaert" else "sigma_rad"
-        distance = lit.lights[0].distance_mm if lit.lights else math.inf
-        parameters = {
-            "ambient": 1.0,
-            "brdf": reflectance.brdf,
-            rough: reflectance.roughness,
-            "specular_strength": reflectance.specular_strength,
-            "specular_exponent": reflectance.exponent,
-            "light_distance_mm": distance if math.isfinite(distance) else None,
-        }
+        far = not lit.lights or math.isinf(lit.lights[0].distance_mm)
+        distance = None if far else lit.lights[0].distance_mm
+        parameters = {"ambient": 1.0, **reflectance.parameters(), "light_distance_mm": distance}
     if not late:
         color = continued_smoothly(color, mask & ~image.seen, image.seen)
     return AlbedoEstimate(
@@ -205,7 +203,7 @@ def divided(
         parameters=parameters,
         shading=shading.astype(np.float32),
         specular=specular.mean(-1).astype(np.float32),
-        shadow=shadow.astype(np.float32),
+        shadow=on_grid(mask, lit.visible.astype(np.float32)),
         confidence=division.confidence.astype(np.float32),
         plan=plan,
         trace=meter.trace,

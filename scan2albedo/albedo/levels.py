@@ -1,7 +1,7 @@
 """The image at several sizes: texels averaged into cells, with weights and partitions into blocks."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -69,15 +69,6 @@ def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> 
     """Return (H, W) the channel that is the brightest on average around each texel: V, but for its noise."""
     chosen = uniform_filter(usable[..., None] * texture_linear, (WINDOW, WINDOW, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
-
-
-def with_every_normal(image: GeometryImage) -> GeometryImage:
-    """Return the image with normals that are not known (0) taken from the nearest texel that has one."""
-    known = lengths(image.normal) > 0.5
-    if known[image.mask].all():
-        return image
-    nearest = distance_transform_edt(~(known & image.mask), return_distances=False, return_indices=True)
-    return replace(image, normal=np.where(known[..., None], image.normal, image.normal[tuple(nearest)]))
 
 
 def usable_texels(image: GeometryImage) -> BoolArray:

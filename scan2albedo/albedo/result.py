@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
+from scan2albedo.core.arrays import on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import Plan
@@ -81,9 +82,7 @@ class AlbedoEstimate:
         seen = self.reflectance, self.view_direction, caster, self.shadow_offset_mm
         shading = shade_image(self.image, lights, *seen, environment)
         albedo = self.albedo_linear[mask].astype(np.float64)
-        result = np.zeros((*mask.shape, 3), np.float32)
-        result[mask] = albedo * shading.light_linear + shading.specular_linear
-        return result
+        return on_grid(mask, (albedo * shading.light_linear + shading.specular_linear).astype(np.float32))
 
 
 def shade_image(

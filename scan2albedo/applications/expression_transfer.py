@@ -1,5 +1,6 @@
 """One person's expression on another person's face, and a face model in one person's shape."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -196,12 +197,9 @@ def personal_model(
 
 def refinement_level(mesh: FaceMesh, model: AnnotatedSurface) -> int | None:
     """Return how often the model's control mesh is refined to these triangles; None when they are others."""
-    level = 0
-    while len(mesh.faces) > len(model.control_faces) * 4**level:
-        level += 1
-    if len(mesh.faces) < len(model.control_faces) * 4**level:
-        return None
-    return level if np.array_equal(model.subdivision(level).faces, mesh.faces) else None
+    level = round(math.log(len(mesh.faces) / len(model.control_faces), 4))
+    alike = len(mesh.faces) == len(model.control_faces) * 4**level
+    return level if alike and np.array_equal(model.subdivision(level).faces, mesh.faces) else None
 
 
 def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:

@@ -42,16 +42,11 @@ def reflectance_of_processed(
 
     A vertex less than half of whose texels were seen is unknown. A rough surface becomes the nearest
     Lambertian one, and the highlight the nearest weights of three lobes, one set for all vertices times the
-    annotation's relative strength. Raises `ApplicationError` when the scan was processed without a model,
-    nothing of it was seen, or it cannot be loaded; `ValueError` when `level` is not above 0.
-
-    Parameters
-    ----------
-    source : path, ProcessResult or ProcessedFace
-        What `load_result` takes, or what it gave; processed with a model.
-    level : float, optional
-        Geometric mean of the albedo's V over the seen texels, to which albedo and highlight are scaled; not
-        scaled when omitted. A scan's albedo is known up to its scale: to compare scans, give one level.
+    annotation's relative strength. The `source` is what `load_result` takes, or what it gave. Albedo and
+    highlight are scaled to a `level` of the geometric mean of the albedo's V over the seen texels; not when
+    omitted. A scan's albedo is known up to its scale: to compare scans, give one level. Raises
+    `ApplicationError` when the scan was processed without a model, nothing of it was seen, or it cannot be
+    loaded; `ValueError` when `level` is not above 0.
 
     Notes
     -----

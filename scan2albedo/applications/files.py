@@ -81,9 +81,8 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     if estimate is None:
         found = _without_albedo(image, need_albedo, name)
     else:
-        taken = ("albedo_linear", "reflectance", "lights", "casts_shadows", "expected_error")
-        seen = ("view_direction", "shadow_offset_mm", "environment")
-        found = {field: getattr(estimate, field) for field in (*taken, *seen)}
+        taken = "albedo_linear", "reflectance", "expected_error", *_AS_STORED[1:]
+        found = {field: getattr(estimate, field) for field in taken}
     return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **found)
 
 
@@ -190,23 +189,18 @@ def write_face(
     options : mapping, optional
         Of the application, for the record.
     """
-    target, skin, mesh, preview = Path(folder), face.reflectance, face.mesh, None
+    target, mesh, preview = Path(folder), face.mesh, None
     check_face_folder(target)
     with RunFolder(target, FACE_FILES).publishing() as staging:
         write_geometry_image(staging.folder / "geometry_image.npz", face.image)
-        parameters = {}
+        parameters: dict[str, object] = {}
         if face.has_albedo:
             write_exr(staging.folder / "albedo.exr", face.albedo_linear)
             exposed = auto_exposure(face.albedo_linear[face.mask]) * face.albedo_linear
             preview = encode_srgb_bytes(np.clip(filled_from_nearest(exposed, face.mask), 0, 1))
             alpha = np.where(face.image.seen, np.uint8(255), np.uint8(0))
             write_png(staging.folder / "albedo.png", np.dstack([preview, alpha]))
-            parameters = {
-                "brdf": skin.brdf,
-                "minnaert_exponent" if skin.brdf == "minnaert" else "sigma_rad": skin.roughness,
-                "specular_strength": skin.specular_strength,
-                "specular_exponent": skin.exponent,
-            }
+            parameters = face.reflectance.parameters()
         write_glb(staging.folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
         write_png(staging.folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
         staging.write_record(

@@ -17,14 +17,15 @@ from scan2albedo.albedo.noise import ChannelNoise
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.applications.face_features import AROUND, FLOOR
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid, smoothstep
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry import rasterization
 from scan2albedo.geometry.closest_points import surface_query
-from scan2albedo.geometry.mesh import face_areas, thinned, vertex_normals
+from scan2albedo.geometry.mesh import edges_with_faces, face_areas, thinned, vertex_normals
+from scan2albedo.geometry.parametrization import signed_areas
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
@@ -128,8 +129,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     density, own = 0.0, (weight[scan.faces] > 0).all(1)
     if scan.texture_linear is not None and scan.uv is not None and own.any():
         pixels = pixels_from_uv(scan.uv[own].reshape(-1, 2), scan.texture_linear.shape[:2])
-        a, b, c = np.moveaxis(pixels.reshape(-1, 3, 2), 1, 0)
-        texels = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
+        texels = np.abs(signed_areas(pixels, np.arange(len(pixels)).reshape(-1, 3))).sum()
         density = float(np.sqrt(texels / max(face_areas(scan.vertices, scan.faces[own]).sum(), 1e-12)))
     outside = OUTSIDE_CONFIDENCE if reach == "all" else 0.0
 
@@ -239,8 +239,7 @@ def _unlit_texture(
             dark = np.zeros(there[box].shape)  # no highlight
             filtered = divide_light(tile[box], divisor[box], dark, there[box], usable[box], usual=usual)
             albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
-            near = np.zeros((*tile.shape[:2], 2))
-            near[there] = near_outlines * np.stack([1 - weight, np.ones_like(weight)], axis=1)
+            near = on_grid(there, near_outlines * np.stack([1 - weight, np.ones_like(weight)], axis=1))
             if near[..., 0].any():
                 albedo[box] = without_lines(albedo[box], near[box], there[box], texels_per_mm)
             usual = filtered.noise
@@ -269,7 +268,7 @@ _DARK = 1e-4
 
 def outlines(vertices: FloatArray, faces: IntArray, log_light: FloatArray, points: FloatArray) -> FloatArray:
     """Return (N, 2) how near points are to outlines of log light (V, 3), 0 to 1, and their steps."""
-    ends = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    ends, _ = edges_with_faces(faces)
     first, second = vertices[ends[:, 0]], vertices[ends[:, 1]]
     value = log_light.mean(-1)
     steep = np.abs(value[ends[:, 0]] - value[ends[:, 1]]) > _STEEP * np.linalg.norm(second - first, axis=1)

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
@@ -168,13 +168,6 @@ class ProcessedFace:
         position, normal = (on_grid(mask, values) for values in (position, normal))
         image = replace(self.image, position=position, normal=normal, occluder=occluder)
         return replace(self, name=name, image=image, mesh=mesh)
-
-
-def on_grid(mask: BoolArray, values: FloatArray) -> FloatArray:
-    """Return (H, W, C) with values (N, C) on the masked texels and zeros elsewhere."""
-    grid = np.zeros((*mask.shape, *values.shape[1:]))
-    grid[mask] = values
-    return grid
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
-from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace, on_grid
+from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core.arguments import require_linear, require_type
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, on_grid
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras
+from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cameras
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
@@ -24,7 +24,7 @@ from scan2albedo.io.glb import write_glb
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering import pictures
-from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure, portrait_camera
+from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure
 from scan2albedo.rendering.scene_light import SceneLight, shade
 
 Gloss = Literal["auto", "found", "none"]
@@ -174,7 +174,7 @@ def relight(
         if np.min(distant, initial=0.0) < 0:
             raise ApplicationError(f"environment_linear holds {np.min(distant):.3g}; radiance is 0 or more")
         distant = DistantLights.from_environment(distant, 128, "important")
-    light = SceneLight.from_lamps(lights, distant, ambient=base, soft=environment)
+    light = SceneLight(lights, distant, base, environment)
     face, notes = as_lit(face, options)
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
@@ -224,7 +224,7 @@ def default_camera(
     azimuth_rad: float = 0.0,
     elevation_rad: float = 0.0,
 ) -> FloatArray:
-    """Return the (3, 4) camera of a portrait that holds all of the face, see `rendering.portrait_camera`.
+    """Return the (3, 4) camera of a portrait that holds all of the face.
 
     ValueError for an azimuth that is not finite, an elevation beyond 89 degrees, or a shape below 2 pixels.
 
@@ -234,4 +234,12 @@ def default_camera(
     azimuth_rad, elevation_rad : float
         Of the camera seen from the face: from +z toward +x, and toward +y.
     """
-    return portrait_camera(face.mesh.vertices, shape, azimuth_rad, elevation_rad)
+    if not abs(elevation_rad) < np.deg2rad(89):
+        raise ValueError(f"elevation_rad is {elevation_rad}, expected between -89 and 89 degrees")
+    if not np.isfinite(azimuth_rad) or min(shape) < 2:
+        raise ValueError(f"azimuth_rad is {azimuth_rad}, shape {shape}, expected finite and 2 pixels or more")
+    middle, radius, depth = pictures.portrait_frame(face.mesh.vertices)
+    distance = max(pictures.DISTANCE_MM, 4 * radius)
+    focal = (min(shape) - 1) / (2 * pictures.PORTRAIT_MARGIN * radius) * (distance - depth / 2)
+    toward = PointLight(azimuth_rad, elevation_rad).direction
+    return look_at(middle + distance * toward, middle, focal_px=focal, shape=shape)

@@ -11,7 +11,7 @@ from scan2albedo.applications.processed_face import ProcessedFace, on_common_cha
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.optimization.poisson import forward_differences, integrate_gradients
+from scan2albedo.optimization.poisson import integrate_gradients
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either, and over which a feature at the border fades."""
@@ -134,7 +134,7 @@ def continued(
     share = np.median(own) / max(np.median(np.abs(fine[known])), np.finfo(np.float64).tiny)
     cut = 1 - min(share, 1.0) * (1 - np.exp(-((distance / sigma) ** 2)))
     log_other -= (cut * ~grown(whole, AROUND))[..., None] * fine
-    across, down = forward_differences(log_other)
+    across, down = np.diff(log_other, axis=1), np.diff(log_other, axis=0)
     across[(source[:, 1:] != source[:, :-1]) | (source[:, 1:] == 0)] = 0
     down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0
     # The faces' difference less its local mean, that of a box taken twice, reweighted by Geman and McClure's

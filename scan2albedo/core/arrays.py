@@ -1,4 +1,4 @@
-"""Types of arrays in annotations, whose shapes stand in docstrings; arrays of a mesh; a smooth step."""
+"""Types of arrays in annotations, whose shapes stand in docstrings; checked meshes; texels; a smooth step."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,3 +28,10 @@ def smoothstep(x: ArrayLike) -> FloatArray:
     """Return 3 x^2 - 2 x^3 of x clipped to [0, 1]."""
     t = np.clip(np.asarray(x, float), 0, 1)
     return np.asarray(t * t * (3 - 2 * t))
+
+
+def on_grid(mask: BoolArray, values: NDArray, elsewhere: float = 0) -> NDArray:
+    """Return (H, W, ...) with values (N, ...) on the N texels of a mask (H, W), `elsewhere` on the others."""
+    grid = np.full((*mask.shape, *values.shape[1:]), elsewhere, values.dtype)
+    grid[mask] = values
+    return grid

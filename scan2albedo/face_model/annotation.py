@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -18,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.io.npz import Arrays, read_npz, write_npz
 from scan2albedo.io.records import read_record, write_record
@@ -28,13 +28,11 @@ MOUTH_REGION = "between_lips"
 """The film between the lips, which closes the model's surface. It is not skin: no scan pulls at it."""
 REST_REGION, FILLED_REGION = "face", "filled"
 """Of models made from templates: what is in no region, and the faces over the template's own holes."""
-SKIN_SHARE: Mapping[str, float] = MappingProxyType(
-    {
-        **dict.fromkeys(("left_brow", "right_brow"), 0.8),
-        **dict.fromkeys(("left_eye", "right_eye", "left_nostril", "right_nostril", "lower_lip"), 0.7),
-        MOUTH_REGION: 0.05,
-    }
-)
+SKIN_SHARE = {
+    **dict.fromkeys(("left_brow", "right_brow"), 0.8),
+    **dict.fromkeys(("left_eye", "right_eye", "left_nostril", "right_nostril", "lower_lip"), 0.7),
+    MOUTH_REGION: 0.05,
+}
 """Part of a region that is skin on most faces, beside hair, eyes and lips; 1 in the regions not named."""
 
 
@@ -95,7 +93,6 @@ class AnnotatedSurface:
     notes: tuple[str, ...] = ()
     name: str = "annotated face model"
     _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
-    _refined_uv: dict[int, FloatArray] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         count, faces = len(self.control_vertices), len(self.control_faces)
@@ -116,23 +113,9 @@ class AnnotatedSurface:
         advice = "copy it beside its .json file again"
         arrays = read_npz(file, what="face model", advice=advice, error=ModelError)
         # The arrays must be those that the .json file describes.
-        expected: dict[str, tuple[int, ...]] = {
-            "control_vertices": (entry.control_vertices, 3),
-            "control_faces": (entry.control_faces, 3),
-            "uv": (entry.control_vertices, 2),
-            "region": (entry.control_faces,),
-            "landmark_face": (entry.landmarks,),
-            "landmark_barycentric": (entry.landmarks, 3),
-            "template_face": (entry.template_vertices,),
-            "template_barycentric": (entry.template_vertices, 3),
-            "template_faces": (entry.template_faces, 3),
-            "template_offset": (entry.template_vertices, 3),
-            "template_from_model": (4, 4),
-            "template_uv": (entry.template_faces, 3, 2),
-            "face_uv": (entry.control_vertices, 2),
-        }
         optional = ("template_offset", "template_from_model", "template_uv", "face_uv")
-        for name, shape in expected.items():
+        for name, (_, sides) in _STORED.items():
+            shape = tuple(side if isinstance(side, int) else getattr(entry, side) for side in sides)
             got = arrays[name].shape if name in arrays else None
             needed = shape[0] > 0 and name not in optional
             if got != shape and (got is not None or needed):
@@ -154,30 +137,25 @@ class AnnotatedSurface:
                 raise ModelError(f"face model: {name} in {file} points outside 0 ... {limit - 1}")
         found: dict[str, Any] = {
             name: arrays[name].astype(np.int64 if kind is np.int32 else kind)
-            for name, kind in _STORED.items()
+            for name, (kind, _) in _STORED.items()
             if name in arrays
         }
         for prefix in ("landmark", "template"):
-            if f"{prefix}_face" in arrays:
-                face, barycentric = arrays[f"{prefix}_face"], arrays[f"{prefix}_barycentric"]
-                points = SurfacePoints(face.astype(np.int64), barycentric.astype(np.float64))
+            if f"{prefix}_face" in found:
+                points = SurfacePoints(found.pop(f"{prefix}_face"), found.pop(f"{prefix}_barycentric"))
                 found[f"{prefix}_points"] = points
         regions = {name: Region(name, **region.model_dump()) for name, region in entry.regions.items()}
         return cls(**found, regions=regions, notes=tuple(entry.notes), name=entry.name)
 
     def save(self, path: str | Path) -> None:
         """Write `path` (.json) and, beside it, the arrays in `<stem>.npz`; same model, same bytes."""
-        file = Path(path).with_suffix(".npz")
-        arrays: Arrays = {
-            name: getattr(self, name).astype(kind)
-            for name, kind in _STORED.items()
-            if getattr(self, name) is not None
-        }
+        file, own = Path(path).with_suffix(".npz"), dict(vars(self))
         for prefix in ("landmark", "template"):
-            points = getattr(self, f"{prefix}_points")
-            if points is not None:
-                arrays[f"{prefix}_face"] = points.face.astype(np.int32)
-                arrays[f"{prefix}_barycentric"] = points.barycentric.astype(np.float64)
+            if (points := own[f"{prefix}_points"]) is not None:
+                own |= {f"{prefix}_face": points.face, f"{prefix}_barycentric": points.barycentric}
+        arrays: Arrays = {
+            name: own[name].astype(kind) for name, (kind, _) in _STORED.items() if own.get(name) is not None
+        }
         entry = FaceModelFile(
             format="scan2albedo-afm-1",
             name=self.name,
@@ -204,11 +182,8 @@ class AnnotatedSurface:
         return self._subdivisions[levels]
 
     def refined_uv(self, levels: int) -> FloatArray:
-        """Return the (cached) chart (V, 2) at the vertices of `subdivision(levels)`, linear in each face."""
-        if levels not in self._refined_uv:
-            matrix = linear_refinement(len(self.control_vertices), self.control_faces, levels)
-            self._refined_uv[levels] = matrix @ self.uv
-        return self._refined_uv[levels].copy()
+        """Return the chart (V, 2) at the vertices of `subdivision(levels)`, linear in each face."""
+        return linear_refinement(len(self.uv), self.control_faces, levels) @ self.uv
 
     def surface(self, levels: int = 2) -> tuple[FloatArray, IntArray]:
         """Return (vertices (V, 3), faces (F 4^levels, 3)) of the limit surface at rest."""
@@ -291,9 +266,7 @@ def surface_frames(corners: FloatArray) -> FloatArray:
     A zero-area triangle gives zeros in the columns that are undefined, never NaN.
     """
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normal = np.cross(edge, other)
-    edge = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-300)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    edge, normal = normalized(edge), normalized(np.cross(edge, other))
     return np.stack([edge, np.cross(normal, edge), normal], axis=2)
 
 
@@ -304,18 +277,22 @@ def default_model() -> AnnotatedSurface:
     return replace(model, face_uv=model.uv)
 
 
-_STORED: dict[str, type[np.generic]] = {
-    "control_vertices": np.float64,
-    "control_faces": np.int32,
-    "uv": np.float64,
-    "region": np.uint8,
-    "template_offset": np.float64,
-    "template_from_model": np.float64,
-    "template_faces": np.int32,
-    "template_uv": np.float64,
-    "face_uv": np.float64,
+_STORED: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
+    "control_vertices": (np.float64, ("control_vertices", 3)),
+    "control_faces": (np.int32, ("control_faces", 3)),
+    "uv": (np.float64, ("control_vertices", 2)),
+    "region": (np.uint8, ("control_faces",)),
+    "template_offset": (np.float64, ("template_vertices", 3)),
+    "template_from_model": (np.float64, (4, 4)),
+    "template_faces": (np.int32, ("template_faces", 3)),
+    "template_uv": (np.float64, ("template_faces", 3, 2)),
+    "face_uv": (np.float64, ("control_vertices", 2)),
+    "landmark_face": (np.int32, ("landmarks",)),
+    "landmark_barycentric": (np.float64, ("landmarks", 3)),
+    "template_face": (np.int32, ("template_vertices",)),
+    "template_barycentric": (np.float64, ("template_vertices", 3)),
 }
-"""Type on disk of the fields that are arrays; integers have 64 bits in memory."""
+"""Type on disk, and shape by numbers that `FaceModelFile` gives; integers have 64 bits in memory."""
 
 
 class RegionEntry(BaseModel):

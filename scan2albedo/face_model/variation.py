@@ -127,10 +127,8 @@ def expression_variance(model: AnnotatedSurface) -> FloatArray:
     rest, faces = model.control_vertices, (*EXPRESSION_BUMPS.values(), CAPTURE_BUMPS[:1])
     if model.landmarks is None:
         return np.zeros(len(rest))
-    moved = [np.zeros_like(rest) for _ in faces]
-    for move, bumps in zip(moved, faces, strict=True):
-        for bump in bumps:
-            move += _EXPRESSION_SD * displacement(bump, rest, model.landmarks)
+    none, landmarks = np.zeros_like(rest), model.landmarks
+    moved = [sum((_EXPRESSION_SD * displacement(b, rest, landmarks) for b in bumps), none) for bumps in faces]
     return np.asarray(np.mean(np.square(moved), axis=(0, 2)))
 
 

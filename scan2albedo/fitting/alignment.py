@@ -27,7 +27,6 @@ KNOTS = 5
 """Quadratic B-splines over the height of the face."""
 LEVEL_MM, STEP_MM = 13.0, 1.3
 """Standard deviations of a coefficient, and of the difference between neighbouring ones."""
-LAST_GATE_MM, ROBUST_MM = 6.0, (3.0, 1.5)
 
 
 def aligned(
@@ -101,26 +100,9 @@ def proportioned(
     """Return control points (C, 3) whose face has the scan's proportions.
 
     `reference` (C, 3) are control points at rest, in the scan's frame and about of its size; a rigid motion
-    and the `_modes` move them onto the scan and to the `landmarks`.
+    and modes of proportion move them onto the scan and to the `landmarks`.
     """
-    modes, precision = _modes(reference)
-    steps = 0 if meter.exhausted else options.proportion_iterations
-
-    def gates(step: int) -> ForceGates:
-        progress = step / max(steps - 1, 1)
-        gate_mm = between((GATE_MM[0], LAST_GATE_MM), progress)
-        return ForceGates(gate_mm, options.tangential, between(ROBUST_MM, progress))
-
-    given = scan, samples, reference, samples.area * samples.rigidity, gates, precision
-    found = aligned(*given, steps=steps, meter=meter, modes=modes, landmarks=landmarks, rim=samples.rim)
-    return found.pose.apply(reference + modes @ found.coefficients)
-
-
-def _modes(reference: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return displacements (C, 3, M) of the control points by each mode, and the precision for `align`.
-
-    Per spline of height: up, forward, and forward with the square of x in units of 60 mm (roundness).
-    """
+    # Per spline of height: up, forward, and forward with the square of x in units of 60 mm (roundness).
     centred = reference - reference.mean(0)
     height = (centred[:, 1] - centred[:, 1].min()) / max(np.ptp(centred[:, 1]), 1e-9)
     knots = np.concatenate([[0.0, 0.0], np.linspace(0, 1, KNOTS - 1), [1.0, 1.0]])
@@ -131,4 +113,14 @@ def _modes(reference: FloatArray) -> tuple[FloatArray, FloatArray]:
     modes[:, 2, 2 * KNOTS :] = 0.5 * (centred[:, 0, None] / 60) ** 2 * spline
     difference = np.diff(np.eye(KNOTS), axis=0)
     one = difference.T @ difference / STEP_MM**2 + np.eye(KNOTS) / LEVEL_MM**2
-    return modes, block_diag(1.0, one, one, one)
+    steps = 0 if meter.exhausted else options.proportion_iterations
+
+    def gates(step: int) -> ForceGates:
+        progress = step / max(steps - 1, 1)
+        gate_mm = between((GATE_MM[0], 6.0), progress)
+        return ForceGates(gate_mm, options.tangential, between((3.0, 1.5), progress))
+
+    precision = block_diag(1.0, one, one, one)
+    given = scan, samples, reference, samples.area * samples.rigidity, gates, precision
+    found = aligned(*given, steps=steps, meter=meter, modes=modes, landmarks=landmarks, rim=samples.rim)
+    return found.pose.apply(reference + modes @ found.coefficients)

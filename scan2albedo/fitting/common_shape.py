@@ -57,12 +57,8 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     alike over NEAR_MM, so expressions are heavy-tailed and regional: expectation maximisation over n and u
     leaves out a mouth that is open in few scans. Of two scans that disagree, the likelier face counts.
 
-    Raises ValueError without fits, or when their models have different triangles.
-
-    Parameters
-    ----------
-    fits : iterable of FittedFace
-        Walked through once; of each, control points and weights are kept: 70 kB with the default model.
+    `fits` are walked through once; of each, control points and weights are kept: 70 kB with the default
+    model. Raises ValueError without fits, or when their models have different triangles.
     """
     points, shown, model, levels = list[FloatArray](), list[FloatArray](), None, 0
     for fit in fits:

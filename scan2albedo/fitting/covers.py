@@ -25,8 +25,6 @@ from scan2albedo.geometry.alignment import Alignment, Pairs, align
 
 STEPS = 10
 """Iterations of the alignment with a person's face."""
-FIRST_MM, BEFORE_MM, BEHIND_MM = 12.0, 2.0, 6.0
-"""Scale of Geman and McClure's weights: at first, and at last for scan before and behind the face."""
 NOISE_MM, SIZE_SD = 2.6, 0.1
 """Standard deviation of the scan about a person's face that the modes make, and of the size's logarithm."""
 FARTHEST_MM = 45.0
@@ -70,7 +68,7 @@ def uncovered(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray,
     gone = np.any(cover[scan.faces], axis=1)
     if not gone.any() or gone.all():
         return Uncovered(scan)
-    border = np.isin(np.arange(len(cover)), scan.faces[gone])
+    border = mesh.vertex_mask(len(cover), scan.faces[gone])
     covered_mm2 = float(mesh.face_areas(scan.vertices, scan.faces[gone]).sum())
     return Uncovered(_part(scan, ~gone, border), _part(scan, gone, border), covered_mm2)
 
@@ -95,9 +93,8 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
             return None
         gap = np.einsum("ni,ni->n", forces.offset, forces.normal)
         before = np.einsum("ni,ni->n", forces.offset, normals) > 0
-        scale = np.where(
-            before, *(between((FIRST_MM, last), now.steps / (STEPS - 1)) for last in (BEFORE_MM, BEHIND_MM))
-        )
+        # Of Geman and McClure's weights: 12 mm at first, 2 mm at last for scan before the face, 6 mm behind.
+        scale = np.where(before, *(between((12.0, last), now.steps / (STEPS - 1)) for last in (2.0, 6.0)))
         trust = (forces.weight > 0) / (1 + (gap / scale) ** 2) ** 2
         return Pairs(forces.offset, forces.normal, trust, noise=NOISE_MM)
 

@@ -48,8 +48,6 @@ _UNSEEN, _CHANCE = 3.0, 0.25
 """Log odds that colours do not show a feature; what they seem to tell then, as a part of the prior."""
 _EXACT_MM = {"brow": 1.5, "eye": 1.0, "lips": 0.6}
 """Standard deviation of a landmark of a feature whose motion is known."""
-_INDEPENDENT = 6
-"""The landmarks of a feature err alike: they count as so many."""
 _DEVIATIONS = {
     "brow": np.array([1.2, 6.0, 0.08, 0.02, 0.3, 0.3, 1.0]),
     "eye": np.array([1.5, 2.0, 0.06, 0.05, 0.3, 0.3, 0.5]),
@@ -207,7 +205,8 @@ def painted_features(
         told = 1 / variance - (1 + _CHANCE) / before
         if told.min() > 0:
             error = _EXACT_MM[side.name] ** 2 + 1 / told
-            sigma_mm = np.sqrt(error * max(len(side.numbers) / _INDEPENDENT, 1))
+            # Its landmarks err alike: they count as six.
+            sigma_mm = np.sqrt(error * max(len(side.numbers) / 6, 1))
             found.append(PaintedFeature(side.name, side.numbers, places.mean(axis=0), sigma_mm))
     return found
 

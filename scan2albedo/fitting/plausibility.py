@@ -9,11 +9,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace
-from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_mask, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 PARTS = {
@@ -31,14 +31,8 @@ LEAST_OF_A_PART = 0.25
 UNLIKE_MM, CLEAN_MM = 1.3, 0.15
 """Differences of the halves, and steps at the midline, beyond those of real faces: they reach 0.9 of it.
 Where the fit is farther from the scan than `CLEAN_MM` in the mean, noise and hair add to them."""
-UPPER_ABOVE_MM, MIDDLE_MM, HALF_WIDTH_MM = -49.0, (-94.0, 26.0), 66.0
-"""Heights above the nasion of the upper face, which expressions hardly move, and of the middle of the face,
-which hair hardly covers, and its half width."""
-MIDLINE_MM, MIDLINE_HEIGHT_MM = (2.0, 12.0), (-10.0, 32.0)
-"""The strip beside the midline between the brows, where neither lips nor hair move it: distances from the
-midline, and heights above the nasion."""
-UPPER_PATCH_MM, MIDDLE_PATCH_MM = 22.0, 26.0
-"""Sides of the patches over which differences are averaged, against noise."""
+HALF_WIDTH_MM = 66.0
+"""Of the middle of the face."""
 LEAST_OF_A_PATCH, LEAST_OF_A_REGION = 0.4, 0.6
 """Part of the area that must be seen on both sides."""
 SYMMETRIC_MM = 0.02
@@ -111,7 +105,7 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
     seen &= seen[twin] & ~_in_regions(model, level, MOUTH_REGION)
     area = vertex_areas(points, faces)
     side, height = np.abs(rest[:, 0]), rest[:, 1] - landmarks[27, 1]
-    upper = height > UPPER_ABOVE_MM
+    upper = height > -49.0  # mm above the nasion: expressions hardly move it
     if not (area * (seen & upper)).any():
         return None
     # The mirror image is laid on the face robustly: distances above 1 mm count less and less.
@@ -135,14 +129,13 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
             return 0.0
         return float(np.sqrt(known[used] @ mean[used] ** 2 / known[used].sum()))
 
-    def between(values: FloatArray, ends: tuple[float, float]) -> BoolArray:
-        return np.asarray((values > ends[0]) & (values < ends[1]))
-
     nose = _in_regions(model, level, "nose", "left_nostril", "right_nostril")
-    upper_mm = unlike_mm(upper, UPPER_PATCH_MM)
-    middle_mm = unlike_mm(between(height, MIDDLE_MM) & (side < HALF_WIDTH_MM), MIDDLE_PATCH_MM)
-    strip = between(height, MIDLINE_HEIGHT_MM) & between(side, MIDLINE_MM) & ~nose
-    both_mm, step_mm = min(upper_mm, middle_mm), unlike_mm(strip, UPPER_PATCH_MM)
+    # Hair hardly covers the middle; neither lips nor hair move the strip beside the midline of the brows.
+    middle = (height > -94) & (height < 26) & (side < HALF_WIDTH_MM)
+    strip = (height > -10) & (height < 32) & (side > 2) & (side < 12) & ~nose
+    # Differences are averaged over patches, against noise.
+    upper_mm, middle_mm = unlike_mm(upper, 22.0), unlike_mm(middle, 26.0)
+    both_mm, step_mm = min(upper_mm, middle_mm), unlike_mm(strip, 22.0)
     noise_mm = max(fitted.metrics["residual_mean_mm"] - CLEAN_MM, 0.0)
     step = step_mm / (UNLIKE_MM + 4 * noise_mm) if both_mm > 0 else 0.0
     parts = f"{upper_mm:.1f} mm in the upper part, {middle_mm:.1f} mm in the middle"
@@ -154,6 +147,4 @@ def _in_regions(model: AnnotatedSurface, level: int, *names: str) -> BoolArray:
     """Return (V,) which vertices of a refinement touch the regions."""
     subdivision = model.subdivision(level)
     faces = np.logical_or.reduce([model.in_region(name) for name in names])[subdivision.parent]
-    inside = np.zeros(subdivision.matrix.shape[0], bool)
-    inside[subdivision.faces[faces].ravel()] = True
-    return inside
+    return vertex_mask(subdivision.matrix.shape[0], subdivision.faces[faces])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
+from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
@@ -148,50 +148,21 @@ def smoothed(
     around = np.maximum.reduceat(gap[neighbours], begins[:-1])
     # Six times farther from the neighbours' mean than the median, and than any of them.
     spike = (gap > 6 * np.median(gap)) & (gap > around)
-    weight = np.where(spike, 0.0, count)
-    shares = _neighbour_shares(vertices, *joined, spike, weight, REACH * max(scale_mm, edge_mm))
+    weight, one = np.where(spike, 0.0, count), np.repeat(np.arange(len(vertices)), np.diff(begins))
+    apart = lengths(vertices[neighbours] - vertices[one]) / (REACH * max(scale_mm, edge_mm))
+    shares = np.where(spike[one], 1.0, np.exp(-0.5 * apart**2)) * weight[neighbours]
+    total = weight + np.bincount(one, shares, len(vertices))
+    # Means over each vertex and its neighbours; the border stays, and so does what has no weight around it.
+    still = boundary | (total < _NO_SHARE)
+    scale = np.where(still, 0.0, 1 / np.where(still, 1.0, total))
+    means = sparse.csr_matrix((shares * scale[one], neighbours, begins), (len(vertices),) * 2)
+    means += sparse.diags(np.where(still, 1.0, weight * scale))
     points = vertices
     for _ in range(passes):
-        points = _average(points, vertices, boundary, *joined, shares, weight)
+        points = means @ points
     if not keep_curvature:
         return points
-    taken, still = vertices - points, np.zeros_like(points)
+    taken = vertices - points
     for _ in range(passes):
-        taken = _average(taken, still, boundary, *joined, shares, weight)
+        taken = means @ taken
     return points + taken
-
-
-@njit(cache=True, nogil=True)
-def _neighbour_shares(vertices, begins, neighbours, spike, weight, reach_mm):  # type: ignore[no-untyped-def]
-    """Return (N,) weights of each vertex's neighbours, equal ones for a spike."""
-    shares = np.empty(len(neighbours))
-    for v in range(len(vertices)):
-        for e in range(begins[v], begins[v + 1]):
-            n, near = neighbours[e], 1.0
-            if not spike[v]:
-                square = 0.0
-                for k in range(3):
-                    square += (vertices[n, k] - vertices[v, k]) ** 2
-                near = np.exp(-0.5 * square / reach_mm**2)
-            shares[e] = near * weight[n]
-    return shares
-
-
-@njit(cache=True, nogil=True)
-def _average(values, at_border, boundary, begins, neighbours, shares, weight):  # type: ignore[no-untyped-def]
-    """Return (V, 3) each vertex's mean over itself and its neighbours; `at_border` where it has none."""
-    result = np.empty_like(values)
-    for v in range(len(values)):
-        total = weight[v]
-        a, b, c = total * values[v, 0], total * values[v, 1], total * values[v, 2]
-        for e in range(begins[v], begins[v + 1]):
-            share, n = shares[e], neighbours[e]
-            total += share
-            a += share * values[n, 0]
-            b += share * values[n, 1]
-            c += share * values[n, 2]
-        if boundary[v] or total < _NO_SHARE:
-            result[v] = at_border[v]
-        else:
-            result[v, 0], result[v, 1], result[v, 2] = a / total, b / total, c / total
-    return result

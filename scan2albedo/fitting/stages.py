@@ -15,7 +15,7 @@ from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.options import FitOptions, between
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.mesh import neighbouring_faces, vertex_areas
+from scan2albedo.geometry.mesh import neighbouring_faces, vertex_areas, vertex_mask
 from scan2albedo.geometry.operators import bending, laplacian
 
 TIME_STEP, MASS, DAMPING = 10.0, 1.0, 0.1
@@ -88,12 +88,6 @@ class Deformation:
             weight = sparse.diags(0.5 * samples.area)
             self._sampled[level] = samples, (samples.matrix.T @ weight @ samples.matrix).tocsr()
         return self._sampled[level]
-
-    @cached_property
-    def control_area(self) -> FloatArray:
-        """(C,) mm^2 around each control point, above 0."""
-        area = vertex_areas(self.reference, self.model.control_faces)
-        return np.maximum(area, 1e-6 * area.mean())
 
     @cached_property
     def folds(self) -> FoldFinder:
@@ -186,9 +180,7 @@ def _around_folds(deformation: Deformation, q: FloatArray) -> BoolArray:
     model, faces = deformation.model, deformation.model.control_faces
     subdivision = model.subdivision(RESULT_LEVELS)
     folds = deformation.folds.find(subdivision.matrix @ (deformation.reference + q))
-    around = np.zeros(len(deformation.reference), bool)
-    around[faces[subdivision.parent[folds]]] = True
-    return around
+    return vertex_mask(len(q), faces[subdivision.parent[folds]])
 
 
 def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
@@ -213,9 +205,10 @@ def run_stage(
     """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
     meter, reference, pull = deformation.meter, deformation.reference, deformation.landmarks
     samples, usual = deformation.sampled(level)
-    area, stiffness = deformation.control_area, deformation.elasticity(progress, stiff)
-    system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
     gates, faces = ForceGates.at(deformation.options, progress), deformation.model.control_faces
+    area, stiffness = vertex_areas(reference, faces), deformation.elasticity(progress, stiff)
+    area = np.maximum(area, 1e-6 * area.mean())
+    system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
     velocity, errors = np.zeros_like(q), list[float]()
     forces: ScanForces | None = None
     for step in range(steps):
@@ -256,8 +249,7 @@ def guarded(
         bad = turned_faces(normals, samples.matrix @ trial, samples.faces, MIN_STEP_COSINE)
         if len(bad) == 0:
             return trial
-        corners = np.zeros(len(before), bool)
-        corners[faces[samples.parent[bad]]] = True
+        corners = vertex_mask(len(before), faces[samples.parent[bad]])
         corners[faces[corners[faces].any(1)]] = True
         fraction[corners] *= 0.5 if attempt < 7 else 0.0
     return before

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rasterization import area_mean
 
 LightSpread = Literal["important", "even"]
 
@@ -105,10 +106,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
         repeat = -(-_FINEST_ROWS // rows)
         brightness = brightness.repeat(repeat, 0).repeat(repeat, 1)
     else:
-        every = -(-rows // _FINEST_ROWS)
-        below, beside = np.arange(0, rows, every), np.arange(0, columns, every)
-        sums = np.add.reduceat(np.add.reduceat(brightness, below, 0), beside, 1)
-        brightness = sums / np.outer(np.diff(below, append=rows), np.diff(beside, append=columns))
+        brightness = area_mean(brightness, (_FINEST_ROWS, max(columns * _FINEST_ROWS // rows, 1)))
     rows, columns = brightness.shape
     size = texel_solid_angles(rows, columns)[:, None]
     total = (brightness * size).sum()
@@ -177,11 +175,10 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     tree, (height, width) = cKDTree(_checked_directions(directions)), image.shape[:2]
     repeat = max(1, -(-_FINEST_ROWS // height))
     rows, columns = height * repeat, width * repeat
-    nearest = np.empty((rows, columns), np.int32)
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     # Row by row: maps may have many millions of texels.
-    for row in range(rows):
-        nearest[row] = tree.query(map_directions((row + 0.5) / rows * np.pi, azimuth))[1]
+    each_row = (map_directions((row + 0.5) / rows * np.pi, azimuth) for row in range(rows))
+    nearest = np.stack([tree.query(toward)[1].astype(np.int32) for toward in each_row])
     down, across = (np.arange(side, dtype=np.int32) // repeat for side in (rows, columns))
     texel = np.add.outer(down * width, across)
     # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.

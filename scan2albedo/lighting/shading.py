@@ -38,6 +38,15 @@ class Reflectance:
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number, 0 or more")
 
+    def parameters(self) -> dict[str, object]:
+        """Return the numbers by their names in files of results."""
+        return {
+            "brdf": self.brdf,
+            "minnaert_exponent" if self.brdf == "minnaert" else "sigma_rad": self.roughness,
+            "specular_strength": self.specular_strength,
+            "specular_exponent": self.exponent,
+        }
+
 
 @dataclass(frozen=True)
 class Shading:
@@ -148,11 +157,10 @@ def lamp_factors(
     reflectance: Reflectance,
 ) -> FloatArray:
     """Return (2, N) what multiplies a lamp's intensity in light on the albedo, in highlights of k_s = 1."""
-    factors = np.empty((2, len(position)))
     lamp = np.ascontiguousarray(visible), np.ascontiguousarray(direction), float(nearness)
     exponent = float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0
-    skin = reflectance.brdf == "minnaert", float(reflectance.roughness), exponent
-    fill_lamp_factors(position, normal, *lamp, view, *skin, *factors)
+    model = reflectance.brdf == "minnaert", float(reflectance.roughness), exponent
+    factors: FloatArray = factors_of_lamp(position, normal, *lamp, view, *model)
     return factors
 
 
@@ -168,10 +176,10 @@ def oren_nayar_coefficients(sigma):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def fill_lamp_factors(  # type: ignore[no-untyped-def]
-    position, normal, visible, direction, nearness, view, minnaert, roughness, exponent, diffuse, lobe
+def factors_of_lamp(  # type: ignore[no-untyped-def]
+    position, normal, visible, direction, nearness, view, minnaert, roughness, exponent
 ):
-    """Fill f / r^2 and (r.v)^m / r^2 of N points under one lamp of intensity 1, r in its own distances.
+    """Return (2, N) f / r^2 and (r.v)^m / r^2 of N points under a lamp of intensity 1, r in its distances.
 
     f is Oren-Nayar's cos_i (A + B s / max(cos_i, cos_r)), s = max(0, l.v - cos_i cos_r), which has neither an
     azimuth nor a tangent; or Minnaert's cos_i^k cos_r^(k - 1). The highlight is Phong's, 0 where the mirrored
@@ -180,12 +188,12 @@ def fill_lamp_factors(  # type: ignore[no-untyped-def]
     `position`, `normal` (N, 3) are in mm and unit; `visible` (N,) is the part of the lamp that reaches each
     point; `direction` (3,) and `view`, (N, 3) or (1, 3), are unit; `nearness` is 1/distance, 0 for a distant
     lamp. `roughness` is Oren-Nayar's sigma in radians (0 is Lambert), or Minnaert's exponent; an `exponent`
-    below 0 leaves the highlight out. `diffuse`, `lobe` (N,) are filled.
+    below 0 leaves the highlight out.
     """
     a, b = oren_nayar_coefficients(roughness)
+    factors = np.zeros((2, len(position)))
+    diffuse, lobe = factors
     for i in range(position.shape[0]):
-        diffuse[i] = 0.0
-        lobe[i] = 0.0
         if visible[i] == 0:
             continue
         v = i if view.shape[0] > 1 else 0
@@ -212,6 +220,7 @@ def fill_lamp_factors(  # type: ignore[no-untyped-def]
         r_v = min(2.0 * n_l * n_v - l_v, 1.0)
         if exponent >= 0.0 and r_v > 0.0:
             lobe[i] = energy * r_v**exponent
+    return factors
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -225,7 +234,7 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
     then, where free (`near`, `rough`, `glossy`), `radius` / distance with `radius` in mm, sigma^2 (or
     Minnaert's exponent), strength of the highlight and the logarithm of its exponent.
 
-    `position`, `normal`, `minnaert`, `roughness`, `exponent` are as in `fill_lamp_factors`. `lights` (L, 5)
+    `position`, `normal`, `minnaert`, `roughness`, `exponent` are as in `factors_of_lamp`. `lights` (L, 5)
     hold unit direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) derivatives of
     each direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N)
     float32 its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is

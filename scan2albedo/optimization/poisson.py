@@ -1,18 +1,13 @@
 """Fields rebuilt from gradients inside a region, agreeing with what surrounds it."""
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 _ANCHOR = 1e-9
 """It decides only where a region touches nothing known."""
-
-
-def forward_differences(field: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return f[i, j + 1] - f[i, j] (H, W - 1, ...) and f[i + 1, j] - f[i, j] (H - 1, W, ...)."""
-    return np.diff(field, axis=1), np.diff(field, axis=0)
 
 
 def integrate_gradients(
@@ -34,33 +29,22 @@ def integrate_gradients(
     """
     if not region.any():
         return field
-    count, index = int(region.sum()), np.full(field.shape[:2], -1, np.int64)
-    index[region] = np.arange(count)
-    usable = region | known
-    diagonal, right = np.full(count, anchor), anchor * field[region].reshape(count, -1)
-    links = []
+    number, usable = np.arange(region.size).reshape(region.shape), region | known
+    values, pairs, steps = field.reshape(region.size, -1).astype(np.float64), [], []
     for axis, wanted in ((1, across), (0, down)):
-        # The first and the second texels of the pairs along the axis.
-        ends = [
-            tuple(side if a == axis else slice(None) for a in (0, 1))
-            for side in (slice(None, -1), slice(1, None))
-        ]
-        joined = usable[ends[0]] & usable[ends[1]]
-        for sign, (here, there) in ((-1, ends), (1, ends[::-1])):
-            chosen = joined & region[here]
-            row = index[here][chosen]
-            free = region[there][chosen].reshape(-1, *[1] * (field.ndim - 2))
-            pull = sign * wanted[chosen] + np.where(free, 0.0, field[there][chosen])
-            # A texel has one neighbour on each side, so no row comes twice.
-            diagonal[row] += 1
-            right[row] += pull.reshape(len(row), right.shape[1])
-        both = region[ends[0]] & region[ends[1]]
-        links.append((index[ends[0]][both], index[ends[1]][both]))
-    a, b = (np.concatenate(side) for side in zip(*links, strict=True))
-    rows = np.concatenate([b, a, np.arange(count)])
-    columns = np.concatenate([a, b, np.arange(count)])
-    entries = np.concatenate([-np.ones(2 * len(a)), diagonal])
-    system = csr_matrix((entries, (rows, columns)), shape=(count, count)).tocsc()
+        here, there = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
+        joined = usable[here] & usable[there] & (region[here] | region[there])
+        pairs.append(np.stack([number[here][joined], number[there][joined]]))
+        steps.append(wanted[joined].reshape(-1, values.shape[1]))
+    # One row a pair of neighbours: the step from the first one to the second.
+    columns = np.concatenate(pairs, axis=1)
+    each = np.arange(columns.shape[1])
+    signs = np.repeat([-1.0, 1.0], len(each))
+    step = csr_matrix((signs, (np.tile(each, 2), columns.ravel())), (len(each), region.size))
+    outside = np.where(region.reshape(-1, 1), 0.0, values)
+    inside, free = values[region.ravel()], step.tocsc()[:, region.ravel()]
+    right = free.T @ (np.concatenate(steps) - step @ outside) + anchor * inside
     result = field.copy()
-    result[region] = splu(system).solve(right).reshape(result[region].shape)
+    system = free.T @ free + anchor * identity(len(inside), format="csc")
+    result[region] = splu(system.tocsc()).solve(right).reshape(result[region].shape)
     return result

@@ -12,7 +12,6 @@ from scan2albedo.core.lights import PointLight
 from scan2albedo.synthetic import (
     Material,
     SyntheticScene,
-    TextureName,
     face,
     hemisphere,
     light_at,
@@ -22,7 +21,6 @@ from scan2albedo.synthetic import (
 PAPER_MSE_PERCENT = {"hemisphere": 1.07, "face": 2.01}
 """The paper's albedo MSE by scene."""
 CAPTURE_NOISE = 0.005
-TEXTURES: tuple[TextureName, ...] = ("wood", "skin")
 REFLECTANCES = {
     "lambert": Material(sigma_rad=0.0),
     "oren-nayar + phong": Material(sigma_rad=0.3, specular_strength=0.1, specular_exponent=20.0),
@@ -140,7 +138,7 @@ def validate_scenes(
     """
     rows = []
     for brdf, material in REFLECTANCES.items():
-        for texture in TEXTURES:
+        for texture in ("wood", "skin"):
             for angle in (0.0, 30.0, 60.0):
                 made: dict[str, Any] = {"lights": [light_at(angle)], "texture": texture, "material": material}
                 if scene == "face":

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized, vertex_normals
-from scan2albedo.geometry.pinhole import look_at, project
+from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io.color import encode_srgb_bytes
@@ -61,26 +61,6 @@ def portrait_frame(vertices: FloatArray) -> tuple[FloatArray, float, float]:
     """Return the middle (3,) of vertices (V, 3), half their greater width or height, and their depth."""
     low, high = vertices.min(0), vertices.max(0)
     return (low + high) / 2, 0.5 * float(np.max((high - low)[:2])), float((high - low)[2])
-
-
-def portrait_camera(
-    vertices: FloatArray, shape: tuple[int, int], azimuth_rad: float = 0.0, elevation_rad: float = 0.0
-) -> FloatArray:
-    """Return the (3, 4) camera of a portrait (H, W) that holds all vertices (V, 3), seen from a direction.
-
-    The angles go from +z toward +x, and toward +y. ValueError for an azimuth that is not finite, an elevation
-    beyond 89 degrees, or a shape below 2 pixels.
-    """
-    if not abs(elevation_rad) < np.deg2rad(89):
-        raise ValueError(f"elevation_rad is {elevation_rad}, expected between -89 and 89 degrees")
-    if not np.isfinite(azimuth_rad) or min(shape) < 2:
-        raise ValueError(f"azimuth_rad is {azimuth_rad}, shape {shape}, expected finite and 2 pixels or more")
-    middle, radius, depth = portrait_frame(vertices)
-    level = np.cos(elevation_rad)
-    toward = np.array([level * np.sin(azimuth_rad), np.sin(elevation_rad), level * np.cos(azimuth_rad)])
-    distance = max(DISTANCE_MM, 4 * radius)
-    focal = (min(shape) - 1) / (2 * PORTRAIT_MARGIN * radius) * (distance - depth / 2)
-    return look_at(middle + distance * toward, middle, focal_px=focal, shape=shape)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,68 +17,52 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 
 @dataclass(frozen=True)
 class SceneLight:
-    """K lamps and ambient light, each with a strength a channel.
+    """Lamps, the distant lights that stand for an environment map, light without direction, and soft light.
 
-    Unit `directions` (K, 3) point from the model's origin toward the lamps, `distances_mm` (K,) from there,
-    inf for distant lamps, and `radii_deg` (K,) are their angular radii. `intensity` (K, 3) is in the unit of
-    `PointLight.intensity`: the colour of a matte white surface at the origin that faces the lamp. `ambient`
-    (3,) is the colour that light without direction gives a white surface, and `soft` an environment of low
-    frequency.
+    A cell of the sphere over which the map's radiance L integrates to w gives a facing surface the irradiance
+    w. A matte white one then shines with w / pi, which is the lamp's intensity. Under L = 1 from everywhere a
+    matte surface that nothing hides shows its albedo, as under `ambient` light 1. `soft` is an environment of
+    low frequency.
     """
 
-    directions: FloatArray
-    distances_mm: FloatArray
-    radii_deg: FloatArray
-    intensity: FloatArray
-    ambient: FloatArray
+    lamps: Sequence[PointLight]
+    distant: DistantLights | None = None
+    ambient: float = 0.0
     soft: EnvironmentLight | None = None
-
-    @classmethod
-    def from_lamps(
-        cls,
-        lights: Sequence[PointLight],
-        distant: DistantLights | None = None,
-        *,
-        ambient: float = 0.0,
-        soft: EnvironmentLight | None = None,
-    ) -> Self:
-        """Return lamps and the distant lights that stand for an environment map.
-
-        A cell of the sphere over which the map's radiance L integrates to w gives a facing surface the
-        irradiance w. A matte white one then shines with w / pi, which is the lamp's intensity. Under L = 1
-        from everywhere a matte surface that nothing hides shows its albedo, as under ambient light 1.
-        """
-        directions = [light.direction for light in lights]
-        intensity = [light.intensity * np.array(light.color_linear) for light in lights]
-        if distant is not None:
-            directions += list(np.asarray(distant.directions))
-            intensity += list(np.asarray(distant.irradiance_linear) / np.pi)
-        toward, strength = (np.reshape(rows, (-1, 3)).astype(np.float64) for rows in (directions, intensity))
-        distances, radii = np.full(len(toward), math.inf), np.zeros(len(toward))
-        distances[: len(lights)] = [light.distance_mm for light in lights]
-        radii[: len(lights)] = [light.radius_deg for light in lights]
-        return cls(toward, distances, radii, strength, np.full(3, float(ambient)), soft)
 
     @property
     def casts(self) -> bool:
         """Whether any of it can be hidden by the surface."""
-        return len(self.intensity) > 0 or (self.soft is not None and self.soft.occluded)
+        return bool(self.lamps) or self.distant is not None or (self.soft is not None and self.soft.occluded)
 
 
 def each_lamp(
     shadows: ShadowMap, light: SceneLight, reflectance: Reflectance, view: ArrayLike
-) -> Iterator[tuple[int, FloatArray]]:
-    """Yield the number of each lamp that shines, and `lamp_factors` (2, N) on the points of `shadows`.
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Yield direction, colour (3,) and `lamp_factors` (2, N) on the points of `shadows` of each that shines.
 
-    `view`, (3,) or (N, 3), unit, points toward the viewer.
+    The colour is that of a matte white surface at the origin that faces the lamp. `view`, (3,) or (N, 3),
+    unit, points toward the viewer.
     """
     toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
-    for k in np.flatnonzero(light.intensity.any(1)):
-        direction, distance = light.directions[k], float(light.distances_mm[k])
-        # A lamp of some size is a disc of 96 points: fewer show as steps in a shadow's edge.
-        visible = shadows.reached(direction, distance, float(light.radii_deg[k]), 96)
-        surface = shadows.position, shadows.normal, visible
-        yield int(k), lamp_factors(*surface, direction, 1 / distance, toward_viewer, reflectance)
+    lamps = [
+        (x.direction, x.distance_mm, x.radius_deg, x.intensity * np.array(x.color_linear))
+        for x in light.lamps
+    ]
+    if light.distant is not None:
+        colors = np.asarray(light.distant.irradiance_linear) / np.pi
+        places = np.asarray(light.distant.directions)
+        lamps += [(toward, math.inf, 0.0, color) for toward, color in zip(places, colors, strict=True)]
+    for direction, distance, radius_deg, color in lamps:
+        if color.any():
+            # A lamp of some size is a disc of 96 points: fewer show as steps in a shadow's edge.
+            visible = shadows.reached(direction, distance, radius_deg, 96)
+            surface = shadows.position, shadows.normal, visible
+            yield (
+                direction,
+                color,
+                lamp_factors(*surface, direction, 1 / distance, toward_viewer, reflectance),
+            )
 
 
 def shade(
@@ -99,10 +82,10 @@ def shade(
     surface throws onto itself of all light.
     """
     diffuse, specular = np.zeros((2, len(shadows.normal), 3))
-    for k, (facing, mirrored) in each_lamp(shadows, light, reflectance, view):
-        diffuse += facing[:, None] * light.intensity[k]
+    for _, color, (facing, mirrored) in each_lamp(shadows, light, reflectance, view):
+        diffuse += facing[:, None] * color
         if reflectance.specular_strength > 0:
-            specular += mirrored[:, None] * light.intensity[k]
+            specular += mirrored[:, None] * color
     if light.soft is not None:
         diffuse = environment_light_on(light.soft, shadows, diffuse)
     scale = 1.0 if specular_scale is None else specular_scale[:, None]

@@ -9,6 +9,7 @@ from scipy.special import logsumexp
 
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arguments import described, require_type
+from scan2albedo.core.arrays import on_grid
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
@@ -21,9 +22,6 @@ from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import compose, invert_rigid, transform_directions, transform_points
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling.texture_lookup import MOVES, moved_colors, texel_steps, texture_on_chart
-
-SOFTENING = 1 / 50
-"""Standard deviation of the blur of annotated values, as a fraction of the image's size."""
 
 WRONG = 0.05
 """Part of the scans whose texture does not belong to them as it is: turned by an exporter, or another's."""
@@ -84,10 +82,9 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     facing = transform_directions(scan_from_model, normal[inside])
     steps = np.einsum("ij,njk->nik", scan_from_model[:3, :3], steps)
     texture = texture_on_chart(scan, inside, place, facing, steps, fitted.model_from_scan)
-    region = np.full(raster.face.shape, 255, np.uint8)
-    region[inside] = fitted.region[raster.face[inside]]
+    region = on_grid(inside, fitted.region[raster.face[inside]], 255)
     # Shininess changes gradually over skin; the annotation's steps would appear as outlines in the albedo.
-    sigma, shiny = SOFTENING * size, _annotation(fitted, region, "specular_scale")
+    sigma, shiny = size / 50, _annotation(fitted, region, "specular_scale")
     weight, blurred = (
         gaussian_filter(field, sigma, mode="mirror", radius=math.ceil(4 * sigma))
         for field in (inside.astype(np.float32), np.where(inside, shiny, np.float32(0)))
@@ -125,21 +122,11 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
 
 
 def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
-    """Sample any scanned surface on a grid over charts that xatlas cuts and packs.
+    """Return any scanned surface sampled on a grid over charts that xatlas cuts and packs.
 
-    Raises GeometryImageError when `size` is below 8, or no chart can be made (only zero-area faces).
-
-    Parameters
-    ----------
-    scan : RawScan
-        Any object; its own frame, mm.
-    size : int
-        Height and width in texels, at least 8.
-
-    Returns
-    -------
-    GeometryImage
-        In the scan's frame with its centroid moved to the origin; no regions.
+    The image has `size` x `size` texels, 8 or more, and no regions; its frame is that of `scan`, mm, with the
+    centroid moved to the origin. Raises GeometryImageError when `size` is below 8, or no chart can be made
+    (only zero-area faces).
     """
     import igl
     import xatlas

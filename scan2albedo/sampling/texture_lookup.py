@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry import mesh
@@ -66,20 +66,18 @@ def texture_on_chart(
     """
     if scan is None or not scan.has_color:
         return {}
-    linear, seen = np.zeros((*inside.shape, 3), np.float32), np.zeros(inside.shape, bool)
     found = sample_colors(scan, points, normals, steps)
-    linear[inside], seen[inside] = found.color_linear, found.seen
+    linear, seen = on_grid(inside, found.color_linear), on_grid(inside, found.seen)
     texture: dict[str, Any] = {"texture_linear": linear, "texture_valid": seen}
     if not found.pictured.all():
         if not found.seen.any():
             return {}
-        filled = np.zeros(inside.shape, bool)
-        filled[inside] = ~found.pictured
+        filled = on_grid(inside, ~found.pictured)
         linear[filled] = filled_smoothly(linear, seen)[filled]
         texture["filled"] = filled
     if (cameras := texture_cameras(scan)) is not None:
-        camera, number = np.full(inside.shape, NO_CAMERA, np.uint8), cameras[0][found.face]
-        camera[inside] = np.where(number < 0, NO_CAMERA, number)
+        number = cameras[0][found.face]
+        camera = on_grid(inside, np.where(number < 0, NO_CAMERA, number).astype(np.uint8), NO_CAMERA)
         texture |= {"camera": camera, "camera_positions": transform_points(image_from_scan, cameras[1])}
     return texture
 
@@ -272,8 +270,8 @@ def moved_colors(
     found = {}
     for name, (sign_u, sign_v, u, v) in MOVES.items():
         there = pixel * (sign_u, sign_v) + last * (u, v)
-        found[name] = np.zeros((*seen.shape, 3), np.float32)
-        found[name][seen] = mean_over_footprints(scan.texture_linear, there, square, FEWEST_TAPS)
+        means = mean_over_footprints(scan.texture_linear, there, square, FEWEST_TAPS)
+        found[name] = on_grid(seen, means)
     return found
 
 

@@ -1,7 +1,6 @@
 """Synthetic scenes with ground truth."""
 
-from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
-from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
+from scan2albedo.synthetic.glasses import GlassesBend, GlassesShape, SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.glossy_person import GlossyFace, population_reflectance
 from scan2albedo.synthetic.portraits import FacePhotograph, FlashCapture, face_photograph, flash_capture
 from scan2albedo.synthetic.raw_scan import Scanner, SyntheticTruth, raw_scan

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, variation
@@ -61,39 +61,28 @@ def expression_offsets(model: AnnotatedSurface, rng: np.random.Generator, *, lev
 class FaceSurface:
     """The limit surface of a person, mm in the model's frame.
 
-    `vertices` and `normals` (V, 3), `faces` (F, 3), chart coordinates `corner_uv` (F, 3, 2) of the faces'
-    corners, `region` (F,), `landmarks` (68, 3).
+    `vertices` and `normals` (V, 3), `faces` (F, 3), chart coordinates `uv` (V, 2), `region` (F,), `landmarks`
+    (68, 3).
     """
 
     vertices: FloatArray
     faces: IntArray
     normals: FloatArray
-    corner_uv: FloatArray
+    uv: FloatArray
     region: NDArray[np.uint8]
     landmarks: FloatArray
-
-    def vertex_uv(self) -> FloatArray:
-        """Return (V, 2) chart coordinates of the vertices."""
-        uv = np.zeros((len(self.vertices), 2))
-        uv[self.faces.ravel()] = self.corner_uv.reshape(-1, 2)
-        return uv
 
 
 def face_surface(model: AnnotatedSurface, control_points: FloatArray, *, levels: int = 3) -> FaceSurface:
     """Return the refined limit surface of deformed control points (C, 3)."""
     subdivision = model.subdivision(levels)
     vertices = subdivision.matrix @ control_points
-    # Chart coordinates (F, 3, 2) of corners by linear refinement, children ordered as in Loop's.
-    corners = model.uv[model.control_faces]
-    for _ in range(levels):
-        a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-        ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
-        children = ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))
-        corners = np.stack([np.stack(child, 1) for child in children], 1).reshape(-1, 3, 2)
     landmarks = model.landmarks_of(control_points)
     marks = np.zeros((0, 3)) if landmarks is None else landmarks
     faces, region = subdivision.faces, model.region[subdivision.parent]
-    return FaceSurface(vertices, faces, vertex_normals(vertices, faces), corners, region, marks)
+    return FaceSurface(
+        vertices, faces, vertex_normals(vertices, faces), model.refined_uv(levels), region, marks
+    )
 
 
 def with_relief(surface: FaceSurface, rng: np.random.Generator, *, height_mm: float = 0.08) -> FaceSurface:
@@ -101,18 +90,16 @@ def with_relief(surface: FaceSurface, rng: np.random.Generator, *, height_mm: fl
 
     Its standard deviation is `height_mm`; wrinkles are 5 mm wide, 40 across the chart.
     """
-    height = height_mm * smooth_noise(surface.vertex_uv(), (40, 40), rng)
+    height = height_mm * smooth_noise(surface.uv, (40, 40), rng)
     vertices = surface.vertices + height[:, None] * surface.normals
     return replace(surface, vertices=vertices, normals=vertex_normals(vertices, surface.faces))
 
 
 def face_geometry_image(model: AnnotatedSurface, surface: FaceSurface, size: int) -> GeometryImage:
     """Return the (size, size) geometry image of a surface, annotated, without texture."""
-    corner_index = np.arange(3 * len(surface.faces)).reshape(-1, 3)
-    raster = rasterize_uv(surface.corner_uv.reshape(-1, 2), corner_index, size)
+    raster = rasterize_uv(surface.uv, surface.faces, size)
     mask = raster.covered
-    region = np.full(mask.shape, 255, np.uint8)
-    region[mask] = surface.region[raster.face[mask]]
+    region = on_grid(mask, surface.region[raster.face[mask]], 255)
     return GeometryImage(
         interpolate(raster, surface.faces, surface.vertices),
         normalized(interpolate(raster, surface.faces, surface.normals)),

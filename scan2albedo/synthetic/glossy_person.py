@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.face_shape import FaceSurface, face_surface
@@ -71,10 +72,9 @@ class GlossyPerson:
             raise ValueError(f"levels is {levels}, expected 1, 2 or 3")
         sitter = sit_down(seed, expression="neutral", model=default_model())
         shown = np.flatnonzero(hair | (sitter.part != BodyPart.HAIR))
-        uv = sitter.face.vertex_uv()
-        weights = gloss_weights(sitter.face, sitter.model, uv, sitter.seed)
+        weights = gloss_weights(sitter.face, sitter.model, sitter.seed)
         scene = RayScene(sitter.vertices, sitter.faces[shown])
-        return cls(sitter, sitter.face_albedo(uv), weights, shown, scene)
+        return cls(sitter, sitter.face_albedo(sitter.face.uv), weights, shown, scene)
 
     def seen(self, camera: FloatArray, center: FloatArray, size: int) -> SeenSurface:
         """Return what a camera (3, 4) at `center` (3,) sees in a picture of `size` x `size` pixels."""
@@ -137,15 +137,13 @@ class GlossyPerson:
         return radiance
 
 
-def gloss_weights(face: FaceSurface, model: AnnotatedSurface, uv: FloatArray, seed: int) -> FloatArray:
+def gloss_weights(face: FaceSurface, model: AnnotatedSurface, seed: int) -> FloatArray:
     """Return (V, 3): the person's own means, patches of more and less shine, more on lips and nose."""
     rng = np.random.default_rng([seed, 20])
     mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)
-    patches = np.exp(0.25 * np.stack([smooth_noise(uv, (6, 6), rng) for _ in EXPONENTS], axis=1))
-    scale, touching = np.zeros(len(uv)), np.zeros(len(uv))
-    np.add.at(scale, face.faces.ravel(), np.repeat(model.region_values("specular_scale")[face.region], 3))
-    np.add.at(touching, face.faces.ravel(), 1.0)
-    return mean * patches * (scale / np.maximum(touching, 1))[:, None]
+    patches = np.exp(0.25 * np.stack([smooth_noise(face.uv, (6, 6), rng) for _ in EXPONENTS], axis=1))
+    scale = vertex_average(len(face.uv), face.faces, model.region_values("specular_scale")[face.region])
+    return mean * patches * scale[:, None]
 
 
 @dataclass(frozen=True)
@@ -214,7 +212,6 @@ def population_reflectance(person: int, levels: int = 1) -> GlossyFace:
     individual = Individual.drawn(np.random.default_rng([0, person, 11]))
     points = sculpted(template, np.random.default_rng([individual.shape_seed, 2]))
     face = face_surface(template, points, levels=levels)
-    uv = face.vertex_uv()
-    weights = gloss_weights(face, template, uv, individual.shape_seed)
-    albedo = individual.albedo(uv, template)
+    weights = gloss_weights(face, template, individual.shape_seed)
+    albedo = individual.albedo(face.uv, template)
     return GlossyFace(face.vertices, face.normals, face.faces, face.landmarks, albedo, weights)

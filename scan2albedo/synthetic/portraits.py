@@ -44,7 +44,8 @@ class FlashCapture(GlossyFace):
     @property
     def light_positions(self) -> FloatArray:
         """(L, 3) where the flashes stand."""
-        return _centers(self.head_rotations, self.head_translations)[: len(self.light_gain)]
+        count = len(self.light_gain)
+        return -np.einsum("cji,cj->ci", self.head_rotations[:count], self.head_translations[:count])
 
     @property
     def cameras(self) -> FloatArray:
@@ -54,10 +55,6 @@ class FlashCapture(GlossyFace):
 
     def __len__(self) -> int:
         return len(self.flash)
-
-
-def _centers(rotations: FloatArray, translations: FloatArray) -> FloatArray:
-    return -np.einsum("cji,cj->ci", rotations, translations)
 
 
 def flash_capture(
@@ -105,16 +102,14 @@ def flash_capture(
     places += [(-20.0, 25.0), (20.0, 25.0)][: max(flashes - views, 0)]
     focal, middle = portrait.focal_px, (portrait.picture_size - 1) / 2
     intrinsics = np.array([[focal, 0, middle], [0, focal, middle], [0, 0, 1.0]])
-    poses = np.linalg.solve(intrinsics, np.stack([portrait.camera(*place) for place in places]))
-    rotations, translations = poses[:, :, :3], poses[:, :, 3]
-    centers = _centers(rotations, translations)
+    cameras = np.stack([portrait.camera(*place) for place in places])
+    poses, centers = np.linalg.solve(intrinsics, cameras), camera_centers(cameras)
     rng = np.random.default_rng([seed, 21])
     gain = np.maximum(1 + gain_deviation * rng.standard_normal(flashes), _LEAST_GAIN)
     gain /= gain.mean()
     lit, rooms, skin, brightest = [], [], [], []
     for c in range(views):
-        camera = intrinsics @ np.column_stack([rotations[c], translations[c]])
-        seen = person.seen(camera, centers[c], portrait.picture_size)
+        seen = person.seen(cameras[c], centers[c], portrait.picture_size)
         # The room: three lamps 3 m away and light from everywhere, half each.
         places_of_lamps = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
         lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3 for lamp in places_of_lamps]
@@ -135,8 +130,8 @@ def flash_capture(
         skin=np.stack(skin)[view],
         view=view,
         light=np.tile(np.arange(flashes), views),
-        head_rotations=rotations,
-        head_translations=translations,
+        head_rotations=poses[:, :, :3],
+        head_translations=poses[:, :, 3],
         intrinsics=intrinsics,
         exposure=exposure,
         light_gain=gain,

@@ -7,13 +7,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import PointLight
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface, default_model
-from scan2albedo.geometry import rigid
+from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
+from scan2albedo.geometry.operators import vertex_average
+from scan2albedo.geometry.parametrization import signed_areas
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.renderer import Material, RayScene, auto_exposure, photograph, render, toward
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
@@ -68,24 +70,18 @@ class Pod:
     half_angle_rad: float
 
     @property
-    def axes(self) -> FloatArray:
-        """(3, 3) rows: to the right of the picture, up, and forward."""
-        forward = normalized(self.target_mm - self.position_mm)
-        right = normalized(np.cross(forward, [0.0, 1.0, 0.0]))
-        return np.stack([right, np.cross(right, forward), forward])
+    def camera(self) -> FloatArray:
+        """(3, 4), whose picture reaches from -1 to 1, its rows downward."""
+        focal = 1 / np.tan(self.half_angle_rad)
+        return pinhole.look_at(self.position_mm, self.target_mm, focal_px=focal, shape=(1, 1))
 
     def directions(self, plane: ArrayLike) -> FloatArray:
         """Return (N, 3) unit rays through picture-plane points (N, 2) in [-1, 1], +x right, +y up."""
-        xy = np.asarray(plane, float) * np.tan(self.half_angle_rad)
-        right, up, forward = self.axes
-        rays = xy[:, :1] * right + xy[:, 1:] * up + forward
-        rays /= np.sqrt(1 + np.einsum("ij,ij->i", xy, xy))[:, None]
-        return rays
+        return pinhole.pixel_directions(self.camera, np.asarray(plane) * [1, -1])
 
-    def project(self, points: ArrayLike) -> FloatArray:
+    def project(self, points: FloatArray) -> FloatArray:
         """Return (N, 2) picture-plane coordinates in [-1, 1] of points (N, 3) in front of the pod."""
-        seen = (np.asarray(points, float) - self.position_mm) @ self.axes.T
-        return seen[:, :2] / seen[:, 2:] / np.tan(self.half_angle_rad)
+        return pinhole.project(self.camera, points)[0] * [1, -1]
 
 
 def two_pods(center: FloatArray, *, reach_mm: float) -> tuple[Pod, Pod]:
@@ -149,11 +145,11 @@ def capture(
     # Counter-clockwise triangles of the plane without long edges.
     plane = unrolled[seen]
     triangles = Delaunay(plane).simplices.astype(np.int64)
-    a, b, c = (plane[triangles[:, k]] for k in range(3))
-    clockwise = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0
+    clockwise = signed_areas(plane, triangles) < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]
-    edges = np.stack([b - a, c - b, a - c], 1)
-    triangles = triangles[np.linalg.norm(edges, axis=2).max(1) < 2.5 * spacing_mm]
+    corners = plane[triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    triangles = triangles[longest < 2.5 * spacing_mm]
     normals = face_normals(points, triangles)
     leaning = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
     # The cosine between each triangle's normal and each pod, -1 where the pod cannot see it.
@@ -169,11 +165,9 @@ def capture(
     numbered, facing = renumbered.reshape(-1, 3).astype(np.int64), facing[kept]
     # The pod that sees a face best, averaged twelve times around, so that the seam is one line.
     lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(len(pods))], 1)
-    count = np.bincount(numbered.ravel(), minlength=numbered.max() + 1)
     for k in range(len(pods)):
         for _ in range(12):
-            around = np.bincount(numbered.ravel(), np.repeat(lead[:, k], 3), minlength=len(count)) / count
-            lead[:, k] = around[numbered].mean(1)
+            lead[:, k] = vertex_average(len(used), numbered, lead[:, k])[numbered].mean(1)
     best = lead.argmax(1)
     unseen = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
     return RangeMesh(points[used], numbered, np.where(unseen, facing.argmax(1), best))
@@ -339,8 +333,8 @@ def scan_of(
     )
     scan = assembled(measured, pods, texture, scan_from_model, scanner, rng, name)
     image = face_geometry_image(sitter.model, sitter.face, scanner.size)
-    albedo = np.zeros((*image.shape, 3), np.float32)
-    albedo[image.mask] = sitter.face_albedo(texel_coordinates(scanner.size)[image.mask.ravel()])
+    skin = sitter.face_albedo(texel_coordinates(scanner.size)[image.mask.ravel()])
+    albedo = on_grid(image.mask, skin.astype(np.float32))
     model_from_scan, landmarks = rigid.invert_rigid(scan_from_model), sitter.face.landmarks
     truth = SyntheticTruth(
         model_from_scan, image, albedo, landmarks, sitter.control_points, flashes, material, exposure

@@ -206,9 +206,7 @@ def photograph(
 
 def toward(azimuth_deg: float, elevation_deg: float) -> FloatArray:
     """Return the unit vector (3,) from the head: azimuth from +z toward +x, elevation toward +y."""
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
-    across = math.cos(elevation)
-    return np.array([math.sin(azimuth) * across, math.sin(elevation), math.cos(azimuth) * across])
+    return PointLight(math.radians(azimuth_deg), math.radians(elevation_deg)).direction
 
 
 @dataclass(frozen=True, kw_only=True)

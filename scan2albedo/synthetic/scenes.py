@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import PointLight
 from scan2albedo.face_model import AnnotatedSurface, default_model
@@ -99,17 +99,15 @@ def hemisphere(
     uv = texel_coordinates(size)
     disc = 2 * uv - 1
     radius = np.linalg.norm(disc, axis=1)
-    mask = radius < 1
+    inside = radius < 1
     # Equal area: rho = 2 R sin(theta / 2), scaled so that theta = 90 degrees lies on the rim.
     z = 1 - radius**2
     normal = np.column_stack([disc * np.sqrt(np.maximum(0, 2 - radius**2))[:, None], z])
-    normal[~mask] = 0
+    normal[~inside] = 0
     normal = normal.reshape(size, size, 3)
-    image = GeometryImage(80 * normal, normal, mask.reshape(size, size))
-    albedo = np.zeros((size * size, 3))
-    albedo[mask] = painter(texture)(uv[mask], np.random.default_rng(seed), grain=grain)
-    shaped = albedo.reshape(size, size, 3)
-    return _photographed(image, shaped, lights, material, texture, exposure, noise, bits, seed)
+    image = GeometryImage(80 * normal, normal, inside.reshape(size, size))
+    albedo = painter(texture)(uv[inside], np.random.default_rng(seed), grain=grain)
+    return _photographed(image, albedo, lights, material, texture, exposure, noise, bits, seed)
 
 
 def face(
@@ -148,12 +146,10 @@ def face(
     image = face_geometry_image(template, face_surface(template, control_points), size)
     uv = texel_coordinates(size)[image.mask.ravel()]
     rng = np.random.default_rng(seed)
-    albedo = np.zeros((size, size, 3))
-    albedo[image.mask] = (
-        paint_face(uv, template, rng, grain=grain)
-        if texture == "skin"
-        else painter(texture)(uv, rng, grain=grain)
-    )
+    if texture == "skin":
+        albedo = paint_face(uv, template, rng, grain=grain)
+    else:
+        albedo = painter(texture)(uv, rng, grain=grain)
     return _photographed(image, albedo, lights, material, texture, exposure, noise, bits, seed)
 
 
@@ -195,23 +191,22 @@ def _photographed(
     bits: int | None,
     seed: int,
 ) -> SyntheticScene:
+    """Photograph a surface whose N texels have an albedo (N, 3)."""
     lights = (light_at(45),) if lights is None else tuple(lights)
     material = material or Material()
-    mask, shape = image.mask, image.shape
+    mask = image.mask
     scale = np.ones(int(mask.sum())) if image.specular_scale is None else image.specular_scale[mask]
-    surface = image.position[mask], image.normal[mask], albedo_linear[mask]
+    surface = image.position[mask], image.normal[mask], albedo_linear
     occluder = RayScene(*image.occluder_mesh())
     rendered = render(*surface, lights, material=material, occluder=occluder, specular_scale=scale)
     gain = exposure * auto_exposure(rendered.radiance_linear)
     rng = np.random.default_rng([seed, 1])
     picture = photograph(rendered.radiance_linear, exposure=gain, noise=noise, bits=bits, rng=rng)
-
-    def grid(values: NDArray) -> NDArray:
-        full = np.zeros((*shape, *values.shape[1:]), values.dtype)
-        full[mask] = values
-        return full
-
-    lit = replace(image, texture_linear=grid(picture))
-    albedo = np.where(mask[..., None], albedo_linear, 0).astype(np.float32)
-    light = grid(~rendered.visible), grid(rendered.shading), grid(rendered.specular)
+    lit = replace(image, texture_linear=on_grid(mask, picture))
+    albedo = on_grid(mask, albedo_linear.astype(np.float32))
+    light = (
+        on_grid(mask, ~rendered.visible),
+        on_grid(mask, rendered.shading),
+        on_grid(mask, rendered.specular),
+    )
     return SyntheticScene(lit, albedo, lights, *light, gain, material, texture)

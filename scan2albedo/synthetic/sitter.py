@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
@@ -128,7 +129,7 @@ def sit_down(
         return paint_face(uv, model, np.random.default_rng(seed), tone=skin_tone)
 
     part = np.repeat(np.arange(4), [len(f) for _, f in parts])
-    corner_uv = np.concatenate([face.corner_uv, head_uv[head_faces], hair_uv, flat[clothes[1]]])
+    corner_uv = np.concatenate([face.uv[face.faces], head_uv[head_faces], hair_uv, flat[clothes[1]]])
     return Sitter(
         *(model, control_points, face, vertices, faces, normals, part, corner_uv),
         tone=skin_tone,
@@ -273,13 +274,7 @@ def head_around(
     base = np.stack([x, np.full(len(rim), tip[1] - 190.0), z], 1)
     leave = outward * 110 + np.array([0.0, 0.0, -60.0])
     arrive = np.array([0.0, -170.0, 0.0]) + 110 * sideways[:, None] * np.array([1.0, 0.0, 0.0])
-    s = share
-    neck = (
-        (2 * s**3 - 3 * s**2 + 1) * rim
-        + (s**3 - 2 * s**2 + s) * leave
-        + (3 * s**2 - 2 * s**3) * base
-        + (s**3 - s**2) * arrive
-    )
+    neck = CubicHermiteSpline([0, 1], [rim, base], [leave, arrive])(share[:, 0, 0])
     # The angle is 0 at the crown and pi at the chin.
     angle = np.abs(np.arctan2(rim[:, 0], rim[:, 1] - (rim[:, 1].max() + rim[:, 1].min()) / 2))
     chin = smoothstep((angle - np.deg2rad(95)) / np.deg2rad(40))[None, :, None]

@@ -189,11 +189,8 @@ def _near(uv: FloatArray, points: FloatArray, margin: float) -> BoolArray:
 
 
 def _distance(uv: FloatArray, line: FloatArray) -> FloatArray:
-    """Return (N,) distance to a polyline's points (K, 2), inf beyond 0.04 of its bounding box."""
-    distance = np.full(len(uv), np.inf)
-    near = _near(uv, line, 0.04)
-    distance[near] = cKDTree(line).query(uv[near])[0]
-    return distance
+    """Return (N,) distance to a polyline's points (K, 2), inf from 0.04 on."""
+    return np.asarray(cKDTree(line).query(uv, distance_upper_bound=0.04)[0])
 
 
 def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:

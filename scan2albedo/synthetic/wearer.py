@@ -9,8 +9,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import default_model
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.synthetic.glasses import SyntheticEyeglasses, eyeglasses
-from scan2albedo.synthetic.glasses_shape import GlassesBend, GlassesShape
+from scan2albedo.synthetic.glasses import GlassesBend, GlassesShape, SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.renderer import RayScene, toward
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, compact, join, sit_down
 

@@ -97,7 +97,7 @@ def test_no_halves_are_compared_where_one_is_not_seen_or_the_model_is_lopsided(m
     half = asymmetry(replace(fitted, residual_mm=np.where(right, np.nan, fitted.residual_mm)))
     assert half is None or half[0] == 0
     skewed = model.control_vertices + np.outer(model.control_vertices[:, 1], [0.02, 0, 0])
-    lopsided = replace(model, control_vertices=skewed, _subdivisions={}, _refined_uv={})
+    lopsided = replace(model, control_vertices=skewed, _subdivisions={})
     assert asymmetry(replace(fitted, model=lopsided)) is None
     bare = replace(model, landmark_points=None)
     assert missing_parts(replace(fitted, model=bare)) == ()

@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from scan2albedo.optimization.poisson import forward_differences, integrate_gradients
+from scan2albedo.optimization.poisson import integrate_gradients
 
 SIZE = 128
+
+
+def forward_differences(field):
+    """f[i, j + 1] - f[i, j] (H, W - 1, ...) and f[i + 1, j] - f[i, j] (H - 1, W, ...)."""
+    return np.diff(field, axis=1), np.diff(field, axis=0)
 
 
 @pytest.fixture

@@ -34,7 +34,6 @@ def flat(model):
         model,
         control_vertices=flattened(model.control_vertices, model),
         _subdivisions={},
-        _refined_uv={},
         name="flat",
     )
 

@@ -233,8 +233,7 @@ class Part:
 def face_part(person: Person, sitter: Sitter, size: int) -> Part:
     """Return the face with albedo and gloss on `size` x `size` texels of its chart."""
     face = sitter.face
-    chart, grid = np.zeros((len(face.vertices), 2)), texel_coordinates(size)
-    chart[face.faces.ravel()] = face.corner_uv.reshape(-1, 2)
+    grid = texel_coordinates(size)
     albedo = painted(person, sitter, grid)
     gloss = gloss_map(grid, landmark_uv(sitter.model), np.random.default_rng([person.seed, 32]))
     return Part(
@@ -242,7 +241,7 @@ def face_part(person: Person, sitter: Sitter, size: int) -> Part:
         face.vertices,
         sitter.normals[: len(face.vertices)],
         face.faces,
-        chart * [1, -1] + [0, 1],
+        face.uv * [1, -1] + [0, 1],
         albedo.reshape(size, size, 3).astype(np.float32),
         gloss.reshape(size, size).astype(np.float32),
         person.gloss,

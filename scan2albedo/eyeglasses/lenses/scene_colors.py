@@ -115,7 +115,7 @@ class LitScene:
         environment: FloatArray | None,
     ) -> None:
         self._scene, self._environment = scene, environment
-        self._light = SceneLight.from_lamps((), lights)
+        self._light = SceneLight((), lights)
         self._dimming = [lens for lens in lenses if not lens.material.clear]
 
     def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
@@ -162,8 +162,7 @@ class LitScene:
             reach = 1 + float(np.linalg.norm(lens.vertices - center, axis=1).max())
             way = center - position
             near.append((lens, lens.caster.to_local(position), way, (way**2).sum(1) - reach**2, reach))
-        for k, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
-            toward = self._light.directions[k]
+        for toward, intensity, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
             passed.fill(1.0)
             for lens, local, way, outside, reach in near:
                 along = way @ toward
@@ -171,7 +170,7 @@ class LitScene:
                 shaded = lens.caster.occluded(local[ray], toward, local=True)
                 passed[ray[shaded]] *= lens.material.transmission
             radiance = albedo * facing[:, None] + strength * mirrored[:, None]
-            radiance *= self._light.intensity[k]
+            radiance *= intensity
             lit += radiance, radiance * passed
         return lit
 

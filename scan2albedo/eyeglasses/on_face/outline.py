@@ -1,6 +1,5 @@
 """Outlines of a frame in the pictures: the surface points that make them, and how far masks are from them."""
 
-
 import warnings
 from dataclasses import dataclass
 from typing import Any, Self
