@@ -5,7 +5,7 @@ from functools import cache
 from typing import Literal
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss, legvander
+from numpy.polynomial.legendre import Legendre, leggauss, legvander
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
@@ -28,13 +28,8 @@ HARMONICS = len(_DEGREES)
 
 def lambert_coefficients(order: int = ORDER) -> FloatArray:
     """Return (order + 1,) A_l / pi = 2 int_0^1 t P_l(t) dt (Ramamoorthi and Hanrahan, JOSA A 2001)."""
-    response = np.zeros(order + 1)
-    response[:2] = [1.0, 2 / 3][: order + 1]
-    value = 1 / 4
-    for degree in range(2, order + 1, 2):
-        response[degree] = value
-        value *= -(degree - 1) / (degree + 4)
-    return response
+    terms = (Legendre.basis(degree) * Legendre.basis(1) for degree in range(order + 1))
+    return np.array([2 * term.integ(lbnd=0)(1.0) for term in terms])
 
 
 def lobe_coefficients(exponent: float, order: int = ORDER) -> FloatArray:

@@ -21,7 +21,7 @@ from scan2albedo.reflectance.environment_shading import shade_environment, shadi
 from scan2albedo.reflectance.image_fit import photometric_penalty
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
-from scan2albedo.reflectance.vertex_visibility import VertexVisibility
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility, pixels_around
 
 LANDMARK_WEIGHT = 0.2
 """Of the mean squared distance of landmarks, in mm at the face's depth."""
@@ -63,12 +63,8 @@ class SmoothImage:
 
     def covers(self, pixels: FloatArray) -> BoolArray:
         """Return (N,) whether all four pixels around each of (N, 2) are valid; NaN is outside."""
-        last = np.array(self.valid.shape)[::-1] - 1
-        inside = np.asarray(((pixels >= 0) & (pixels <= last)).all(1))
-        left, top = np.minimum(np.where(inside[:, None], pixels, 0.0), last - 1).astype(np.int64).T
-        around = self.valid[top, left] & self.valid[top + 1, left]
-        around &= self.valid[top, left + 1] & self.valid[top + 1, left + 1]
-        return np.asarray(inside & around, np.bool_)
+        around, share = pixels_around(self.valid.shape, pixels)
+        return np.asarray(share.any(0) & self.valid[around].all(0))
 
     def look_up(self, pixels: FloatArray) -> FloatArray:
         """Return colours (N, 3) at pixels (N, 2); beyond the border the border's."""

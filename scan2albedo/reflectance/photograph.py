@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -16,12 +16,17 @@ from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance import environment_shading as shading
-from scan2albedo.reflectance import vertex_visibility
 from scan2albedo.reflectance.environment_shading import LightResponse, light_response, unit_vectors
 from scan2albedo.reflectance.olat import OlatOptions, linear_values, picture_values
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS
 from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
-from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM, checked_mesh, checked_normals
+from scan2albedo.reflectance.vertex_visibility import (
+    RAY_OFFSET_MM,
+    VertexVisibility,
+    checked_mesh,
+    checked_normals,
+    pixels_around,
+)
 
 
 def light_transfer(
@@ -221,7 +226,7 @@ def observe_photograph(
         raise ValueError(f"mask is {skin.dtype} {skin.shape}, expected bool {finite.shape} as the image")
     linear = linear_values(values, gamma).astype(np.float32)
     toward = normalized(camera_centers(matrix[None])[0] - xyz)
-    seen = vertex_visibility.VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
+    seen = VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
     pixels, _ = project(matrix, xyz)
     steps = {
         "inside the picture": np.ones_like(skin),
@@ -229,25 +234,14 @@ def observe_photograph(
         "with finite colours": skin & finite,
         "not saturated": skin & finite & ~np.asarray((values >= saturation).any(-1)),
     }
-    color, found = _samples(linear, steps["not saturated"], pixels, seen)
+    around, share = pixels_around(skin.shape, pixels)
+    counted = {name: seen & share.any(0) & valid[around].all(0) for name, valid in steps.items()}
+    found = counted["not saturated"]
     if not found.any():
-        counts = {name: _samples(linear, valid, pixels, seen)[1].sum() for name, valid in steps.items()}
-        left = ", ".join(f"{count} {name}" for name, count in counts.items())
+        left = ", ".join(f"{some.sum()} {name}" for name, some in counted.items())
         raise ReflectanceError(
             f"no vertex of {len(seen)} can be used: {seen.sum()} are seen by the camera, {left}; check "
             "camera, mask and exposure in this order"
         )
-    observed = np.where(found[:, None], color, np.nan)
+    observed = np.where(found[:, None], (share[..., None] * linear[around]).sum(0), np.nan)
     return ImageObservation(observed, normal, toward, found, light_transfer(xyz, index, normal, toward))
-
-
-def _samples(
-    linear: NDArray[np.float32], valid: BoolArray, pixels: FloatArray, seen: BoolArray
-) -> tuple[FloatArray, BoolArray]:
-    """Return colours (V, 3) at pixels (V, 2) and which vertices (V,) have four valid pixels around them."""
-    shape = (len(pixels), 3)
-    value, variance, found = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
-    channels = np.ascontiguousarray(np.broadcast_to(valid[..., None], linear.shape))
-    noiseless = np.zeros_like(linear)
-    vertex_visibility.bilinear_samples(linear, noiseless, channels, pixels, seen, 0.0, value, variance, found)
-    return value, np.asarray(found.all(1))

@@ -74,26 +74,30 @@ def lobe_slopes(
     given = vertices, normals, camera_positions, light_positions
     arrays = [np.ascontiguousarray(values, np.float64) for values in given]
     slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
-    _fill_slopes(*arrays, slopes)
+    _fill_slopes(*arrays, *_tangents(arrays[1]), slopes)
     return slopes
 
 
 def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
     """Return unit normals (V, 3) tilted by `tilt` (V, 2) along the tangents of `lobe_slopes`; NaN is 0."""
     unit = np.asarray(normals, np.float64)
-    x, y, z = unit.T
+    angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
+    first, second = _tangents(unit)
+    return normalized(unit + (angle[:, 0] * first + angle[:, 1] * second) * unit.any(1, keepdims=True))
+
+
+def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return two tangents (V, 3) of each normal, as Duff et al. (JCGT 6(1), 2017)."""
+    x, y, z = normals.T
     sign = np.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     first = np.stack([1 + sign * x * x * a, sign * x * y * a, -sign * x], 1)
-    second = np.stack([x * y * a, sign + y * y * a, -y], 1)
-    angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
-    turned = unit + (angle[:, 0] * first + angle[:, 1] * second) * (unit != 0).any(1, keepdims=True)
-    return normalized(turned)
+    return first, np.stack([x * y * a, sign + y * y * a, -y], 1)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: ignore[no-untyped-def]
-    """Fill lobes (J, V, 4); the exponents 1, 8, 64 are products, since powers cost ten times as much."""
+    """Fill lobes (J, V, 4); 8 twice is 64: constant whole exponents cost a tenth of other powers."""
     for j in range(len(cameras)):
         for i in range(len(vertices)):
             n_l = n_v = light_square = view_square = cross = 0.0
@@ -114,46 +118,39 @@ def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: 
             lobes[j, i, 0] = falloff * n_l / np.pi
             n_h = min((n_l + n_v) / np.sqrt(half), 1.0) if half > 1e-12 else 0.0
             if n_h > 0.0:
-                power = n_h * n_h
-                power = power * power
-                power8 = power * power
-                power = power8 * power8
-                power = power * power
-                power64 = power * power
+                power8 = n_h**8
                 lobes[j, i, 1] = falloff * 3.0 / (8.0 * np.pi) * n_h
                 lobes[j, i, 2] = falloff * 10.0 / (8.0 * np.pi) * power8
-                lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power64
+                lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power8**8
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_slopes(vertices, normals, cameras, lights, slopes):  # type: ignore[no-untyped-def]
-    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2, with tangents as Duff et al. (JCGT 6(1), 2017)."""
+def _fill_slopes(vertices, normals, cameras, lights, first, second, slopes):  # type: ignore[no-untyped-def]
+    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2."""
     for j in range(len(cameras)):
         for i in range(len(vertices)):
             slopes[j, i, :] = 0.0
-            x, y, z = normals[i, 0], normals[i, 1], normals[i, 2]
-            l0 = lights[j, 0] - vertices[i, 0]
-            l1 = lights[j, 1] - vertices[i, 1]
-            l2 = lights[j, 2] - vertices[i, 2]
-            along = x * l0 + y * l1 + z * l2
-            if along <= 0.0:
+            n_l = n_h = light_square = view_square = 0.0
+            for k in range(3):
+                light, view = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
+                n_l += normals[i, k] * light
+                light_square += light * light
+                view_square += view * view
+            if n_l <= 0.0:
                 continue
-            sign = 1.0 if z >= 0.0 else -1.0
-            a = -1.0 / (sign + z)
-            b = x * y * a
-            e0, e1, e2 = 1.0 + sign * x * x * a, sign * b, -sign * x
-            f0, f1, f2 = b, sign + y * y * a, -y
-            slopes[j, i, 0] = (e0 * l0 + e1 * l1 + e2 * l2) / along
-            slopes[j, i, 1] = (f0 * l0 + f1 * l1 + f2 * l2) / along
-            v0 = cameras[j, 0] - vertices[i, 0]
-            v1 = cameras[j, 1] - vertices[i, 1]
-            v2 = cameras[j, 2] - vertices[i, 2]
-            ratio = np.sqrt((l0 * l0 + l1 * l1 + l2 * l2) / max(v0 * v0 + v1 * v1 + v2 * v2, 1e-300))
-            h0, h1, h2 = l0 + ratio * v0, l1 + ratio * v1, l2 + ratio * v2
-            along = x * h0 + y * h1 + z * h2
-            if along > 0.0:
-                slopes[j, i, 2] = (e0 * h0 + e1 * h1 + e2 * h2) / along
-                slopes[j, i, 3] = (f0 * h0 + f1 * h1 + f2 * h2) / along
+            ratio = np.sqrt(light_square / max(view_square, 1e-300))
+            p0 = p1 = q0 = q1 = 0.0
+            for k in range(3):
+                light = lights[j, k] - vertices[i, k]
+                half = light + ratio * (cameras[j, k] - vertices[i, k])
+                n_h += normals[i, k] * half
+                p0 += first[i, k] * light
+                p1 += second[i, k] * light
+                q0 += first[i, k] * half
+                q1 += second[i, k] * half
+            slopes[j, i, 0], slopes[j, i, 1] = p0 / n_l, p1 / n_l
+            if n_h > 0.0:
+                slopes[j, i, 2], slopes[j, i, 3] = q0 / n_h, q1 / n_h
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -166,15 +163,11 @@ def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-de
             length = 1.0 / np.sqrt(1.0 + t0 * t0 + t1 * t1)
             near = max(1.0 + t0 * slopes[j, v, 0] + t1 * slopes[j, v, 1], 0.0) * length
             half = max(1.0 + t0 * slopes[j, v, 2] + t1 * slopes[j, v, 3], 0.0) * length
-            power = half * half
-            power *= power
-            power8 = power * power
-            power = power8 * power8
-            power *= power
+            power8 = half**8
             turned[j, v, 0] = lobes[j, v, 0] * near
             turned[j, v, 1] = lobes[j, v, 1] * half
             turned[j, v, 2] = lobes[j, v, 2] * power8
-            turned[j, v, 3] = lobes[j, v, 3] * power * power
+            turned[j, v, 3] = lobes[j, v, 3] * power8**8
 
 
 def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> FloatArray:

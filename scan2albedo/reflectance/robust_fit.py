@@ -119,10 +119,7 @@ class RobustFit:
         observations = max(int((data.precision[:, rows] > 0).sum()), 1)
 
         def solve(block: slice) -> None:
-            part = rows[block]
-            found = np.empty((len(part), 6))
-            kernels.solve_bounded(self._equations(part), data.mean, data.prior, found)
-            self.estimate[part] = found
+            self._solve(rows[block])
 
         each_block(solve, blocks(size, BLOCK))
         self._reweigh(rows)
@@ -158,11 +155,10 @@ class RobustFit:
 
         def work(block: slice) -> None:
             part = rows[block]
-            normal, (found, center) = self._equations(part), np.empty((2, len(part), 6))
-            kernels.solve_bounded(normal, data.mean, data.prior, found)
-            kernels.solve_free(normal, data.mean, data.prior, center, deviation[block])
-            self.estimate[part] = found
-            if self.tilting:
+            normal = self._solve(part)
+            if not self.tilting:
+                kernels.solve_free(normal, data.mean, data.prior, np.empty((len(part), 6)), deviation[block])
+            else:
                 tilts, unused = self._tilt_equations(part), np.empty(len(part))
                 kernels.deviations_with_tilts(normal, *tilts, part, deviation[block], unused)
                 kernels.step_tilts(normal, *tilts, self.damping, part, self.estimate, self.tilt)
@@ -187,6 +183,13 @@ class RobustFit:
         data = self.data
         seen = data.observed, data.precision, self.lobes, data.bounce, self.weight
         kernels.add_normal_equations(*seen, part, normal)
+        return normal
+
+    def _solve(self, part: IntArray) -> FloatArray:
+        """Find the bounded estimates of `part` (N,), and return their equations (N, 3, 14)."""
+        normal, found = self._equations(part), np.empty((len(part), 6))
+        kernels.solve_bounded(normal, self.data.mean, self.data.prior, found)
+        self.estimate[part] = found
         return normal
 
     def _tilt_equations(self, part: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -4,8 +4,7 @@ For channel k with precisions p_jk = 1 / sigma_jk^2 and robust weights u_j,
 
     a_k = sum u p D^2,  d_k = sum u p D S,  G_k = sum u p S S^T,  b_k = sum u p D y,  g_k = sum u p S y
 
-over the pairs j. With a Gaussian prior N(m, diag(q)^-1) the diffuse albedos are c_k = (b_k - d_k.w) / a_k,
-and the rest is 3 x 3, M w = r with M = sum_k (G_k - d_k d_k^T / a_k) + diag(q_w): G_k alone where c_k is 0.
+over the pairs j. They and a Gaussian prior N(m, diag(q)^-1) make one 6 x 6 system of albedos and weights.
 
 Normals may be a little off: two tilts t beside the six unknowns. With unit tangents e_1, e_2 the true normal
 is (n + t_1 e_1 + t_2 e_2) / |.|, so that
@@ -60,159 +59,114 @@ def add_normal_equations(observed, precision, lobes, bounce, weight, rows, norma
                 row[13] += y * s2
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _factor(m00, m01, m02, m11, m12, m22, p0, p1, p2):  # type: ignore[no-untyped-def]
-    """Return L and D of M = L D L^T. M is no less than the prior, so no pivot is less than the prior's."""
-    d0 = max(m00, p0)
-    l1, l2 = m01 / d0, m02 / d0
-    d1 = max(m11 - l1 * m01, p1)
-    t = m12 - l2 * m01
-    l3 = t / d1
-    d2 = max(m22 - l2 * m02 - l3 * t, p2)
-    return l1, l2, l3, d0, d1, d2
-
-
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _backward(l1, l2, l3, d0, d1, d2, r0, r1, r2):  # type: ignore[no-untyped-def]
-    y1 = r1 - l1 * r0
-    y2 = r2 - l2 * r0 - l3 * y1
-    x2 = y2 / d2
-    x1 = y1 / d1 - l3 * x2
-    return r0 / d0 - l1 * x1 - l2 * x2, x1, x2
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def _reduce(normal, mean, prior, zero, m, r):  # type: ignore[no-untyped-def]
-    """Fill m (6,) and r (3,), albedos eliminated; those in the bit set `zero` are held at 0."""
-    m[:] = 0.0
-    m[0], m[3], m[5] = prior[3], prior[4], prior[5]
-    for n in range(3):
-        r[n] = prior[3 + n] * mean[3 + n]
+def _fill_matrix(normal, mean, prior, matrix, right):  # type: ignore[no-untyped-def]
+    """Fill the lower triangle of matrix, of 6 or more, and the right side for albedos and weights."""
+    matrix[:6, :6] = 0.0
+    for n in range(6):
+        matrix[n, n], right[n] = prior[n], prior[n] * mean[n]
     for k in range(3):
         row = normal[k]
-        for n in range(6):
-            m[n] += row[4 + n]
+        matrix[k, k] += row[0]
+        right[k] += row[10]
         for n in range(3):
-            r[n] += row[11 + n]
-        if zero >> k & 1:
-            continue
-        a, b = row[0] + prior[k], row[10] + prior[k] * mean[k]
-        d0, d1, d2 = row[1], row[2], row[3]
-        m[0] -= d0 * d0 / a
-        m[1] -= d0 * d1 / a
-        m[2] -= d0 * d2 / a
-        m[3] -= d1 * d1 / a
-        m[4] -= d1 * d2 / a
-        m[5] -= d2 * d2 / a
-        r[0] -= d0 * b / a
-        r[1] -= d1 * b / a
-        r[2] -= d2 * b / a
+            matrix[3 + n, k] = row[1 + n]
+            right[3 + n] += row[11 + n]
+        matrix[3, 3] += row[4]
+        matrix[4, 3] += row[5]
+        matrix[5, 3] += row[6]
+        matrix[4, 4] += row[7]
+        matrix[5, 4] += row[8]
+        matrix[5, 5] += row[9]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _with_fixed(m, r, prior, fixed):  # type: ignore[no-untyped-def]
-    """Return w with the weights in the bit set `fixed` held at 0."""
-    f0, f1, f2 = fixed & 1, fixed >> 1 & 1, fixed >> 2 & 1
-    l1, l2, l3, d0, d1, d2 = _factor(
-        1.0 if f0 else m[0],
-        0.0 if f0 or f1 else m[1],
-        0.0 if f0 or f2 else m[2],
-        1.0 if f1 else m[3],
-        0.0 if f1 or f2 else m[4],
-        1.0 if f2 else m[5],
-        0.0 if f0 else prior[3],
-        0.0 if f1 else prior[4],
-        0.0 if f2 else prior[5],
-    )
-    return _backward(l1, l2, l3, d0, d1, d2, 0.0 if f0 else r[0], 0.0 if f1 else r[1], 0.0 if f2 else r[2])
+def _factorize(matrix, held, least, factor):  # type: ignore[no-untyped-def]
+    """Fill the lower triangle of factor L, L L^T = matrix, unknowns that are `held` at 0 left out.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _albedos(normal, mean, prior, zero, w0, w1, w2, c):  # type: ignore[no-untyped-def]
-    """Fill c (3,) for the weights and return twice the objective's fall by them."""
-    fall = 0.0
-    for k in range(3):
-        row = normal[k]
-        c[k] = 0.0
-        if zero >> k & 1 == 0:
-            b = row[10] + prior[k] * mean[k]
-            c[k] = (b - row[1] * w0 - row[2] * w1 - row[3] * w2) / (row[0] + prior[k])
-            fall += b * c[k]
-    return fall
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _least(normal, mean, prior, black, m, r, c, best):  # type: ignore[no-untyped-def]
-    """Fill best (6,) with the least objective with weights >= 0, of eight sets of weights at 0.
-
-    Where `black`, albedos are bounded too, and all 64 sets of albedos and weights at 0 are tried; else they
-    may be negative: if none is, it is the least objective with all six >= 0.
+    A matrix is no less than its prior, so no pivot is less than the prior's: `least`.
     """
-    right = np.empty(3)
-    for n in range(3):
-        right[n] = prior[3 + n] * mean[3 + n]
-        for k in range(3):
-            right[n] += normal[k, 11 + n]
-    largest = -np.inf
-    for zero in range(8 if black else 1):
-        _reduce(normal, mean, prior, zero, m, r)
-        for fixed in range(8):
-            w0, w1, w2 = _with_fixed(m, r, prior, fixed)
-            if w0 < 0.0 or w1 < 0.0 or w2 < 0.0:
+    for n in range(len(matrix)):
+        for k in range(n + 1):
+            if held[n] or held[k]:
+                factor[n, k] = 1.0 if n == k else 0.0
                 continue
-            fall = _albedos(normal, mean, prior, zero, w0, w1, w2, c)
-            if black and (c[0] < 0.0 or c[1] < 0.0 or c[2] < 0.0):
-                continue
-            fall += right[0] * w0 + right[1] * w1 + right[2] * w2
-            if fall > largest:
-                largest = fall
-                best[:3] = c
-                best[3], best[4], best[5] = w0, w1, w2
-            if fixed == 0 and not black:
-                break  # the unbounded minimum obeys the bounds
+            total = matrix[n, k]
+            for q in range(k):
+                total -= factor[n, q] * factor[k, q]
+            factor[n, k] = np.sqrt(max(total, least[n])) if n == k else total / factor[k, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _solve(factor, held, right, solution):  # type: ignore[no-untyped-def]
+    """Fill the solution of L L^T x = right, 0 for what is `held` there."""
+    size = len(right)
+    for n in range(size):
+        total = 0.0 if held[n] else right[n]
+        for k in range(n):
+            total -= factor[n, k] * solution[k]
+        solution[n] = total / factor[n, n]
+    for n in range(size - 1, -1, -1):
+        for k in range(n + 1, size):
+            solution[n] -= factor[k, n] * solution[k]
+        solution[n] /= factor[n, n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_variances(factor, column, variance):  # type: ignore[no-untyped-def]
+    """Fill the diagonal of (L L^T)^-1: squares of the factor's inverse, each `column` of it in turn."""
+    for n in range(len(variance)):
+        variance[n] = 0.0
+        for k in range(n, len(variance)):
+            column[k] = 1.0 if k == n else 0.0
+            for q in range(n, k):
+                column[k] -= factor[k, q] * column[q]
+            column[k] /= factor[k, k]
+            variance[n] += column[k] * column[k]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def]
-    """Fill estimate (N, 6), the least objective with all six >= 0; return how often 64 sets were needed.
+    """Fill estimate (N, 6), the least objective with all six >= 0.
 
+    The first unknown that is below 0, or held at 0 where the objective falls, changes sides until none is,
+    which ends for every positive matrix (Murty, Mathematical Programming 7, 1974).
     `normal` is (N, 3, 14); `mean` and `prior` (6,) are the prior's means and precisions, > 0 for the weights.
     """
-    m, r, c, best = np.empty(6), np.empty(3), np.empty(3), np.empty(6)
-    black = 0
+    matrix, factor = np.empty((6, 6)), np.empty((6, 6))
+    right, found, held = np.empty(6), np.empty(6), np.empty(6, np.bool_)
     for i in range(len(normal)):
-        best[:] = np.nan  # what overflows stays visible
-        _least(normal[i], mean, prior, False, m, r, c, best)
-        if best[0] < 0.0 or best[1] < 0.0 or best[2] < 0.0:
-            _least(normal[i], mean, prior, True, m, r, c, best)
-            black += 1
-        estimate[i] = best
-    return black
+        _fill_matrix(normal[i], mean, prior, matrix, right)
+        held[:] = False
+        for _ in range(64):
+            _factorize(matrix, held, prior, factor)
+            _solve(factor, held, right, found)
+            wrong = -1
+            for n in range(6):
+                slope, rounding = right[n], abs(right[n])
+                if held[n]:
+                    for k in range(6):
+                        term = matrix[max(n, k), min(n, k)] * found[k]
+                        slope, rounding = slope - term, rounding + abs(term)
+                if (held[n] and slope > 4 * np.finfo(np.float64).eps * rounding) or found[n] < 0.0:
+                    wrong = n
+                    break
+            if wrong < 0:
+                break
+            held[wrong] = not held[wrong]
+        estimate[i] = np.maximum(found, 0.0)  # what overflows stays visible
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_free(normal, mean, prior, center, deviation):  # type: ignore[no-untyped-def]
     """Fill center and deviation (N, 6): mean and standard deviations of the posterior without bounds."""
-    m, r, c = np.empty(6), np.empty(3), np.empty(3)
-    inverse = np.empty((3, 3))
+    matrix, factor, right, held = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.zeros(6, np.bool_)
     for i in range(len(normal)):
-        _reduce(normal[i], mean, prior, 0, m, r)
-        l1, l2, l3, d0, d1, d2 = _factor(m[0], m[1], m[2], m[3], m[4], m[5], prior[3], prior[4], prior[5])
-        w0, w1, w2 = _backward(l1, l2, l3, d0, d1, d2, r[0], r[1], r[2])
-        for n in range(3):
-            e0, e1, e2 = 1.0 if n == 0 else 0.0, 1.0 if n == 1 else 0.0, 1.0 if n == 2 else 0.0
-            inverse[n, 0], inverse[n, 1], inverse[n, 2] = _backward(l1, l2, l3, d0, d1, d2, e0, e1, e2)
-        _albedos(normal[i], mean, prior, 0, w0, w1, w2, c)
-        center[i, :3] = c
-        center[i, 3], center[i, 4], center[i, 5] = w0, w1, w2
-        for k in range(3):
-            row, spread = normal[i, k], 0.0
-            for n in range(3):
-                for q in range(3):
-                    spread += row[1 + n] * inverse[n, q] * row[1 + q]
-            a = row[0] + prior[k]
-            deviation[i, k] = np.sqrt(1.0 / a + max(spread, 0.0) / (a * a))
-            deviation[i, 3 + k] = np.sqrt(max(inverse[k, k], 0.0))
+        _fill_matrix(normal[i], mean, prior, matrix, right)
+        _factorize(matrix, held, prior, factor)
+        _solve(factor, held, right, center[i])
+        _fill_variances(factor, right, deviation[i])
+        deviation[i] = np.sqrt(deviation[i])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -329,44 +283,14 @@ def add_tilt_equations(  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cholesky(m, count):  # type: ignore[no-untyped-def]
-    """Replace the lower triangle of m (count, count) by its factor; False where it is not positive."""
-    for n in range(count):
-        for k in range(n + 1):
-            total = m[n, k]
-            for q in range(k):
-                total -= m[n, q] * m[k, q]
-            if n == k:
-                if not total > 0.0:
-                    return False
-                m[n, n] = np.sqrt(total)
-            else:
-                m[n, k] = total / m[k, k]
-    return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_matrix(normal, equations, prior, tilt_prior, matrix):  # type: ignore[no-untyped-def]
-    """Fill the lower triangle of matrix (8, 8) for albedos, weights and tilts, with their priors."""
-    matrix[:] = 0.0
-    for k in range(3):
-        row = normal[k]
-        matrix[k, k] = row[0] + prior[k]
-        for n in range(3):
-            matrix[3 + n, k] = row[1 + n]
-        matrix[3, 3] += row[4]
-        matrix[4, 3] += row[5]
-        matrix[5, 3] += row[6]
-        matrix[4, 4] += row[7]
-        matrix[5, 4] += row[8]
-        matrix[5, 5] += row[9]
-    for n in range(3, 6):
-        matrix[n, n] += prior[n]
+def _fill_matrix_with_tilts(normal, equations, prior, tilt_prior, matrix, right, least):  # type: ignore[no-untyped-def]
+    """Fill the lower triangle of matrix (8, 8) for albedos, weights and tilts, and its least pivots (8,)."""
+    _fill_matrix(normal, prior, prior, matrix, right)
     for n in range(6):
         matrix[6, n], matrix[7, n] = equations[5 + 2 * n], equations[6 + 2 * n]
-    matrix[6, 6] = equations[0] + tilt_prior
-    matrix[7, 6] = equations[1]
+    matrix[6, 6], matrix[7, 6] = equations[0] + tilt_prior, equations[1]
     matrix[7, 7] = equations[2] + tilt_prior
+    least[:6], least[6:] = prior, tilt_prior
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -376,58 +300,28 @@ def step_tilts(normal, equations, prior, tilt_prior, damping, rows, estimate, ti
     The step is that of all unknowns together, albedos and weights at 0 held there, from estimates that are
     best for the tilts as they are. `tilt_prior` is (V,) the precision of each tilt; `damping` (V,) shortens.
     """
-    matrix, right = np.empty((8, 8)), np.empty(8)
+    matrix, factor, held = np.empty((8, 8)), np.empty((8, 8)), np.zeros(8, np.bool_)
+    right, least, step = np.empty(8), np.empty(8), np.empty(8)
     for i in range(len(rows)):
         v = rows[i]
-        _fill_matrix(normal[i], equations[i], prior, tilt_prior[v], matrix)
-        matrix[6, 6] *= 1.0 + damping[v]
-        matrix[7, 7] *= 1.0 + damping[v]
-        for n in range(6):
-            if estimate[v, n] == 0.0:
-                matrix[n, :] = 0.0
-                matrix[:, n] = 0.0
-                matrix[n, n] = 1.0
-        right[:6] = 0.0
-        right[6] = equations[i, 3] - tilt_prior[v] * tilt[v, 0]
-        right[7] = equations[i, 4] - tilt_prior[v] * tilt[v, 1]
-        if not _cholesky(matrix, 8):
-            continue
-        for n in range(8):
-            for k in range(n):
-                right[n] -= matrix[n, k] * right[k]
-            right[n] /= matrix[n, n]
-        for n in range(7, -1, -1):
-            for k in range(n + 1, 8):
-                right[n] -= matrix[k, n] * right[k]
-            right[n] /= matrix[n, n]
-        for n in range(6):
-            if estimate[v, n] > 0.0:
-                estimate[v, n] = max(estimate[v, n] + right[n], 0.0)
-        tilt[v, 0] += right[6]
-        tilt[v, 1] += right[7]
+        _fill_matrix_with_tilts(normal[i], equations[i], prior, tilt_prior[v], matrix, right, least)
+        right[:6], held[:6] = 0.0, estimate[v] == 0.0
+        for k in range(2):
+            matrix[6 + k, 6 + k] *= 1.0 + damping[v]
+            right[6 + k] = equations[i, 3 + k] - tilt_prior[v] * tilt[v, k]
+        _factorize(matrix, held, least, factor)
+        _solve(factor, held, right, step)
+        estimate[v] = np.maximum(estimate[v] + step[:6], 0.0)
+        tilt[v] += step[6:]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def deviations_with_tilts(normal, equations, prior, tilt_prior, rows, deviation, tilt_variance):  # type: ignore[no-untyped-def]
-    """Fill deviation (N, 6) of albedos and weights without bounds, and tilt_variance (N,), mean of the two.
-
-    Nothing is filled where the equations are not positive by rounding.
-    """
-    matrix, column = np.empty((8, 8)), np.empty(8)
+    """Fill deviation (N, 6) of albedos and weights without bounds, and tilt_variance (N,), a mean."""
+    matrix, factor, held = np.empty((8, 8)), np.empty((8, 8)), np.zeros(8, np.bool_)
+    right, least, variance = np.empty(8), np.empty(8), np.empty(8)
     for i in range(len(rows)):
-        _fill_matrix(normal[i], equations[i], prior, tilt_prior[rows[i]], matrix)
-        if not _cholesky(matrix, 8):
-            continue
-        tilt_variance[i] = 0.0
-        for n in range(8):  # the inverse's diagonal: squares of the columns of the factor's inverse
-            total = 0.0
-            for k in range(n, 8):
-                column[k] = 1.0 if k == n else 0.0
-                for q in range(n, k):
-                    column[k] -= matrix[k, q] * column[q]
-                column[k] /= matrix[k, k]
-                total += column[k] * column[k]
-            if n < 6:
-                deviation[i, n] = np.sqrt(total)
-            else:
-                tilt_variance[i] += 0.5 * total
+        _fill_matrix_with_tilts(normal[i], equations[i], prior, tilt_prior[rows[i]], matrix, right, least)
+        _factorize(matrix, held, least, factor)
+        _fill_variances(factor, right, variance)
+        deviation[i], tilt_variance[i] = np.sqrt(variance[:6]), variance[6:].mean()

@@ -12,10 +12,14 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
-from scan2albedo.reflectance import vertex_visibility
 from scan2albedo.reflectance.olat import OlatImages
 from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, turn_lobes
-from scan2albedo.reflectance.vertex_visibility import VertexVisibility, checked_mesh, checked_normals
+from scan2albedo.reflectance.vertex_visibility import (
+    VertexVisibility,
+    checked_mesh,
+    checked_normals,
+    pixels_around,
+)
 
 
 @dataclass(frozen=True)
@@ -251,9 +255,14 @@ def sample_vertices(
     for j, (view, light) in enumerate(zip(camera, flash, strict=True)):
         pixels, _ = project(cameras[view], xyz)
         usable = seen[view] & lit[light] & (lobes[j, :, 0] > 0)
-        picture = olat.linear[j], olat.sigma[j], olat.valid[j]
-        filled = observed[j], variance[j], valid[j]
-        vertex_visibility.bilinear_samples(*picture, pixels, usable, _POSITION_SIGMA_PX**2, *filled)
+        around, share = pixels_around(olat.valid.shape[1:3], pixels)
+        four, noise = (image[j][around].astype(np.float64) for image in (olat.linear, olat.sigma))
+        valid[j] = (usable & share.any(0))[:, None] & olat.valid[j][around].all(0)
+        slopes = (four[[1, 2]] + four[3] - four[0] - four[[2, 1]]) / 2
+        # Each slope's own noise has the mean variance of the four.
+        steep = np.maximum((slopes**2).sum(0) - 2 * (noise**2).mean(0), 0)
+        spread = ((share[..., None] * noise) ** 2).sum(0) + _POSITION_SIGMA_PX**2 * steep
+        observed[j], variance[j] = np.where(valid[j], [(share[..., None] * four).sum(0), spread], 0.0)
     # Root mean square angles between normals of vertices and of their triangles, by area.
     across, corners = face_cross_products(xyz, index), index.ravel()
     area = np.linalg.norm(across, axis=1)

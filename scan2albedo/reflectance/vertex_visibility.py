@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy import sparse
 
@@ -130,30 +129,16 @@ class VertexVisibility:
         return result
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def bilinear_samples(picture, sigma, valid, pixels, usable, spread, value, variance, found):  # type: ignore[no-untyped-def]
-    """Fill value, variance and found (V, 3) of `usable` vertices at pixels, off by variance `spread`."""
-    height, width = picture.shape[:2]
-    for i in range(len(pixels)):
-        x, y = pixels[i, 0], pixels[i, 1]
-        if not usable[i] or not (0.0 <= x <= width - 1.0 and 0.0 <= y <= height - 1.0):
-            continue
-        left, top = min(int(x), max(width - 2, 0)), min(int(y), max(height - 2, 0))
-        right, bottom = min(left + 1, width - 1), min(top + 1, height - 1)
-        fx, fy = x - left, y - top
-        for k in range(3):
-            known = valid[top, left, k] and valid[top, right, k]
-            if not (known and valid[bottom, left, k] and valid[bottom, right, k]):
-                continue
-            a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-            p, q = picture[top, left, k], picture[top, right, k]
-            r, s = picture[bottom, left, k], picture[bottom, right, k]
-            value[i, k] = a * p + b * q + c * r + d * s
-            across, down = (q - p + s - r) / 2, (r - p + s - q) / 2
-            # Each slope's own noise has this variance.
-            e, f = sigma[top, left, k], sigma[top, right, k]
-            g, h = sigma[bottom, left, k], sigma[bottom, right, k]
-            noise = (e**2 + f**2 + g**2 + h**2) / 4
-            variance[i, k] = (a * e) ** 2 + (b * f) ** 2 + (c * g) ** 2 + (d * h) ** 2
-            variance[i, k] += spread * max(across * across + down * down - 2 * noise, 0.0)
-            found[i, k] = True
+def pixels_around(shape: tuple[int, ...], pixels: FloatArray) -> tuple[tuple[IntArray, IntArray], FloatArray]:
+    """Return rows and columns (4, N) of the pixels around each of (N, 2) in an image, and their weights.
+
+    The weights (4, N) are bilinear, all 0 outside the image and for NaN.
+    """
+    last = np.array(shape[1::-1]) - 1
+    inside = np.all((pixels >= 0) & (pixels <= last), axis=1)
+    place = np.where(inside[:, None], pixels, 0.0)
+    corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
+    (left, top), (right, below) = corner.T, np.minimum(corner + 1, last).T
+    x, y = (place - corner).T
+    weights = inside * np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y])
+    return (np.stack([top, top, below, below]), np.stack([left, right, left, right])), weights

@@ -28,11 +28,10 @@ def nnls_of(samples, vertex):
 def test_bounded_estimates_are_those_of_nnls(dark):
     samples = random_samples(0, dark=dark)
     estimate = np.empty((60, 6))
-    black = solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
+    solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
     expected = np.stack([nnls_of(samples, v) for v in range(60)])
     np.testing.assert_allclose(estimate, expected, atol=1e-9)
     assert ((estimate == 0) == (expected == 0)).all()
-    assert black >= (expected[:, :3] == 0).any(1).sum()
 
 
 def test_every_set_of_bounds_is_met():
@@ -59,8 +58,8 @@ def test_heads_with_black_channels_agree_too():
     capture = of_pairs(head_capture(200, black=0.5), np.arange(0, 99, 4))
     samples = samples_of(capture, noise=0.03)
     estimate = np.empty((200, 6))
-    black = solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
-    assert black > 20
+    solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
+    assert (estimate[:, :3] == 0).any(1).sum() > 20
     expected = np.stack([nnls_of(samples, v) for v in range(200)])
     np.testing.assert_allclose(estimate, expected, atol=1e-9)
 
