@@ -47,13 +47,6 @@ class Uncovered:
     covers: ScanSurface | None = None
     covered_mm2: float = 0.0
 
-    def of_covers(self, points: FloatArray) -> BoolArray:
-        """Return (N,) which points of the whole scan lie on its covers."""
-        if self.covers is None:
-            return np.zeros(len(points), bool)
-        covers, rest = (part.nearest.query(points).distance for part in (self.covers, self.scan))
-        return np.asarray(covers <= rest)
-
 
 def uncovered(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray, meter: Meter) -> Uncovered:
     """Return the scan without what stands far before the eyes: lenses with their frame, a visor.

@@ -125,7 +125,11 @@ def fit(
             "left out, and the model's own shape stands there"
         )
         steps.append(PlanStep.doubt("fit.covers", reason))
-    covered = np.any(bare.of_covers(transform_points(pose, scan.vertices))[scan.faces], axis=1)
+    covered = np.zeros(len(scan.faces), bool)
+    if bare.covers is not None:
+        points = transform_points(pose, scan.vertices)
+        apart, beside = (part.nearest.query(points).distance for part in (bare.covers, bare.scan))
+        covered = np.any((apart <= beside)[scan.faces], axis=1)
     deformation = Deformation(model, reference, bare.scan, chosen, meter, covered_mm2=bare.covered_mm2)
     deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:

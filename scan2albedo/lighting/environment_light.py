@@ -1,5 +1,6 @@
 """What a surface that shadows itself receives of an `EnvironmentLight`, and what it sends onto itself."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
@@ -79,7 +80,7 @@ def environment_light_on(
 
         I = c_0 (t_0 + fill (1 - t_0)) + D + bounce B(D),   D = lamps + sum_(k > 0) c_k t_k
 
-    with the transfer t of each point, and B of `Bounce`. What the surface throws back of the
+    with the transfer t of each point, and B of `Patches`. What the surface throws back of the
     constant light is part of the fill.
     """
     transfer = shadowed_transfer(shadows) if environment.occluded else open_transfer(shadows.normal)
@@ -112,31 +113,22 @@ def surface_weights(known: FloatArray, wanted: FloatArray) -> sparse.csr_matrix:
     return sparse.csr_matrix((weight.ravel(), (rows, index.ravel())), (len(wanted), len(known)))
 
 
-@dataclass(frozen=True)
-class Bounce:
-    """One bounce of light from a surface onto itself, as seen from some of its points.
-
-        B(x) = integral of V_hit(x, w) D(y(x, w)) max(0, n.w) / pi dw
-
-    for light D on the surface and albedo 1: M patches exchange it by `factors` (M, M), whose rows sum to the
-    hidden part of the hemisphere, and N points take part through `up` (N, M) and `down` (M, N).
-
-    .. [1] C. Goral, K. Torrance, D. Greenberg, B. Battaile, "Modeling the interaction of light between
-       diffuse surfaces", SIGGRAPH 1984.
-    """
-
-    factors: sparse.csr_matrix
-    up: sparse.csr_matrix
-    down: sparse.csr_matrix
-
-    def __call__(self, light: FloatArray) -> FloatArray:
-        """Return the bounced light (N, ...) of `light` (N, ...)."""
-        return np.asarray(self.up @ (self.factors @ (self.down @ light)))
+Bounce = Callable[[FloatArray], FloatArray]
+"""Gives what points of a surface get of the light (N, ...) on them, thrown back once; see `Patches`."""
 
 
 @dataclass(frozen=True)
 class Patches:
-    """M patches of a surface: their `surface_keys` and the form factors between them."""
+    """M patches of a surface, their `surface_keys`, and the form factors (M, M) by which they exchange light.
+
+        B(x) = integral of V_hit(x, w) D(y(x, w)) max(0, n.w) / pi dw
+
+    is one bounce of light D from the surface onto itself, for albedo 1. The rows of `factors` sum to the
+    hidden part of the hemisphere.
+
+    .. [1] C. Goral, K. Torrance, D. Greenberg, B. Battaile, "Modeling the interaction of light between
+       diffuse surfaces", SIGGRAPH 1984.
+    """
 
     keys: FloatArray
     factors: FloatArray
@@ -174,4 +166,5 @@ class Patches:
         up = surface_weights(self.keys, surface_keys(position, normal))
         # What averages values at the points around each patch.
         total = np.maximum(np.asarray(up.sum(0)).ravel(), 1e-9)
-        return Bounce(sparse.csr_matrix(self.factors), up, sparse.diags(1 / total) @ up.T)
+        factors, down = sparse.csr_matrix(self.factors), sparse.diags(1 / total) @ up.T
+        return lambda light: np.asarray(up @ (factors @ (down @ light)))

@@ -380,9 +380,7 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         scale = np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)
         local = _ellipse(8, 1.0, 1.0, 0.0) * scale[:, None]
         rings = path[:, None] + local @ _path_frames(path)
-        numbers = half.add(rings)
-        half.faces.append(_ring_faces(numbers))
-        half.add_cap(numbers[0], rings[0], end=False)
+        numbers = half.add_tube(rings)
         half.add_cap(numbers[-1], rings[-1], end=True)
     if double_bridge:
         # Half a second bridge; the key point at the top of the bridge goes to it.

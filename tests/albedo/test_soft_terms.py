@@ -8,7 +8,7 @@ from scipy import sparse
 
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
-from scan2albedo.lighting.environment_light import Bounce, open_transfer
+from scan2albedo.lighting.environment_light import open_transfer
 
 VIEW = (0.0, 0.0, 1.0)
 STEP = 1e-3
@@ -28,9 +28,8 @@ def surface(scenes):
     up = sparse.csr_matrix(up / up.sum(1))
     factors = rng.uniform(0, 0.3 / patches, (patches, patches))
     transfer = open_transfer(normal) * rng.uniform(0.5, 1, (len(normal), 1))
-    return normal, SoftTerms(
-        transfer, Bounce(sparse.csr_matrix(factors), up, sparse.csr_matrix((up / up.sum(0)).T))
-    )
+    down = sparse.csr_matrix((up / up.sum(0)).T)
+    return normal, SoftTerms(transfer, lambda light: up @ (factors @ (down @ light)))
 
 
 def _lit(surface, model, x):
