@@ -76,9 +76,9 @@ PRIOR = 1 / np.array([2.5, 2.5, 2.5, 0.25, 0.25, 0.25]) ** 2
 
 
 def normal_equations(samples: VertexSamples) -> FloatArray:
-    """Return (V, 3, 14)."""
+    """Return (V, 6, 7)."""
     count = samples.observed_linear.shape[1]
-    normal = np.empty((count, 3, 14))
+    normal = np.empty((count, 6, 7))
     precision = np.where(samples.valid, 1 / samples.sigma**2, 0.0)
     weight = np.ones(samples.observed_linear.shape[:2])
     for start in range(0, count, 128):

@@ -149,16 +149,10 @@ def similarities_by_person(
     NaN in scores (P, images) is not a similarity: a person's best is that of the others, the mean is NaN.
     """
     persons = tuple(sorted(set(gallery_names)))
-    person = np.searchsorted(persons, gallery_names)
-    if combine == "best":
-        result = np.full((len(persons), len(scores)), -np.inf)
-        np.maximum.at(result, person, np.where(np.isnan(scores), -np.inf, scores).T)
-        return persons, np.where(np.isinf(result), np.nan, result).T
-    if combine == "mean":
-        result = np.zeros((len(persons), len(scores)))
-        np.add.at(result, person, scores.T)
-        return persons, (result / np.bincount(person, minlength=len(persons))[:, None]).T
-    raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
+    if combine not in ("best", "mean"):
+        raise ValueError(f"combine is {combine!r}, expected 'best' or 'mean'")
+    names, taken = np.array(gallery_names), np.fmax.reduce if combine == "best" else np.mean
+    return persons, np.stack([taken(scores[:, names == one], axis=1) for one in persons], axis=1)
 
 
 def _check_closed(gallery_names: Sequence[str], probe_names: Sequence[str | None]) -> None:

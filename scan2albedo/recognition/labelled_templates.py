@@ -256,8 +256,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     header = TemplatesHeader(
         names=templates.names, options=options, chart=templates.chart, kind=templates.kind
     )
-    arrays = {name: getattr(templates, name) for name in ("coefficients", "mask", "weight")}
-    write_npz_record(path, header, arrays, what="template")
+    write_npz_record(path, header, templates.arrays, what="template")
 
 
 def read_templates(path: str | Path) -> Templates:

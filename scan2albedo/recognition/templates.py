@@ -143,6 +143,11 @@ class Templates:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def arrays(self) -> dict[str, Any]:
+        """`coefficients`, `mask` and `weight`, by name."""
+        return {name: getattr(self, name) for name in ("coefficients", "mask", "weight")}
+
     @classmethod
     def joined(cls, parts: Sequence[Templates]) -> Templates:
         """Return the templates of several sets; RecognitionError for none, or for unlike ones."""
@@ -155,20 +160,17 @@ class Templates:
                     f"set {k} has templates of the {kind} of {size} made with {options}, set 0 of the "
                     f"{first[0]} of {first[1]} with {first[2]}; make them alike"
                 )
-        coefficients = np.concatenate([part.coefficients for part in parts])
         names = tuple(name for part in parts for name in part.names)
-        mask = np.concatenate([part.mask for part in parts])
-        weight = np.concatenate([part.weight for part in parts])
-        return cls(coefficients, mask, names, parts[0].options, kind=parts[0].kind, weight=weight)
+        arrays: dict[str, Any] = {
+            key: np.concatenate([part.arrays[key] for part in parts]) for key in parts[0].arrays
+        }
+        return replace(parts[0], names=names, chart=None, **arrays)
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
-        arrays: dict[str, Any] = {
-            name: getattr(self, name)[chosen] for name in ("coefficients", "mask", "weight")
-        }
-        return replace(self, names=names, **arrays)
+        return replace(self, names=names, **{name: array[chosen] for name, array in self.arrays.items()})
 
 
 def albedo_templates(

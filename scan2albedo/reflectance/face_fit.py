@@ -11,7 +11,7 @@ from scipy import sparse
 from scipy.special import softmax
 
 from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh
 from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
@@ -23,7 +23,6 @@ from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import PEOPLE_DIFFER, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance, among_all
-from scan2albedo.reflectance.vertex_visibility import checked_mesh
 
 _BLOCK_MM = 12.0
 """Edge of the cubes whose vertices are left out together, for errors of a shape are alike over such a length.
@@ -167,11 +166,8 @@ def fit_face(
     colour gives no evidence, and so the mean face.
     """
     lighting = LightingModel.default() if lighting is None else lighting
-    xyz, index = checked_mesh(vertices, faces)
+    xyz, index = checked_mesh(vertices, faces, "the mesh", ReflectanceError)
     require_one_topology("the mesh", len(xyz), "the model", len(model.known))
-    if not np.isfinite(xyz).all():
-        bad = int((~np.isfinite(xyz)).any(1).sum())
-        raise ReflectanceError(f"{bad} vertices of the mesh are NaN or infinite; give a whole mesh")
     used = np.flatnonzero(np.asarray(observation.seen) & model.known)
     errors = errors_left_out(observation, model, xyz, index, lighting, normal_error, budget)
     # Details hold nothing that wrong normals could colour, so that any gain above chance counts.
@@ -349,8 +345,8 @@ class ShadingDivided:
         used = np.flatnonzero(np.asarray(observation.seen) & model.known)
         response = observation.response(used)
         received = response.diffuse @ light
-        highlight = np.einsum("vk,vkj->vj", reflectance.weights[used], response.specular @ light)
-        diffuse = reflectance.diffuse_linear[used] * received
+        made = response.shade(reflectance.chosen(used), light)
+        diffuse, highlight = made.diffuse_linear, made.specular_linear
         observed = np.asarray(observation.observed_linear)[used]
         floor = _TINY + 1e-3 * float(np.median(diffuse))
         spread = partial(among_all, used, len(model.known))

@@ -188,10 +188,8 @@ def with_change(model: MorphableReflectanceModel, change: FloatArray) -> Morphab
 
 
 def smoothed(change: FloatArray, smooth: Callable[[FloatArray], FloatArray]) -> FloatArray:
-    """Return a change (1 + N, V, 4) with a smoother of columns (V, C) applied."""
-    by_vertex = np.moveaxis(change, 1, 0)
-    columns = smooth(np.reshape(by_vertex, (len(by_vertex), -1)))
-    return np.ascontiguousarray(np.moveaxis(columns.reshape(by_vertex.shape), 0, 1))
+    """Return a change (1 + N, V, 4) with a smoother of values (V, ...) applied."""
+    return np.ascontiguousarray(np.moveaxis(smooth(np.moveaxis(change, 1, 0)), 0, 1))
 
 
 def best_change(

@@ -138,7 +138,7 @@ def refine_geometry(
     else:
         points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
         pose = pose_from_landmarks(matrix, points, landmarks[seen])
-    state = GeometryState.from_pose(shape_model, pose, coefficients)
+    state = GeometryState(shape_model, pose, coefficients)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
     term_over = None

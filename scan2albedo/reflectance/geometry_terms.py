@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -161,17 +160,13 @@ class PhotometricTerm:
         direct = self.image.gradient(pixels) @ projected(self.camera[None], points)[1]
         # The line of sight turns against the vertex: its derivative is -(I - v v^T) / distance.
         direct += across / distance[:, None, None]
-        # -by_normal dn / dx + direct, rows of the used vertices only.
-        by_vertex = vertex_normal_jacobian(vertices, self.faces)
-        length = np.diff(by_vertex.indptr)[used]
-        start = np.concatenate([[0], np.cumsum(length)])
-        row = np.repeat(np.arange(len(used)), length)
-        taken = by_vertex.indptr[used][row] + np.arange(start[-1]) - start[row]
-        column = by_vertex.indices[taken]
-        blocks = -by_normal[row] @ by_vertex.data[taken]
-        blocks[column == used[row]] += direct
-        shape = (3 * len(used), by_vertex.shape[1])
-        jacobian = sparse.bsr_matrix((blocks / self.unit, column, start), shape=shape)
+        # direct - by_normal dn / dx, a block row for each of the used vertices.
+        shape = (3 * len(used), vertices.size)
+        at, turned = (
+            sparse.bsr_matrix((blocks / self.unit, used, np.arange(len(used) + 1)), shape=shape)
+            for blocks in (direct, by_normal)
+        )
+        jacobian = at - turned @ vertex_normal_jacobian(vertices, self.faces)
         _, weight = photometric_penalty(off)
         return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
@@ -211,20 +206,16 @@ def photometric_term(
 class GeometryState:
     """A pose and a shape."""
 
+    model: MorphableShapeModel
     scene_from_model: FloatArray
     """(4, 4), rigid."""
     coefficients: FloatArray
     """(N_S + N_E,), identity first."""
-    vertices: FloatArray
-    """(V, 3) in the scene."""
 
-    @classmethod
-    def from_pose(
-        cls, model: MorphableShapeModel, scene_from_model: FloatArray, coefficients: FloatArray
-    ) -> Self:
-        """Return the state of a shape in a pose."""
-        vertices = transform_points(scene_from_model, model.at(coefficients))
-        return cls(scene_from_model, coefficients, vertices)
+    @cached_property
+    def vertices(self) -> FloatArray:
+        """(V, 3) in the scene."""
+        return transform_points(self.scene_from_model, self.model.at(self.coefficients))
 
 
 @dataclass(frozen=True)
@@ -273,4 +264,4 @@ class GeometryObjective:
         pose = compose(np.eye(3), step[3:6]) @ pivot @ motion @ away @ state.scene_from_model
         coefficients = state.coefficients.copy()
         coefficients[: len(step) - 6] += step[6:]
-        return GeometryState.from_pose(self.model, pose, coefficients)
+        return GeometryState(self.model, pose, coefficients)

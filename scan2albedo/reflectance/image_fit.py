@@ -119,8 +119,7 @@ def fit_image(
     best, used = found.best.state, terms.used
     b, g, t = terms.split(best.parameters)
     face = model.reconstruct(b)
-    specular = np.einsum("vk,vkj->vj", face.reflectance.weights[used], best.lobe_light)
-    radiance = face.reflectance.diffuse_linear[used] * best.diffuse_light + specular
+    radiance = terms.response.shade(face.reflectance.chosen(used), best.light).radiance_linear
     off = np.linalg.norm(radiance - terms.observed) / np.linalg.norm(terms.observed)
     return ImageFit(
         face=face,

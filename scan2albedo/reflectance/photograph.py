@@ -23,8 +23,7 @@ from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
 from scan2albedo.reflectance.vertex_visibility import (
     RAY_OFFSET_MM,
     VertexVisibility,
-    checked_mesh,
-    checked_normals,
+    checked_surface,
     pixels_around,
 )
 
@@ -67,8 +66,8 @@ def light_transfer(
     of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the highlights
     (tools/bench_reflectance_model.py). Light that the surface reflects onto itself is left out.
     """
-    xyz, index = checked_mesh(vertices, faces)
-    n, v = normalized(checked_normals(xyz, index, normals)), np.asarray(toward_camera, np.float64)
+    xyz, index, n = checked_surface(vertices, faces, normals)
+    n, v = normalized(n), np.asarray(toward_camera, np.float64)
     if v.shape != n.shape:
         raise ValueError(f"toward_camera is {v.shape}, expected {n.shape} as vertices")
     if not 64 <= directions <= 100_000:
@@ -209,8 +208,8 @@ def observe_photograph(
     """
     if not 0 < gamma < math.inf or not saturation > 0:
         raise ValueError(f"gamma is {gamma} and saturation {saturation}, expected > 0 and gamma finite")
-    xyz, index = checked_mesh(vertices, faces)
-    normal = normalized(checked_normals(xyz, index, normals))
+    xyz, index, normal = checked_surface(vertices, faces, normals)
+    normal = normalized(normal)
     matrix = np.asarray(camera, np.float64)
     if matrix.shape != (3, 4):
         raise ValueError(f"camera is {matrix.shape}, expected (3, 4)")

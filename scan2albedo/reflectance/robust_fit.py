@@ -89,7 +89,7 @@ class RobustFit:
 
     `weight` (J, V), `estimate` (V, 6), `loss` (V,), `misfit` and `tilt` (V, 2), `scale` (V,) of the residuals
     and `lobes` (J, V, 4) of the tilted normals; of the rows of `fit` only, the `normal` equations
-    (N, 3, 14), `center` and `deviation` (N, 6) without bounds, the mean `tilt_variance` (N,), and `settled`.
+    (N, 6, 7), `center` and `deviation` (N, 6) without bounds, the mean `tilt_variance` (N,), and `settled`.
     """
 
     normal: FloatArray
@@ -133,7 +133,7 @@ class RobustFit:
             moving = moving[self._improve(moving)]
             self.iterations += 1
         self.settled = np.full(size, settled) | ~np.isin(rows, moving)
-        self.normal, self.tilt_variance = np.empty((size, 3, 14)), np.zeros(size)
+        self.normal, self.tilt_variance = np.empty((size, 6, 7)), np.zeros(size)
         self.center, self.deviation = np.empty((2, size, 6))
 
         def posterior(block: slice) -> None:
@@ -179,22 +179,22 @@ class RobustFit:
         return moved
 
     def _equations(self, part: IntArray) -> FloatArray:
-        normal = np.empty((len(part), 3, 14))
+        normal = np.empty((len(part), 6, 7))
         data = self.data
         seen = data.observed, data.precision, self.lobes, data.bounce, self.weight
         kernels.add_normal_equations(*seen, part, normal)
         return normal
 
     def _solve(self, part: IntArray) -> FloatArray:
-        """Find the bounded estimates of `part` (N,), and return their equations (N, 3, 14)."""
+        """Find the bounded estimates of `part` (N,), and return their equations (N, 6, 7)."""
         normal, found = self._equations(part), np.empty((len(part), 6))
         kernels.solve_bounded(normal, self.data.mean, self.data.prior, found)
         self.estimate[part] = found
         return normal
 
     def _tilt_equations(self, part: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return equations (N, 17), the prior (6,), and that of tilts (V,): the Gaussian that touches it."""
-        equations, data = np.empty((len(part), 17)), self.data
+        """Return equations (N, 2, 9), the prior (6,), and that of tilts (V,): a Gaussian that touches it."""
+        equations, data = np.empty((len(part), 2, 9)), self.data
         assert data.tilt_sigma is not None
         seen = self.lobes, data.bounce, data.slopes, self.weight, self.estimate, self.tilt
         kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)

@@ -10,10 +10,10 @@ from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Tr
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.olat import OlatOptions
-from scan2albedo.reflectance.point_light_lobes import PEAKS, cosines_of_lobes, point_light_radiance
+from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance
 from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_free
-from scan2albedo.reflectance.vertex_reflectance import VertexReflectance, among_all
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, among_all
 from scan2albedo.reflectance.vertex_samples import VertexSamples
 
 PARAMETERS = ("red", "green", "blue", "weight_1", "weight_8", "weight_64")
@@ -173,7 +173,7 @@ def fit_reflectance(
     std = deviation * np.fmax(misfit, 1.0)[:, None]
     if len(data.bounce):
         # How far all numbers move with the strength of bounced light, which all pictures share.
-        bounced, normal = data.bounce * np.nan_to_num(fitted.estimate[:, :3]), np.empty((len(rows), 3, 14))
+        bounced, normal = data.bounce * np.nan_to_num(fitted.estimate[:, :3]), np.empty((len(rows), 6, 7))
         moved, unused = np.empty((2, len(rows), 6))
         seen_by = data.precision, fitted.lobes, data.bounce, fitted.weight
         add_normal_equations(bounced, *seen_by, rows, normal)
@@ -189,19 +189,10 @@ def fit_reflectance(
         impossible[rows] = too_bright
         identified[impossible], low[too_bright] = False, 0.0
     # Condition numbers of the observations' matrices.
-    normal, matrix = fitted.normal, np.zeros((len(rows), 6, 6))
-    for k in range(3):
-        matrix[:, k, k] = normal[:, k, 0]
-        matrix[:, k, 3:] = matrix[:, 3:, k] = normal[:, k, 1:4]
-    row, column = np.triu_indices(3)
-    matrix[:, 3 + row, 3 + column] = matrix[:, 3 + column, 3 + row] = normal[:, :, 4:10].sum(1)
-    smallest, largest = np.linalg.eigvalsh(matrix)[:, [0, -1]].T
+    smallest, largest = np.linalg.eigvalsh(fitted.normal[:, :, :6])[:, [0, -1]].T
     singular = smallest <= 64 * np.finfo(float).eps * largest
     condition = np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
-    # Lobes over their peaks, max(0, n.h)^s, whatever the strength of the light.
-    broad = samples.lobes[..., 1]
-    scale = np.divide(PEAKS[0] * n_h, broad, out=np.zeros_like(broad), where=broad > 0)
-    over_peak = np.asarray(samples.lobes[..., 1:] / PEAKS * scale[..., None])
+    over_peak = np.where(samples.lobes[..., 1:] > 0, n_h[..., None] ** EXPONENTS, 0.0)
     return ReflectanceFit(
         reflectance=VertexReflectance(spread(estimate[:, :3]), spread(estimate[:, 3:]), known),
         std=spread(std),

@@ -1,10 +1,11 @@
 """Compiled bounded least squares of many vertices, six unknowns each: R, G, B and three lobe weights.
 
-For channel k with precisions p_jk = 1 / sigma_jk^2 and robust weights u_j,
+For channel k of pair j, with precision p_jk = 1 / sigma_jk^2 and robust weight u_j, the row D_j e_k + S_j of
+albedos and weights shall be y_jk. The 6 x 6 normal equations of these rows have blocks
 
-    a_k = sum u p D^2,  d_k = sum u p D S,  G_k = sum u p S S^T,  b_k = sum u p D y,  g_k = sum u p S y
+    sum u p D^2 (diagonal),   sum u p S D,   sum u p S S^T,   and the right side   sum u p D y,   sum u p S y,
 
-over the pairs j. They and a Gaussian prior N(m, diag(q)^-1) make one 6 x 6 system of albedos and weights.
+to which a Gaussian prior N(m, diag(q)^-1) adds diag(q) and q m.
 
 Normals may be a little off: two tilts t beside the six unknowns. With unit tangents e_1, e_2 the true normal
 is (n + t_1 e_1 + t_2 e_2) / |.|, so that
@@ -24,7 +25,7 @@ UNIT_MEDIAN = 0.888
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_normal_equations(observed, precision, lobes, bounce, weight, rows, normal):  # type: ignore[no-untyped-def]
-    """Fill normal (N, 3, 14) with a, d (3), G (6: 11 12 13 22 23 33), b, g (3) of the vertices `rows` (N,).
+    """Fill normal (N, 6, 7), lower triangles and right sides of the equations of the vertices `rows` (N,).
 
     `observed`, `precision` (0 without observation) and robust `weight` are (J, V, 3), (J, V, 3) and (J, V);
     `lobes` is (J, V, 4), and `bounce` (J, V, 3), or empty, is added to D.
@@ -32,52 +33,36 @@ def add_normal_equations(observed, precision, lobes, bounce, weight, rows, norma
     normal[:] = 0.0
     for j in range(observed.shape[0]):
         for i in range(len(rows)):
-            v = rows[i]
-            u = weight[j, v]
-            direct, s0, s1, s2 = lobes[j, v, 0], lobes[j, v, 1], lobes[j, v, 2], lobes[j, v, 3]
+            v, one, precisions, products = rows[i], normal[i], 0.0, 0.0
             for k in range(3):
-                p = u * precision[j, v, k]
+                p = weight[j, v] * precision[j, v, k]
                 if p == 0.0:
                     continue
-                diffuse = direct + bounce[j, v, k] if len(bounce) else direct
-                y = p * observed[j, v, k]
-                t, t0, t1, t2 = p * diffuse, p * s0, p * s1, p * s2
-                row = normal[i, k]
-                row[0] += t * diffuse
-                row[1] += t * s0
-                row[2] += t * s1
-                row[3] += t * s2
-                row[4] += t0 * s0
-                row[5] += t0 * s1
-                row[6] += t0 * s2
-                row[7] += t1 * s1
-                row[8] += t1 * s2
-                row[9] += t2 * s2
-                row[10] += y * diffuse
-                row[11] += y * s0
-                row[12] += y * s1
-                row[13] += y * s2
+                diffuse = lobes[j, v, 0] + bounce[j, v, k] if len(bounce) else lobes[j, v, 0]
+                t, y = p * diffuse, p * observed[j, v, k]
+                one[k, k] += t * diffuse
+                one[k, 6] += y * diffuse
+                for n in range(3):
+                    one[3 + n, k] += t * lobes[j, v, 1 + n]
+                precisions += p
+                products += y
+            if precisions == 0.0:
+                continue
+            for n in range(3):
+                t = precisions * lobes[j, v, 1 + n]
+                for q in range(n + 1):
+                    one[3 + n, 3 + q] += t * lobes[j, v, 1 + q]
+                one[3 + n, 6] += products * lobes[j, v, 1 + n]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_matrix(normal, mean, prior, matrix, right):  # type: ignore[no-untyped-def]
-    """Fill the lower triangle of matrix, of 6 or more, and the right side for albedos and weights."""
-    matrix[:6, :6] = 0.0
+def _add_prior(normal, mean, prior, matrix, right):  # type: ignore[no-untyped-def]
+    """Fill the lower triangle of matrix, of 6 or more, and the right side from equations (6, 7) and prior."""
     for n in range(6):
-        matrix[n, n], right[n] = prior[n], prior[n] * mean[n]
-    for k in range(3):
-        row = normal[k]
-        matrix[k, k] += row[0]
-        right[k] += row[10]
-        for n in range(3):
-            matrix[3 + n, k] = row[1 + n]
-            right[3 + n] += row[11 + n]
-        matrix[3, 3] += row[4]
-        matrix[4, 3] += row[5]
-        matrix[5, 3] += row[6]
-        matrix[4, 4] += row[7]
-        matrix[5, 4] += row[8]
-        matrix[5, 5] += row[9]
+        for k in range(n + 1):
+            matrix[n, k] = normal[n, k]
+        matrix[n, n] += prior[n]
+        right[n] = normal[n, 6] + prior[n] * mean[n]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -131,12 +116,12 @@ def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def
 
     The first unknown that is below 0, or held at 0 where the objective falls, changes sides until none is,
     which ends for every positive matrix (Murty, Mathematical Programming 7, 1974).
-    `normal` is (N, 3, 14); `mean` and `prior` (6,) are the prior's means and precisions, > 0 for the weights.
+    `normal` is (N, 6, 7); `mean` and `prior` (6,) are the prior's means and precisions, > 0 for the weights.
     """
     matrix, factor = np.empty((6, 6)), np.empty((6, 6))
     right, found, held = np.empty(6), np.empty(6), np.empty(6, np.bool_)
     for i in range(len(normal)):
-        _fill_matrix(normal[i], mean, prior, matrix, right)
+        _add_prior(normal[i], mean, prior, matrix, right)
         held[:] = False
         for _ in range(64):
             _factorize(matrix, held, prior, factor)
@@ -162,7 +147,7 @@ def solve_free(normal, mean, prior, center, deviation):  # type: ignore[no-untyp
     """Fill center and deviation (N, 6): mean and standard deviations of the posterior without bounds."""
     matrix, factor, right, held = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.zeros(6, np.bool_)
     for i in range(len(normal)):
-        _fill_matrix(normal[i], mean, prior, matrix, right)
+        _add_prior(normal[i], mean, prior, matrix, right)
         _factorize(matrix, held, prior, factor)
         _solve(factor, held, right, center[i])
         _fill_variances(factor, right, deviation[i])
@@ -234,27 +219,28 @@ def reweigh(  # type: ignore[no-untyped-def]
 def add_tilt_equations(  # type: ignore[no-untyped-def]
     observed, precision, lobes, bounce, slopes, weight, estimate, tilt, rows, equations
 ):
-    """Fill equations (N, 17) of a further step of the tilts, from turned lobes (J, V, 4) and bounced light.
+    """Fill equations (N, 2, 9), rows of a further step of the tilts, from turned lobes (J, V, 4) and bounce.
 
-    With g the derivative of a channel's prediction by the tilts: sum u p g g^T (3: 11 12 22), sum u p g r (2)
-    of the residuals r, sum u p D g (3 x 2) of each albedo, sum u p S g (3 x 2) of each weight.
+    With g the derivative of a channel's prediction by the tilts: sum u p D g of each albedo, sum u p S g of
+    each weight, sum u p g g^T (its lower triangle), and, of the residuals r, the right side sum u p g r.
     """
     equations[:] = 0.0
     for j in range(observed.shape[0]):
         for i in range(len(rows)):
             v = rows[i]
             t0, t1, u = tilt[v, 0], tilt[v, 1], weight[j, v]
-            diffuse, s0, s1, s2 = lobes[j, v, 0], lobes[j, v, 1], lobes[j, v, 2], lobes[j, v, 3]
+            diffuse = lobes[j, v, 0]
             inverse = 1.0 / (1.0 + t0 * t0 + t1 * t1)
             near = max(1.0 + t0 * slopes[j, v, 0] + t1 * slopes[j, v, 1], 1e-9)
             half = max(1.0 + t0 * slopes[j, v, 2] + t1 * slopes[j, v, 3], 1e-9)
             d0 = diffuse * (slopes[j, v, 0] / near - t0 * inverse)
             d1 = diffuse * (slopes[j, v, 1] / near - t1 * inverse)
-            w0, w1, w2 = s0 * estimate[v, 3], s1 * estimate[v, 4], s2 * estimate[v, 5]
+            w0, w1 = lobes[j, v, 1] * estimate[v, 3], lobes[j, v, 2] * estimate[v, 4]
+            w2 = lobes[j, v, 3] * estimate[v, 5]
             gloss, steep = w0 + w1 + w2, w0 + 8.0 * w1 + 64.0 * w2
             h0 = steep * (slopes[j, v, 2] / half - t0 * inverse)
             h1 = steep * (slopes[j, v, 3] / half - t1 * inverse)
-            row = equations[i]
+            first, second = equations[i, 0], equations[i, 1]
             sum0, sum1 = 0.0, 0.0
             for k in range(3):
                 p = u * precision[j, v, k]
@@ -265,31 +251,27 @@ def add_tilt_equations(  # type: ignore[no-untyped-def]
                 r = observed[j, v, k] - lit * c - gloss
                 g0, g1 = c * d0 + h0, c * d1 + h1
                 a0, a1 = p * g0, p * g1
-                row[0] += a0 * g0
-                row[1] += a0 * g1
-                row[2] += a1 * g1
-                row[3] += a0 * r
-                row[4] += a1 * r
-                row[5 + 2 * k] += lit * a0
-                row[6 + 2 * k] += lit * a1
+                first[k] += lit * a0
+                second[k] += lit * a1
+                first[6] += a0 * g0
+                second[6] += a0 * g1
+                second[7] += a1 * g1
+                first[8] += a0 * r
+                second[8] += a1 * r
                 sum0 += a0
                 sum1 += a1
-            row[11] += s0 * sum0
-            row[12] += s0 * sum1
-            row[13] += s1 * sum0
-            row[14] += s1 * sum1
-            row[15] += s2 * sum0
-            row[16] += s2 * sum1
+            for n in range(3):
+                first[3 + n] += lobes[j, v, 1 + n] * sum0
+                second[3 + n] += lobes[j, v, 1 + n] * sum1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_matrix_with_tilts(normal, equations, prior, tilt_prior, matrix, right, least):  # type: ignore[no-untyped-def]
+def _add_priors(normal, equations, prior, tilt_prior, matrix, right, least):  # type: ignore[no-untyped-def]
     """Fill the lower triangle of matrix (8, 8) for albedos, weights and tilts, and its least pivots (8,)."""
-    _fill_matrix(normal, prior, prior, matrix, right)
-    for n in range(6):
-        matrix[6, n], matrix[7, n] = equations[5 + 2 * n], equations[6 + 2 * n]
-    matrix[6, 6], matrix[7, 6] = equations[0] + tilt_prior, equations[1]
-    matrix[7, 7] = equations[2] + tilt_prior
+    _add_prior(normal, prior, prior, matrix, right)
+    matrix[6:] = equations[:, :8]
+    matrix[6, 6] += tilt_prior
+    matrix[7, 7] += tilt_prior
     least[:6], least[6:] = prior, tilt_prior
 
 
@@ -304,11 +286,11 @@ def step_tilts(normal, equations, prior, tilt_prior, damping, rows, estimate, ti
     right, least, step = np.empty(8), np.empty(8), np.empty(8)
     for i in range(len(rows)):
         v = rows[i]
-        _fill_matrix_with_tilts(normal[i], equations[i], prior, tilt_prior[v], matrix, right, least)
+        _add_priors(normal[i], equations[i], prior, tilt_prior[v], matrix, right, least)
         right[:6], held[:6] = 0.0, estimate[v] == 0.0
         for k in range(2):
             matrix[6 + k, 6 + k] *= 1.0 + damping[v]
-            right[6 + k] = equations[i, 3 + k] - tilt_prior[v] * tilt[v, k]
+            right[6 + k] = equations[i, k, 8] - tilt_prior[v] * tilt[v, k]
         _factorize(matrix, held, least, factor)
         _solve(factor, held, right, step)
         estimate[v] = np.maximum(estimate[v] + step[:6], 0.0)
@@ -321,7 +303,7 @@ def deviations_with_tilts(normal, equations, prior, tilt_prior, rows, deviation,
     matrix, factor, held = np.empty((8, 8)), np.empty((8, 8)), np.zeros(8, np.bool_)
     right, least, variance = np.empty(8), np.empty(8), np.empty(8)
     for i in range(len(rows)):
-        _fill_matrix_with_tilts(normal[i], equations[i], prior, tilt_prior[rows[i]], matrix, right, least)
+        _add_priors(normal[i], equations[i], prior, tilt_prior[rows[i]], matrix, right, least)
         _factorize(matrix, held, least, factor)
         _fill_variances(factor, right, variance)
         deviation[i], tilt_variance[i] = np.sqrt(variance[:6]), variance[6:].mean()

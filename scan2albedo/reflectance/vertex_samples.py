@@ -10,16 +10,11 @@ from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import ReflectanceError, errors_of
-from scan2albedo.geometry.mesh import face_cross_products
+from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
 from scan2albedo.reflectance.olat import OlatImages
 from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, turn_lobes
-from scan2albedo.reflectance.vertex_visibility import (
-    VertexVisibility,
-    checked_mesh,
-    checked_normals,
-    pixels_around,
-)
+from scan2albedo.reflectance.vertex_visibility import VertexVisibility, checked_surface, pixels_around
 
 
 @dataclass(frozen=True)
@@ -235,12 +230,11 @@ def sample_vertices(
     reference_distance_mm : float, optional
         Distance at which light has fallen off to 1, with its square; no falloff when omitted.
     """
-    xyz, index = checked_mesh(vertices, faces)
     if reference_distance_mm is not None and not 0 < reference_distance_mm < math.inf:
         raise ValueError(f"reference_distance_mm is {reference_distance_mm}, expected > 0 and finite")
     if len(rig) != len(olat):
         raise ReflectanceError(f"there are {len(olat)} pictures but {len(rig)} cameras in the rig")
-    normal = checked_normals(xyz, index, normals)
+    xyz, index, normal = checked_surface(vertices, faces, normals)
     views = xyz, normal, rig.camera_positions, rig.light_positions
     lobes = point_light_lobes(*views, reference_distance_mm=reference_distance_mm)
     shape = (len(olat), len(xyz), 3)
@@ -265,10 +259,8 @@ def sample_vertices(
         observed[j], variance[j] = np.where(valid[j], [(share[..., None] * four).sum(0), spread], 0.0)
     # Root mean square angles between normals of vertices and of their triangles, by area.
     across, corners = face_cross_products(xyz, index), index.ravel()
-    area = np.linalg.norm(across, axis=1)
-    flat = np.divide(across, area[:, None], out=np.zeros_like(across), where=area[:, None] > 0)
-    angle = np.arccos(np.clip(np.einsum("fkc,fc->fk", normal[index], flat), -1, 1))
-    weight = np.repeat(area, 3)
+    cosine = np.einsum("fkc,fc->fk", normal[index], normalized(across))
+    angle, weight = np.arccos(np.clip(cosine, -1, 1)), np.repeat(np.linalg.norm(across, axis=1), 3)
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
     normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(

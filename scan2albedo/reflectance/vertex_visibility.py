@@ -19,27 +19,28 @@ RAY_OFFSET_MM = 0.2
 """Rays start this far along the normal, see `lighting.shadow_map.ShadowMap`."""
 
 
-def checked_mesh(vertices: ArrayLike, faces: ArrayLike) -> tuple[FloatArray, IntArray]:
-    """Return vertices (V, 3) and faces (F, 3), or raise `ValueError` for other shapes."""
+def checked_surface(
+    vertices: ArrayLike, faces: ArrayLike, normals: ArrayLike | None
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Return vertices, faces, and the normals given or the mesh's (V, 3), 0 where there are none.
+
+    Raises `ValueError` for other shapes than (V, 3) and (F, 3), `ReflectanceError` for what is not finite or
+    not unit, and for faces of other vertices.
+    """
     xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
     if xyz.ndim != 2 or xyz.shape[1] != 3 or index.ndim != 2 or index.shape[1] != 3:
         raise ValueError(f"vertices is {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)")
-    return xyz, index
-
-
-def checked_normals(xyz: FloatArray, faces: IntArray, normals: ArrayLike | None) -> FloatArray:
-    """Return the normals (V, 3) given, checked with the mesh, or the mesh's; 0 where there are none."""
     if not np.isfinite(xyz).all():
         raise ReflectanceError("vertices are not all finite")
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= len(xyz):
+    if len(index) == 0 or index.min() < 0 or index.max() >= len(xyz):
         raise ReflectanceError(f"faces hold no triangles, or others than of the {len(xyz)} vertices")
     if normals is None:
-        return vertex_normals(xyz, faces)
+        return xyz, index, vertex_normals(xyz, index)
     given = np.ascontiguousarray(normals, np.float64)
     if given.shape != xyz.shape:
         raise ValueError(f"normals is {given.shape}, expected {xyz.shape} as vertices")
     unit_vectors(np.where(given.any(1, keepdims=True), given, (0.0, 0.0, 1.0)), "normals")
-    return given
+    return xyz, index, given
 
 
 class VertexVisibility:

@@ -138,7 +138,7 @@ def test_another_mesh_is_refused(model, lighting):
     taken = picture(skin(np.zeros((len(NORMALS), 3))), 3)
     with pytest.raises(ReflectanceError, match="one topology"):
         fit_face(taken, model, VERTICES[:9], [[0, 1, 2]], lighting)
-    with pytest.raises(ReflectanceError, match="1 vertices of the mesh are NaN"):
+    with pytest.raises(ReflectanceError, match=r"the mesh: 1 of \d+ vertices are NaN"):
         fit_face(taken, model, np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES), FACES)
 
 

@@ -115,7 +115,7 @@ def refine(face, model, **given):
 
 def states(model, face):
     rng = np.random.default_rng(3)
-    return GeometryState.from_pose(model, face.pose, 0.3 * rng.normal(size=model.components))
+    return GeometryState(model, face.pose, 0.3 * rng.normal(size=model.components))
 
 
 def terms(model, face):

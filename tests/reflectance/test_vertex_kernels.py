@@ -136,7 +136,7 @@ def test_weights_are_the_slope_of_the_loss(power):
 def test_sums_that_overflow_give_no_number():
     """Neither the estimate of the vertex before nor 0 stands for what cannot be computed."""
     normal = normal_equations(random_samples(5, count=3))
-    normal[1, 0, 4:] = np.inf
+    normal[1, 3:] = normal[1, 0, 6] = np.inf
     estimate = np.empty((3, 6))
     solve_bounded(normal, MEAN, PRIOR, estimate)
     assert np.isfinite(estimate[[0, 2]]).all()
