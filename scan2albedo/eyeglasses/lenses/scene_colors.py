@@ -154,8 +154,8 @@ class LitScene:
         dimming: Sequence[InsertedLens],
     ) -> FloatArray:
         """Return (2, N, 3) radiance without lenses, and with what those that dim light take of it."""
-        position, strength = shadows.position, reflectance.specular_strength
-        lit, passed, near = np.zeros((2, len(position), 3)), np.ones((len(position), 3)), []
+        position, strength, near = shadows.position, reflectance.specular_strength, []
+        lit, lost = np.zeros((2, len(position), 3))
         for lens in dimming:
             # Only rays that pass a ball around the lens are shot; float32 may reach a little farther.
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
@@ -163,16 +163,19 @@ class LitScene:
             way = center - position
             near.append((lens, lens.caster.to_local(position), way, (way**2).sum(1) - reach**2, reach))
         for toward, intensity, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
-            passed.fill(1.0)
+            radiance = albedo * facing[:, None]
+            if strength > 0:
+                radiance += strength * mirrored[:, None]
+            radiance *= intensity
+            lit += radiance
             for lens, local, way, outside, reach in near:
                 along = way @ toward
                 ray = np.flatnonzero((facing > 0) & (along >= -reach) & (along**2 >= outside))
-                shaded = lens.caster.occluded(local[ray], toward, local=True)
-                passed[ray[shaded]] *= lens.material.transmission
-            radiance = albedo * facing[:, None] + strength * mirrored[:, None]
-            radiance *= intensity
-            lit += radiance, radiance * passed
-        return lit
+                ray = ray[lens.caster.occluded(local[ray], toward, local=True)]
+                taken = radiance[ray] * (1 - lens.material.transmission)
+                lost[ray] += taken
+                radiance[ray] -= taken
+        return np.stack([lit, np.maximum(lit - lost, 0.0)])
 
 
 class PhotographedScene:
